@@ -133,6 +133,8 @@ PARTS: Final = (
     ),
     Part("adversary", ("adversary", "--seed", "2000"), ("--small",), 45, "adversary.json"),
     Part("margins", ("margins",), ("--robot", "pendulum", "--drives", "2", "--fresh", "2"), 90, "margins.json"),
+    Part("tuning", ("tuning",), ("--small", "--drives", "2", "--row", "shipped"), 30, "tuning.json"),
+    Part("tuning-real", ("tuning", "--part", "real"), ("--small",), 10, "tuning.json", data=True),
     Part("theory", ("theory", "car_learned"), ("--states", "2000"), 2),
     Part("car", ("car",), ("--episodes", "1", "--part", "table", "--load", "none"), 15, "car.json"),
     Part(

@@ -1,0 +1,174 @@
+"""The models of the tuning table: as trained, told of the right point, tuned in each way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Final, final
+
+from safedpa.dynamics import LearnedBase, PhysicsModel
+from safedpa.dynamics.model_file import parse_model, write_model
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.records import Run
+from safedpa_lab.experiments.car_methods import named_model
+from safedpa_lab.experiments.tuning_kept import Kept, key_of
+from safedpa_sim.training.configuration import Configuration, load_configuration
+from safedpa_sim.training.grounded_simulator import ground_simulator
+from safedpa_sim.training.paper_tuning import PaperTuning, tune_as_written
+from safedpa_sim.training.phase_3 import tune
+from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor
+from safedpa_sim.training.reference_point import ReferencePoint, weights_told_of_axle
+from safedpa_sim.training.residual_networks import (
+    ResidualTuning,
+    learn_residual,
+    residual_predictor,
+    residual_weights,
+    untrained_residual,
+)
+from safedpa_sim.training.tuning_data import Drive, drives_of, record_circles, split
+
+__all__ = ["AHEAD", "REFUSED", "ROWS", "TunedModels"]
+
+AHEAD: Final = 0.15
+"""m from the rear axle to the point that the training simulator tracks."""
+ROWS: Final = {
+    "untuned": "untuned, as trained",
+    "untuned_point": "untuned, told of the right point",
+    "paper": "L_TUNE as written",
+    "paper_point": "L_TUNE, from the right point",
+    "shipped": "ours, as shipped",
+    "tuned_point": "ours, from the right point",
+    "physics": "mended physics alone, knowing of no load",
+    "residual": "residual networks on mended physics",
+    "online_untuned": "untuned at the right point, tuned online",
+    "online_shipped": "ours as shipped, tuned online",
+    "online_tuned": "ours from the right point, tuned online",
+    "online_residual": "residual networks, tuned online",
+}
+"""Every row of the table by name. The last four are another model for each load."""
+REFUSED: Final = "refused"
+"""In what weights were trained on: why they stayed as they were."""
+_SMALL: Final = {"pairs": 2000, "run_pairs": 500, "cars": 0, "updates": 30, "batch": 64, "rollouts": 4}
+_STREAM: Final = 7
+_TRAINING: Final = "safedpa_sim.training"
+Tell = Callable[[str], None]
+
+
+@final
+@dataclass(frozen=True)
+class TunedModels:
+    """Makes each model when it is asked for, or reads it where it is kept."""
+
+    models: Path
+    """Folder of ``car_simulated`` and ``car_learned``; those that ship where it has none."""
+    kept: Kept
+    seed: int = 0
+    small: bool = False
+    """Trainings of seconds, to see that all runs."""
+    tell: Tell = lambda _what: None
+
+    def predictor(self, row: str) -> AbstractPredictor:
+        """The model of a row that is not tuned online."""
+        make: dict[str, Callable[[], AbstractPredictor]] = {
+            "untuned": lambda: NetworkPredictor(self.untuned),
+            "untuned_point": lambda: NetworkPredictor(self.untuned, ReferencePoint(AHEAD)),
+            "at_axle": lambda: NetworkPredictor(self.at_axle),
+            "shipped": lambda: NetworkPredictor(_weights("car_learned", self.models)),
+            "paper": lambda: NetworkPredictor(self._paper(row, self.untuned)),
+            "paper_point": lambda: NetworkPredictor(self._paper(row, self.at_axle)),
+            "tuned_point": lambda: NetworkPredictor(self._tuned()),
+            "physics": lambda: untrained_residual(self.configuration, self.mended, self.untuned),
+            "residual": lambda: residual_predictor(self.configuration, self.mended, self._residual()),
+        }
+        return make[row]()
+
+    def refusal(self, row: str) -> str:
+        """Why a tuning was not taken; empty where it was."""
+        told = self._tuned().description.trained_on if row in ("tuned_point", "online_tuned") else {}
+        return str(told.get(REFUSED, ""))
+
+    @cached_property
+    def untuned(self) -> Weights:
+        """As trained: of the point ``AHEAD`` metres before the axle."""
+        return _weights("car_simulated", self.models)
+
+    @cached_property
+    def at_axle(self) -> Weights:
+        """The same told of the rear axle, where tuning from the right point begins."""
+        return weights_told_of_axle(self.untuned, AHEAD)
+
+    @cached_property
+    def configuration(self) -> Configuration:
+        """Of the training, with the seed."""
+        found = replace(load_configuration("car"), seed=self.seed)
+        return replace(found, phase_3=replace(found.phase_3, **_SMALL)) if self.small else found
+
+    @cached_property
+    def mended(self) -> PhysicsModel:
+        """The training simulator, mended by a diagnosis of the circles."""
+
+        def make() -> str:
+            self.tell("diagnosis of the simulator")
+            fitted = max(1, round(0.8 * len(self._circles)))
+            return write_model(ground_simulator(self.configuration, self._circles[:fitted]).model)
+
+        return parse_model(self.kept.text("mended", self._key("grounded_simulator"), make))
+
+    @cached_property
+    def _circles(self) -> tuple[Run, ...]:
+        phase = self.configuration.phase_3
+        return record_circles(phase.pairs, self.seed * 10 + _STREAM, phase.run_pairs)
+
+    def _drives(self) -> list[Drive]:
+        return drives_of(self._circles, self.untuned)
+
+    def _paper(self, row: str, begun: Weights) -> Weights:
+        tuning = PaperTuning(updates=30, batch=64) if self.small else PaperTuning(seed=self.seed)
+
+        def make() -> Weights:
+            self.tell(ROWS[row])
+            return tune_as_written(begun, split(self._drives(), begun.description.history)[0], tuning)
+
+        return self.kept.weights(row, self._key("paper_tuning", begun.digest, tuning), make)
+
+    def _tuned(self) -> Weights:
+        def make() -> Weights:
+            self.tell(ROWS["tuned_point"])
+            begun = self.at_axle
+            try:
+                return tune(self.configuration, begun, self.models)[0]
+            except InputError as error:  # no better on what was held out: the row is the model that it began with
+                told = {**begun.description.trained_on, REFUSED: str(error)}
+                return begun.with_tensors({}, replace(begun.description, trained_on=told))
+
+        return self.kept.weights("tuned_point", self._key("phase_3", self.at_axle.digest), make)
+
+    def _residual(self) -> Weights:
+        small = ResidualTuning(
+            latents=4, hidden=32, cars=20, steps=120, updates=20, batch=64, rollouts=4, seed=self.seed
+        )
+        tuning = small if self.small else ResidualTuning(seed=self.seed)
+
+        def make() -> Weights:
+            self.tell(ROWS["residual"])
+            found = learn_residual(self.configuration, self.mended, self.untuned, self._drives(), tuning)
+            return residual_weights(found, self.untuned)
+
+        return self.kept.weights("residual", self._key("residual_networks", write_model(self.mended), tuning), make)
+
+    def _key(self, module: str, *settings: object) -> str:
+        phase = self.configuration.phase_3
+        return key_of(f"{_TRAINING}.{module}", self.seed, phase, self.untuned.digest, *settings)
+
+
+def _weights(name: str, folder: Path) -> Weights:
+    """Raises InputError for a model that is not learned."""
+    base = named_model(name, folder).base
+    if not isinstance(base, LearnedBase) or not base.weights.has("phi"):
+        raise InputError(
+            f"{name}: got a model without networks or history encoder, wanted what 'safedpa train car' makes"
+        )
+    return base.weights

@@ -1,0 +1,214 @@
+"""Tuning on what a robot measures while it drives with its load: no label, no other data, and never a worse model.
+
+The last layers of f and g, and C of the last m rows, by ridge regression: with the features b of transition t (the
+hidden layers of f, those of g times each scaled action, 1, the rows), and the scaled error e that the model leaves,
+
+    W = argmin sum_t |e[t] - W b[t]|^2 + ridge s n |W|^2,   s the mean square of a feature, n the transitions
+
+is added to them. The ridge is chosen by drives that were left out: each drive in turn is predicted by what was fitted
+to the others (the last quarter of a single one by the rest of it). Where no ridge lowers the error there both after one
+step and after twenty, the model stays as it is.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import torch
+
+from safedpa.errors import InputError
+from safedpa_sim.training.paper_tuning import lived_of
+from safedpa_sim.training.predictors import AbstractPredictor, Seen, open_loop_errors
+from safedpa_sim.training.tuning_data import HORIZON, Drive
+
+__all__ = ["OnlineTuning", "Taken", "add_to_heads", "head_features", "tuned_online"]
+
+Tensor = torch.Tensor
+_HELD_OUT: Final = 0.25
+"""Share of a single drive, its end, that is left out."""
+_MOST: Final = 300
+"""Starts over which the error on a drive is taken."""
+
+
+@final
+@dataclass(frozen=True)
+class OnlineTuning:
+    """How it is done; chosen on development drives. Raises InputError for numbers that cannot be."""
+
+    ridges: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+    recent: int = 8
+    """Transitions that C looks back; 0: there is none."""
+
+    def __post_init__(self) -> None:
+        if min(self.ridges, default=0.0) <= 0.0 or self.recent < 0:
+            raise InputError(
+                f"online tuning: got ridges {self.ridges} and {self.recent} recent transitions, wanted ridges above 0 "
+                "and no fewer than 0"
+            )
+
+
+@final
+@dataclass(frozen=True)
+class Taken:
+    """What became of it: scaled root mean square errors after one step and ``HORIZON`` on what was left out."""
+
+    transitions: int
+    before: tuple[float, float]
+    after: tuple[float, float] | None
+    """None: refused, since no ridge was better in both."""
+    ridge: float | None
+
+    @property
+    def refused(self) -> bool:
+        """Whether the model stayed as it was."""
+        return self.after is None
+
+
+def tuned_online(
+    predictor: AbstractPredictor, drives: Sequence[Drive], scale: Tensor, tuning: OnlineTuning | None = None
+) -> tuple[AbstractPredictor, Taken]:
+    """A tuned copy of the predictor, or one that is as it was, and what was taken; ``scale`` (states,) weighs errors.
+
+    Raises InputError when no drive is long enough to be left out: for a history and a second.
+    """
+    tuning = OnlineTuning() if tuning is None else tuning
+    parts = [predictor.seen(lived_of(predictor.networks, [drive])) for drive in _parted(predictor, drives)]
+    sums = [_Sums.of(*head_features(predictor, part, tuning.recent)) for part in parts]
+    whole = _Sums.total(sums)
+    judged = range(len(parts)) if len(drives) > 1 else range(1, 2)  # of a single one the end
+    before = _mean([_errors(predictor, parts[index], scale) for index in judged])
+    best, found = 2.0, None
+    for ridge in tuning.ridges:
+        after = _mean(
+            [_errors(_with(predictor, whole.without(sums[index]), ridge), parts[index], scale) for index in judged]
+        )
+        shares = [new / old for new, old in zip(after, before, strict=True)]
+        if max(shares) < 1.0 and sum(shares) < best:
+            best, found = sum(shares), (ridge, after)
+    if found is None:
+        return copy.deepcopy(predictor), Taken(whole.count, before, None, None)
+    return _with(predictor, whole, found[0]), Taken(whole.count, before, found[1], found[0])
+
+
+def head_features(predictor: AbstractPredictor, seen: Seen, recent: int = 0) -> tuple[Tensor, Tensor]:
+    """Features b (n, p) of every transition, and the scaled errors (n, states) that the networks leave."""
+    lived, networks = seen.lived, predictor.networks
+    with torch.no_grad():
+        index = torch.arange(len(lived.rows))
+        rows = lived.histories(index, predictor.history)
+        latent = predictor.latent(rows)
+        features = (networks.frame.features(lived.states) - networks.feature_middle) / networks.feature_scale
+        inputs = torch.cat((features, latent), -1)
+        f, g = (_hidden(network, inputs) for network in (networks.f, networks.g))
+        u = networks.scaled_action(lived.actions)
+        acting = torch.cat((g, torch.ones_like(g[:, :1])), -1)
+        columns = [f, torch.ones_like(f[:, :1]), *(acting * u[:, [index]] for index in range(u.shape[1]))]
+        columns.append(rows[:, predictor.history - recent :].flatten(1))
+        own = networks.frame.own_increment(lived.states, lived.following) - seen.base
+        left = (own - predictor.increment(lived.states, lived.actions, rows)) / networks.increment_scale
+    return torch.cat(columns, -1), left
+
+
+def add_to_heads(predictor: AbstractPredictor, added: Tensor) -> None:
+    """Adds W (p, states), in the order of ``head_features``, to the last layers of f and g and to C."""
+    networks = predictor.networks
+    f, g = networks.f[-1], networks.g[-1]
+    states, actions = networks.sizes.states, networks.sizes.actions
+    widths = [f.in_features + 1, *([g.in_features + 1] * actions)]
+    own, *acting, recent = torch.split(added, [*widths, len(added) - sum(widths)])
+    with torch.no_grad():
+        f.weight.add_(own[:-1].T)
+        f.bias.add_(own[-1])
+        weight, bias = g.weight.view(states, actions, -1), g.bias.view(states, actions)
+        for index, part in enumerate(acting):
+            weight[:, index] += part[:-1].T
+            bias[:, index] += part[-1]
+    if len(recent):
+        predictor.recent = recent.clone() if predictor.recent is None else predictor.recent + recent
+
+
+_TABLES: Final = ("products", "wanted")
+
+
+@final
+@dataclass(frozen=True)
+class _Sums:
+    """All that a ridge regression needs of transitions; parts of them add up."""
+
+    products: Tensor
+    """(p, p)"""
+    wanted: Tensor
+    """(p, states)"""
+    count: int
+
+    @staticmethod
+    def of(b: Tensor, left: Tensor) -> _Sums:
+        b, left = b.double(), left.double()
+        return _Sums(b.T @ b, b.T @ left, len(b))
+
+    @staticmethod
+    def total(parts: Sequence[_Sums]) -> _Sums:
+        products, wanted = (torch.stack([getattr(part, name) for part in parts]).sum(0) for name in _TABLES)
+        return _Sums(products, wanted, sum(part.count for part in parts))
+
+    def without(self, part: _Sums) -> _Sums:
+        return _Sums(self.products - part.products, self.wanted - part.wanted, self.count - part.count)
+
+    def solved(self, ridge: float) -> Tensor:
+        """W (p, states)."""
+        size = ridge * self.products.diagonal().mean() * torch.eye(len(self.products), dtype=self.products.dtype)
+        solved: Tensor = torch.linalg.solve(self.products + size, self.wanted)
+        return solved.float()
+
+
+def _with(predictor: AbstractPredictor, sums: _Sums, ridge: float) -> AbstractPredictor:
+    found = copy.deepcopy(predictor)
+    add_to_heads(found, sums.solved(ridge))
+    return found
+
+
+def _errors(predictor: AbstractPredictor, part: Seen, scale: Tensor) -> tuple[float, float]:
+    """Scaled root mean square error after one step and after ``HORIZON``, mean over the states."""
+    index = torch.arange(len(part.lived.rows))
+    starts = index[(part.lived.last - index >= HORIZON - 1) & (index - part.lived.first >= predictor.history)]
+    starts = starts[:: max(1, -(-len(starts) // _MOST))]
+    with torch.no_grad():
+        found = open_loop_errors(predictor, part, starts, HORIZON) / scale
+    size = found.square().mean(1).sqrt().mean(-1)
+    return float(size[0]), float(size[-1])
+
+
+def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    one, many = (sum(column) / len(pairs) for column in zip(*pairs, strict=True))
+    return one, many
+
+
+def _parted(predictor: AbstractPredictor, drives: Sequence[Drive]) -> list[Drive]:
+    """The drives that are long enough; of a single one its beginning and its end."""
+    needed = predictor.history + HORIZON
+    alone = math.ceil(needed / _HELD_OUT)
+    if len(drives) == 1:
+        states, actions = drives[0]
+        cut = round((1.0 - _HELD_OUT) * len(actions))
+        parts = [Drive(states[: cut + 1], actions[:cut]), Drive(states[cut:], actions[cut:])]
+    else:
+        parts = list(drives)
+    kept = [part for part in parts if len(part.actions) > needed]
+    if len(kept) < 2:
+        longest = max((len(actions) for _, actions in drives), default=0)
+        raise InputError(
+            f"online tuning: of {len(drives)} drives the longest has {longest} transitions, wanted two of more than "
+            f"{needed}, or one of more than {alone}; drive longer before it is asked for"
+        )
+    return kept
+
+
+def _hidden(network: Any, inputs: Tensor) -> Tensor:
+    """What the layers of a network before its last one make of the inputs."""
+    for layer in list(network)[:-1]:
+        inputs = torch.relu(layer(inputs))
+    return inputs

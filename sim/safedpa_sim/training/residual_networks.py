@@ -1,0 +1,232 @@
+"""Networks that learn only what mended physics leaves, from the same few drives without load.
+
+The base is the training simulator with the parameters and effects that a diagnosis of the recorded drives found
+(``grounded_simulator.py``), in an environment in which nothing acts. What it leaves of each increment, on the recorded
+drives and on drives in the mended simulator under loads that swing and winds, is learned by small networks F + G u of
+the features and of z = phi(what was left in the last k transitions). Loss, in units of the untuned networks' scale:
+
+    one-step error + 2 x error of short predictions in open loop (in one update of five)
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import torch
+from torch import nn
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.networks.weights import STRIDE
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.drives import random_drives
+from safedpa_sim.training.networks import (
+    AffineNetworks,
+    AffineSizes,
+    HistoryNetwork,
+    affine_networks,
+    history_network,
+    tensors_of,
+)
+from safedpa_sim.training.paper_tuning import lived_of
+from safedpa_sim.training.prediction import ALONG
+from safedpa_sim.training.predictors import (
+    AbstractPredictor,
+    ResidualPredictor,
+    Seen,
+    one_step_errors,
+    open_loop_errors,
+    spread_latents,
+)
+from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.tuning_data import HORIZON, Drive, split
+
+__all__ = [
+    "ResidualTuning",
+    "judged_error",
+    "learn_residual",
+    "residual_predictor",
+    "residual_weights",
+    "untrained_residual",
+]
+
+Tensor = torch.Tensor
+_CHANGE: Final = 0.005
+"""Probability per period that the environment changes in the simulator."""
+_ROLLOUT_WEIGHT: Final = 2.0
+_SAMPLES: Final = 3000
+_SMALLEST: Final = 1e-6
+_FREE: Final = 1e6
+"""Of a latent whose range is not known yet."""
+_KEPT: Final = (
+    "feature_middle", "feature_scale", "action_middle", "action_scale", "environment_middle", "environment_scale",
+)  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class ResidualTuning:
+    """Sizes and steps. Raises InputError for numbers below 1."""
+
+    latents: int = 8
+    hidden: int = 128
+    cars: int = 600
+    """Drives in the mended simulator."""
+    steps: int = 240
+    updates: int = 1500
+    batch: int = 1024
+    recorded: float = 0.25
+    """Share of the batch that is recorded."""
+    rollouts: int = 64
+    rollout_every: int = 5
+    horizon: int = 10
+    learning_rate: float = 2e-3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("latents", "hidden", "cars", "steps", "updates", "batch", "rollouts", "rollout_every", "horizon"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: got {getattr(self, name)}, wanted at least 1")
+
+
+def residual_predictor(configuration: Configuration, mended: PhysicsModel, weights: Weights) -> ResidualPredictor:
+    """Residual networks out of a weights file, on the physics that they were learned on."""
+    cars = BatchedCars(replace(configuration, simulator=mended))
+    return ResidualPredictor(cars, affine_networks(weights), history_network(weights), weights.description.history)
+
+
+def residual_weights(predictor: ResidualPredictor, lender: Weights) -> Weights:
+    """f, g and phi of residual networks for a weights file, described as those that lent them their scales."""
+    described = replace(lender.description, latents=predictor.networks.sizes.latents, trained_on={"residual": True})
+    return Weights({**tensors_of(predictor.networks), **tensors_of(predictor.encoder)}, described)
+
+
+def untrained_residual(
+    configuration: Configuration, mended: PhysicsModel, weights: Weights, tuning: ResidualTuning | None = None
+) -> ResidualPredictor:
+    """Residual networks whose last layers say 0, with the scales of ``weights``: physics alone."""
+    tuning = ResidualTuning() if tuning is None else tuning
+    known, described = affine_networks(weights), weights.description
+    sizes = known.sizes
+    vectors = {name: getattr(known, name) for name in (*_KEPT, "increment_scale")}
+    free = torch.full((tuning.latents,), _FREE)
+    vectors.update(latent_low=-free, latent_high=free, latent_nominal=torch.zeros(tuning.latents))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(tuning.seed)
+        own = AffineSizes(sizes.features, sizes.states, sizes.actions, sizes.environment, tuning.latents, tuning.hidden)
+        networks = AffineNetworks(described.robot, own, vectors)
+        encoder = HistoryNetwork(sizes.features + sizes.states + sizes.actions, described.history, tuning.latents)
+    with torch.no_grad():
+        for network in (networks.f, networks.g):
+            last: Any = network[-1]
+            last.weight.zero_()
+            last.bias.zero_()
+    cars = BatchedCars(replace(configuration, simulator=mended))
+    return ResidualPredictor(cars, networks, encoder, described.history)
+
+
+def learn_residual(
+    configuration: Configuration,
+    mended: PhysicsModel,
+    weights: Weights,
+    drives: Sequence[Drive],
+    tuning: ResidualTuning | None = None,
+    tell: Tell = silent,
+) -> ResidualPredictor:
+    """Residual networks, fitted to four fifths of the drives and to simulated ones; the best state by the rest of both.
+
+    ``weights`` lends its scales, history and robot. Raises InputError where the drives leave nothing to hold out.
+    """
+    tuning = ResidualTuning() if tuning is None else tuning
+    predictor = untrained_residual(configuration, mended, weights, tuning)
+    generator = torch.Generator().manual_seed(tuning.seed)
+    lived = [lived_of(predictor.networks, part) for part in split(drives, predictor.history)]
+    for count in (tuning.cars, max(1, tuning.cars // 10)):
+        lived.append(
+            random_drives(predictor.physics, predictor.networks, count, tuning.steps, _CHANGE, generator, swinging=True)
+        )
+    scale = predictor.networks.increment_scale.clone()
+    recorded, held_out, simulated, judge = _scaled(predictor, lived)
+    training = _Training(predictor, scale, tuning, generator)
+    training.learn([(recorded, tuning.recorded), (simulated, 1.0 - tuning.recorded)], [held_out, judge], tell)
+    spread_latents(predictor, [recorded, simulated], generator, _SAMPLES)
+    return predictor
+
+
+def judged_error(predictor: AbstractPredictor, data: Sequence[Seen], scale: Tensor, most: int = 256) -> float:
+    """Scaled root mean square error after one step, plus a ``HORIZON``-th of that after ``HORIZON``, mean over parts.
+
+    Each of them is a mean over the states, from at most ``most`` starts that are evenly spread.
+    """
+    total = 0.0
+    for part in data:
+        lived = part.lived
+        index = torch.arange(len(lived.rows))
+        starts = index[(lived.last - index >= HORIZON - 1) & (index - lived.first >= predictor.history)]
+        starts = starts[:: max(1, -(-len(starts) // most))]
+        with torch.no_grad():
+            found = open_loop_errors(predictor, part, starts, HORIZON) / scale
+        size = found.square().mean(1).sqrt().mean(-1)
+        total += float(size[0] + size[-1] / HORIZON) / len(data)
+    return total
+
+
+@final
+@dataclass
+class _Training:
+    predictor: AbstractPredictor
+    scale: Tensor
+    tuning: ResidualTuning
+    generator: torch.Generator
+
+    def learn(self, parts: Sequence[tuple[Seen, float]], judges: Sequence[Seen], tell: Tell) -> None:
+        """Adam; ends with the state whose error on the judges was least."""
+        tuning, networks, encoder = self.tuning, self.predictor.networks, self.predictor.encoder
+        fitted = [*networks.f.parameters(), *networks.g.parameters(), *encoder.parameters()]
+        optimiser = torch.optim.Adam(fitted, tuning.learning_rate)
+        best, kept = math.inf, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
+        every = max(1, tuning.updates // 10)
+        for done in range(tuning.updates):
+            for group in optimiser.param_groups:
+                group["lr"] = tuning.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done / tuning.updates))
+            far = done % tuning.rollout_every == 0
+            losses = [share * self._loss(part, share, far=far) for part, share in parts]
+            optimiser.zero_grad(set_to_none=True)
+            torch.stack(losses).sum().backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(fitted, 1.0)
+            optimiser.step()
+            if (done + 1) % every == 0 or done + 1 == tuning.updates:
+                judged = judged_error(self.predictor, judges, self.scale)
+                tell("residual", done + 1, tuning.updates, f"held-out error {judged:.4f}")
+                if judged < best:
+                    best, kept = judged, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
+        networks.load_state_dict(kept[0])
+        encoder.load_state_dict(kept[1])
+
+    def _loss(self, part: Seen, share: float, *, far: bool) -> Tensor:
+        tuning = self.tuning
+        segments = max(1, round(share * tuning.batch / ALONG))
+        start = part.lived.draw(segments, self.generator, ahead=(ALONG - 1) * STRIDE + 1)
+        found, _ = one_step_errors(self.predictor, part, start)
+        loss = (found / self.scale).square().mean()
+        if far:
+            starts = part.lived.draw(max(1, round(share * tuning.rollouts)), self.generator, ahead=tuning.horizon)
+            ahead = open_loop_errors(self.predictor, part, starts, tuning.horizon) / self.scale
+            counts = torch.arange(1, tuning.horizon + 1).reshape(-1, 1, 1)
+            loss = loss + _ROLLOUT_WEIGHT * (ahead / counts).square().mean()
+        return loss
+
+
+def _scaled(predictor: ResidualPredictor, lived: Sequence[Any]) -> list[Seen]:
+    """The drives, with ``increment_scale`` set to the deviation of what physics leaves of the simulated ones."""
+    networks = predictor.networks
+    seen = predictor.seen(lived[2])
+    left = networks.frame.own_increment(seen.lived.states, seen.lived.following) - seen.base
+    networks.increment_scale.copy_(left.std(0).clamp_min(_SMALLEST))
+    return [predictor.seen(part) for part in lived]
