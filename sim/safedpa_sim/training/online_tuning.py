@@ -117,6 +117,8 @@ def add_to_heads(predictor: AbstractPredictor, added: Tensor) -> None:
     """Adds W (p, states), in the order of ``head_features``, to the last layers of f and g and to C."""
     networks = predictor.networks
     f, g = networks.f[-1], networks.g[-1]
+    assert isinstance(f, torch.nn.Linear)
+    assert isinstance(g, torch.nn.Linear)
     states, actions = networks.sizes.states, networks.sizes.actions
     widths = [f.in_features + 1, *([g.in_features + 1] * actions)]
     own, *acting, recent = torch.split(added, [*widths, len(added) - sum(widths)])
