@@ -64,7 +64,7 @@ DOORKEEPER = (
     f"{DOOR}test_sockets_are_looked_for_by_several_threads_at_once",
     f"{DOOR}test_every_socket_is_found_whatever_its_number",
 )
-WHERE = "../diagnosis/test_where.py::"
+EDGES = "../diagnosis/test_where.py::test_edges_are_round_ordered_and_hold_all_values"
 REQUESTS = ("../bus/test_requests.py", "../bus_security/test_conditions_by_hand.py")
 MODULES = {
     "decision": (
@@ -267,7 +267,7 @@ MODULES = {
     "diagnosis.unexplained": ("../diagnosis/test_coverage.py",),
     "diagnosis.coverage": ("../diagnosis/test_coverage.py",),
     "compare.rollout_error": ("../diagnosis/test_rollout_error.py",),
-    "compare.bins": ("../diagnosis/test_bins_by_hand.py", f"{WHERE}test_edges_are_round_ordered_and_hold_all_values"),
+    "compare.bins": ("../diagnosis/test_bins_by_hand.py", EDGES),
     "replay.comparison": ("../replay/test_comparison_by_hand.py", "../replay/test_judging.py"),
     "replay.gaps": ("../replay/test_gaps_by_hand.py",),
     "safedpa_lab.experiments.statistics": (
@@ -278,6 +278,7 @@ MODULES = {
 }
 """Which tests judge which module, the quickest first; named as seen from ``tests/safety``, with "-" those left out.
 
-Modules of ``safedpa.safety``, or by a name with dots those of the recorder and of the car's barriers. What is written
-by a program (``robots.car.written_barriers``) is judged by the test that it is what that program writes.
+Modules of ``safedpa.safety``; by a name with dots others of ``safedpa``, and with ``safedpa_lab`` before it those of
+the laboratory. What is written by a program (``robots.car.written_barriers``) is judged by the test that it is what
+that program writes.
 """

@@ -69,6 +69,26 @@ def test_each_run_is_predicted_by_the_numbers_found_without_it() -> None:
 
 
 @pytest.mark.usefixtures("predicting")
+def test_of_one_fold_there_is_one_error() -> None:
+    heldout = Heldout(heldout_of([swinging("one", 3.0, 1)], 0.5).windows, np.zeros(26, dtype=np.int64))
+    found = error_with(fitted_without(fold_0=1.0), None, heldout)  # type: ignore[arg-type]
+    assert found.by_fold == pytest.approx(found.by_run)
+    assert found.standard_error == 0.0
+
+
+@pytest.mark.usefixtures("predicting")
+def test_a_prediction_that_came_to_nothing_is_not_taken_from_the_model_that_knows_the_run() -> None:
+    """Not a number in every state, or in one: the run's own error is infinite, whatever all runs together fit."""
+    runs = [swinging(str(number), 3.0, number) for number in range(3)]
+    heldout = heldout_of(runs, 0.5, folds=3)
+    diverging = fitted_without(fold_0=float("nan"), fold_1=2.0, fold_2=2.0)
+    found = error_with(diverging, None, heldout)  # type: ignore[arg-type]
+    assert np.isnan(found.errors).all(axis=1).tolist() == (heldout.windows.run == 0).tolist()
+    assert found.by_run[0] == found.value == np.inf
+    assert np.isfinite(found.by_run[1:]).all()
+
+
+@pytest.mark.usefixtures("predicting")
 def test_a_run_without_windows_has_no_error_and_folds_without_windows_none() -> None:
     runs = [swinging("long", 3.0, 1), swinging("short", 0.2, 2), swinging("other", 3.0, 3)]
     windows = heldout_of(runs, 0.5, folds=3).windows

@@ -59,13 +59,18 @@ def test_seconds_of_several_recordings_count_together() -> None:
 
 @pytest.mark.parametrize(("step", "enough"), [(0.0, False), (0.9e-9, False), (1.1e-9, True), (0.1, True)])
 def test_inputs_of_which_none_ever_changes_tell_nothing(step: float, enough: bool) -> None:
-    actions = np.ones((60, 2))
+    actions = np.tile([1.0, 2.0], (60, 1))
     actions[30:, 1] += step
     run = recording("one", 60, actions)
     found = judgeable(windows(10), [run], [run])
     assert found.enough is enough
     assert found.why_not == ("" if enough else found.why_not)
     assert enough or "no input ever changes" in found.why_not
+
+
+def test_one_input_that_changes_beside_one_alike_is_enough() -> None:
+    run = recording("one", 60, np.repeat(np.linspace(0.0, 1.0, 60)[:, None], 2, axis=1))
+    assert judgeable(windows(10), [run], [run]).enough
 
 
 SEVERE = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent", "time_offset")
