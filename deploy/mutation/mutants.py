@@ -55,6 +55,9 @@ class Mutant:
     constant those of the functions that read it."""
     function: str
     """Qualified name of the outermost function whose body it is in; empty in a module's or class's own body."""
+    made: Collection[int] = ()
+    """Lines that make the function it is in, where that stands in another one: if they run while modules are imported,
+    what they made then stays what it was, whatever becomes of the outer function."""
     constant: str = ""
     """Name of the module's private constant that it is in, which nothing but functions reads; empty: it is in none."""
 
@@ -77,11 +80,15 @@ def mutants(source: str) -> list[Mutant]:
             seen[name] = seen.get(name, 0) + 1
             named = f"{name} ({seen[name]})" if seen[name] > 1 else name
             home, constant = _home(tree, path), _constant(tree, path)
-            found.append(Mutant(named, line, text, *home) if constant is None else Mutant(named, line, text, *constant))
+            found.append(
+                Mutant(named, line, text, *home, _making(tree, path))
+                if constant is None
+                else Mutant(named, line, text, *constant)
+            )
     return found
 
 
-def _constant(tree: ast.Module, path: Path) -> tuple[Collection[int], str, str] | None:
+def _constant(tree: ast.Module, path: Path) -> tuple[Collection[int], str, Collection[int], str] | None:
     """The lines of the functions that read the private constant a place is in, no function, and its name."""
     statement = tree.body[path[0][1] or 0] if path else tree
     name = assigned(statement)
@@ -100,7 +107,7 @@ def _constant(tree: ast.Module, path: Path) -> tuple[Collection[int], str, str] 
         if any(read in ast.walk(node) for read in reads)
         for line in range(node.body[0].lineno, (node.end_lineno or node.lineno) + 1)
     }
-    return frozenset(lines), "", name
+    return frozenset(lines), "", (), name
 
 
 def assigned(statement: ast.AST) -> str:
@@ -124,6 +131,22 @@ def _home(tree: ast.AST, path: Path) -> tuple[range, str]:
     first, body = getattr(statement, "lineno", 1), getattr(statement, "body", None)
     last = body[0].lineno - 1 if body else getattr(statement, "end_lineno", first)
     return range(first, max(first, last) + 1), inside
+
+
+def _making(tree: ast.AST, path: Path) -> Collection[int]:
+    """The lines on which functions begin whose body a place is in, without the outermost."""
+    around = [
+        node
+        for node, (field, _) in zip(_way(tree, path), path, strict=False)
+        if field == "body" and isinstance(node, (ast.FunctionDef, ast.Lambda))
+    ]
+    return frozenset(node.lineno for node in around[1:])
+
+
+def _way(tree: ast.AST, path: Path) -> Iterator[ast.AST]:
+    """The nodes from the root to a place, without it."""
+    for length in range(len(path)):
+        yield _at(tree, path[:length])
 
 
 Path = tuple[tuple[str, int | None], ...]

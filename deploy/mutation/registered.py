@@ -1,4 +1,4 @@
-"""Which tests judge which module of the safety filter, in the mutation run."""
+"""Which tests judge which module of what keeps robots safe, judges or identifies, in the mutation run."""
 
 from __future__ import annotations
 
@@ -45,6 +45,27 @@ STRANGERS = (
     "-test_strangers.py::test_wrong_pairs_are_refused_by_the_command",
 )
 """Without what starts another process: it has no mutant."""
+STAMPS = (
+    "../bus/test_stamp.py",
+    "-../bus/test_stamp.py::test_a_message_gone_astray_is_not_heard_and_that_is_told",
+    "-../bus/test_stamp.py::test_a_question_gone_astray_is_not_answered_nor_an_answer_taken",
+)
+"""Without what opens sessions."""
+CERTIFICATES = (
+    "../bus_security/test_conditions_by_hand.py",
+    "../bus_security/test_authority.py",
+    "-../bus_security/test_authority.py::test_a_process_with_half_an_identity_does_not_start",
+    "../bus_security/test_signed_requests.py",
+)
+"""Without what starts processes."""
+DOOR = "../hostile/test_joining.py::"
+DOORKEEPER = (
+    "../bus_security/test_doorkeeper.py",
+    f"{DOOR}test_sockets_are_looked_for_by_several_threads_at_once",
+    f"{DOOR}test_every_socket_is_found_whatever_its_number",
+)
+EDGES = "../diagnosis/test_where.py::test_edges_are_round_ordered_and_hold_all_values"
+REQUESTS = ("../bus/test_requests.py", "../bus_security/test_conditions_by_hand.py")
 MODULES = {
     "decision": (
         *VERDICTS,
@@ -209,9 +230,55 @@ MODULES = {
     "theory_lipschitz": ("test_theory_bound.py",),
     "theory_measure": ("test_theory_measure.py", "test_theory_bound.py"),
     "theory_recorded": ("test_theory_recorded.py",),
+    "records.units": ("../records/test_units_of_columns.py", "../records/test_column_map.py"),
+    "bus.wire.codec": ("../bus/test_codec.py",),
+    "bus.wire.topics": ("../bus/test_topics.py", "../bus_security/test_access.py", "../bus/test_bundle.py"),
+    "bus.wire.stamp": STAMPS,
+    "bus.wire.version": REQUESTS,
+    "bus.wire.requests": REQUESTS,
+    "bus.security.certificates": (
+        *CERTIFICATES,
+        "../hostile/test_keys.py::test_a_card_that_is_none_is_refused",
+        "../hostile/test_keys.py::test_a_card_where_nothing_is_open_is_refused",
+    ),
+    "bus.security.access": (
+        "../bus_security/test_access.py",
+        "../bus_security/test_conditions_by_hand.py",
+        "../bus/test_bundle.py::test_only_who_may_speak_for_every_robot_may_send_bundles_and_no_robot_may_read_one",
+        "../bus/test_bundle.py::test_who_links_a_router_for_some_robots_may_bring_no_bundle",
+    ),
+    "bus.security.authority": CERTIFICATES,
+    "bus.security.doorkeeper": DOORKEEPER,
+    "diagnosis.search.acceptance": ("../diagnosis/test_acceptance_by_hand.py",),
+    "diagnosis.search.judgement": (
+        "../diagnosis/test_judgement_by_hand.py",
+        "../diagnosis/test_smallest_model.py::test_lateness_that_the_servo_or_another_lateness_may_feign",
+    ),
+    "diagnosis.search.stages": ("../diagnosis/test_stages_by_hand.py",),
+    "diagnosis.search.second_opinion": (
+        "../diagnosis/test_second_opinion.py",
+        "-../diagnosis/test_second_opinion.py::test_what_feedback_feigns_is_not_added",
+    ),
+    "diagnosis.fit.heldout": (
+        "../diagnosis/test_acceptance_by_hand.py",
+        "../diagnosis/test_statistics_by_hand.py::test_the_error_over_folds_is_that_of_a_mean",
+    ),
+    "diagnosis.fit.readiness": ("../diagnosis/test_readiness_by_hand.py",),
+    "diagnosis.unexplained": ("../diagnosis/test_coverage.py",),
+    "diagnosis.coverage": ("../diagnosis/test_coverage.py",),
+    "compare.rollout_error": ("../diagnosis/test_rollout_error.py",),
+    "compare.bins": ("../diagnosis/test_bins_by_hand.py", EDGES),
+    "replay.comparison": ("../replay/test_comparison_by_hand.py", "../replay/test_judging.py"),
+    "replay.gaps": ("../replay/test_gaps_by_hand.py",),
+    "safedpa_lab.experiments.statistics": (
+        "../experiments/test_intervals_by_hand.py",
+        "../experiments/test_counts_by_hand.py",
+    ),
+    "safedpa_lab.experiments.paired": ("../experiments/test_paired.py",),
 }
 """Which tests judge which module, the quickest first; named as seen from ``tests/safety``, with "-" those left out.
 
-Modules of ``safedpa.safety``, or by a name with dots those of the recorder and of the car's barriers. What is written
-by a program (``robots.car.written_barriers``) is judged by the test that it is what that program writes.
+Modules of ``safedpa.safety``; by a name with dots others of ``safedpa``, and with ``safedpa_lab`` before it those of
+the laboratory. What is written by a program (``robots.car.written_barriers``) is judged by the test that it is what
+that program writes.
 """

@@ -1,4 +1,4 @@
-"""Plants small faults in the safety filter, one at a time, and asks whether the tests notice.
+"""Plants small faults in what keeps robots safe, judges or identifies, one at a time: do the tests notice?
 
     python deploy/mutation/run.py [--report] [MODULE ...]
 
@@ -27,7 +27,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-sys.path[:0] = [str(HERE), str(ROOT / "shared")]
+sys.path[:0] = [str(HERE), *(str(ROOT / folder) for folder in ("shared", "services", "sim"))]
 
 from kept import LATER, SURVIVED, Kept  # noqa: E402 - found beside this file
 from mutants import mutants  # noqa: E402
@@ -36,27 +36,32 @@ from trial import Trial, judged  # noqa: E402
 
 PACKAGE = "safedpa.safety"
 
-TOOLS = ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog")
-BENEATH = ("safedpa.dynamics", "safedpa.bus", "safedpa.policy", "safedpa.adaptation", "safedpa.records")
-"""What the modules under test stand on, and what imports none of them."""
+LABORATORY = "safedpa_lab"
+
+TOOLS = ("cryptography.x509", "gymnasium", "hypothesis", "msgspec", "numpy", "piqp", "pytest", "quadprog")
+"""What the modules under test stand on; of the house's own modules none, since any may be the one that is judged."""
 
 
 def import_what_is_not_mutated() -> None:
     """So that a forked process has it at once."""
-    for name in (*TOOLS, *BENEATH, "scipy.optimize", "scipy.stats"):
+    for name in (*TOOLS, "scipy.optimize", "scipy.stats"):
         importlib.import_module(name)
-    if early := [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]:
+    if early := [name for name in sys.modules if name.partition(".")[0] in ("safedpa", LABORATORY)]:
         raise RuntimeError(f"{early[0]} is imported already: no fault planted there would be seen")
 
 
 def path_of(module: str) -> Path:
     """The file of a registered module."""
-    return ROOT / "shared" / Path(*name_of(module).split(".")).with_suffix(".py")
+    name = name_of(module)
+    folder = "sim" if name.startswith(f"{LABORATORY}.") else "shared"
+    return ROOT / folder / Path(*name.split(".")).with_suffix(".py")
 
 
 def name_of(module: str) -> str:
     """As it is imported."""
-    return f"safedpa.{module}" if "." in module else f"{PACKAGE}.{module}"
+    if module.startswith(f"{LABORATORY}."):
+        return module
+    return f"safedpa.{module}" if "." in module else f"safedpa.safety.{module}"
 
 
 def source_of(module: str) -> str:
@@ -76,7 +81,8 @@ def trial_of(module: str) -> Trial:
     names = [name for name in MODULES[module] if not name.startswith("-")]
     files = [(tests / name.partition("::")[0]).resolve() for name in names]
     arguments = [f"--rootdir={ROOT}", *[str(tests / name) for name in names]]
-    arguments += [f"--deselect=tests/safety/{name[1:]}" for name in MODULES[module] if name.startswith("-")]
+    left_out = [name[1:] for name in MODULES[module] if name.startswith("-")]
+    arguments += [f"--deselect={os.path.normpath(f'tests/safety/{name}')}" for name in left_out]
     today, path = datetime.date.today().isoformat(), ROOT / "build" / "mutation" / f"{module}.jsonl"
     kept = Kept(path, ROOT, source, files, today, commit())
     return Trial(name_of(module), path_of(module), mutants(source), tuple(arguments), kept)

@@ -281,7 +281,7 @@ class Judge:
         first = [item for item in items if not self._runs[item.nodeid].isdisjoint(mutant.lines)]
         if not first and not early:
             return SURVIVED, ""
-        if not mutant.function and not mutant.constant:
+        if not (mutant.function or mutant.constant) or not at_import.isdisjoint(mutant.made):
             return LATER, ""
         before = self._before[mutant.name].by if mutant.name in self._before else ""
         first.sort(key=lambda item: self._took[item.nodeid] / (1.0 + self._noticed[item.nodeid]))

@@ -1,4 +1,4 @@
-"""Every module of the filter stands in the mutation run, and the tests that judge it are there."""
+"""Every module of the filter and what else judges stands in the mutation run, and the tests that judge it are there."""
 
 from __future__ import annotations
 
@@ -11,15 +11,40 @@ ROOT = Path(__file__).parents[2]
 MODULES: dict[str, tuple[str, ...]] = runpy.run_path(str(ROOT / "deploy" / "mutation" / "registered.py"))["MODULES"]
 
 
+LABORATORY = "safedpa_lab"
+WHOLE = {"bus/security": set[str](), "bus/wire": {"messages", "setup"}}
+"""Folders of which every module is registered, without what only says how messages look."""
+JUDGES = {
+    "records.units", "diagnosis.search.acceptance", "diagnosis.search.judgement", "diagnosis.search.stages",
+    "diagnosis.search.second_opinion", "diagnosis.fit.heldout", "diagnosis.fit.readiness", "diagnosis.coverage",
+    "compare.rollout_error", "compare.bins", "replay.comparison", "replay.gaps",
+    f"{LABORATORY}.experiments.statistics", f"{LABORATORY}.experiments.paired",
+}  # fmt: skip
+"""Modules elsewhere that read units, judge a model, a recording or a method, or decide what is added to a model."""
+
+
+def file_of(module: str) -> Path:
+    if module.startswith(f"{LABORATORY}."):
+        return ROOT / "sim" / Path(*module.split(".")).with_suffix(".py")
+    name = module if "." in module else f"safety.{module}"
+    return ROOT / "shared" / "safedpa" / Path(*name.split(".")).with_suffix(".py")
+
+
+def modules_in(folder: str) -> set[str]:
+    return {path.stem for path in (ROOT / "shared" / "safedpa" / folder).glob("*.py")} - {"__init__"}
+
+
 def test_every_module_of_the_filter_is_registered() -> None:
-    there = {path.stem for path in (ROOT / "shared" / "safedpa" / "safety").glob("*.py")} - {"__init__"}
-    assert there == {name for name in MODULES if "." not in name}
-    for name in MODULES:
-        assert (
-            (ROOT / "shared" / "safedpa" / Path(*(name if "." in name else f"safety.{name}").split(".")))
-            .with_suffix(".py")
-            .is_file()
-        )
+    assert modules_in("safety") == {name for name in MODULES if "." not in name}
+    assert [name for name in MODULES if not file_of(name).is_file()] == []
+
+
+def test_what_judges_elsewhere_is_registered() -> None:
+    assert JUDGES - set(MODULES) == set()
+    for folder, left_out in WHOLE.items():
+        assert left_out < modules_in(folder) or not left_out
+        own = {f"{folder.replace('/', '.')}.{name}" for name in modules_in(folder) - left_out}
+        assert own - set(MODULES) == set()
 
 
 def test_the_tests_that_judge_each_are_there() -> None:

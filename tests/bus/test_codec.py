@@ -152,6 +152,61 @@ def test_what_is_too_large_is_refused_unread(kind: type[Message]) -> None:
         decode(kind, b"\xc1")
 
 
+def test_a_question_is_short_and_an_answer_holds_two_models_with_their_margins() -> None:
+    assert (LARGEST_BYTES[Request], LARGEST_BYTES[Answer]) == (4_096, 8_388_608)
+    filled = Request(do="accept", who="x" * 4_000)
+    left = LARGEST_BYTES[Request] - len(encode(filled))
+    assert decode(Request, encode(dataclasses.replace(filled, who="x" * (4_000 + left)))).do == "accept"
+    with pytest.raises(MessageError, match="got 4097 bytes, wanted at most 4096"):
+        decode(Request, encode(dataclasses.replace(filled, who="x" * (4_001 + left))))
+
+
+@pytest.mark.parametrize("wrong", [[True, 0.5], [0.5, True], [0.5, "1"], [0.5, None], [0.5, [1.0]]])
+def test_one_entry_that_is_no_number_is_not_hidden_by_others(wrong: list[Any], samples: dict[str, Message]) -> None:
+    kind, good = TOPICS["action"].message, table_of(samples["action"])
+    with pytest.raises(MessageError, match=r"ActionMessage\.values: got"):
+        decode(kind, msgpack.packb({**good, "values": wrong}))
+
+
+@pytest.mark.parametrize("road", [decode, decode_by_field])
+@pytest.mark.parametrize("number", [-LARGEST_NUMBER, LARGEST_NUMBER, int(LARGEST_NUMBER), -int(LARGEST_NUMBER), 1, 0])
+def test_on_both_roads_the_largest_number_is_carried_as_a_float(
+    road: Callable[..., Any], number: float, samples: dict[str, Message]
+) -> None:
+    kind, good = TOPICS["action"].message, table_of(samples["action"])
+    for values in ([number], [number, 0.5], [0.5, number]):
+        message = road(kind, msgpack.packb({**good, "values": values, "robot_time": number}))
+        assert message.values == tuple(map(float, values))
+        assert {type(value) for value in (*message.values, message.robot_time)} == {float}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "shown"),
+    [
+        ("x" * 38, repr("x" * 38)),  # forty letters with its quotes
+        ("x" * 39, "'" + "x" * 36 + "..."),
+        ("x" * 5_000, "'" + "x" * 36 + "..."),
+    ],
+)
+def test_of_a_long_wrong_value_its_beginning_is_told(wrong: str, shown: str, samples: dict[str, Message]) -> None:
+    good = table_of(samples["action"])
+    with pytest.raises(MessageError) as refused:
+        decode(TOPICS["action"].message, msgpack.packb({**good, "robot_time": wrong}))
+    assert str(refused.value) == f"ActionMessage.robot_time: got {shown}, wanted a finite number"
+
+
+@pytest.mark.parametrize(("size", "by_field"), [(65_536, True), (65_537, False)])
+def test_what_is_wrong_in_64_kib_is_told_by_field_and_beyond_unopened(size: int, by_field: bool) -> None:
+    table = {"ok": 1, "sentence": "so be it", "document": "x" * 65_000}
+    padding = size - len(msgpack.packb(table))
+    payload = msgpack.packb({**table, "document": "x" * (65_000 + padding)})
+    assert len(payload) == size
+    with pytest.raises(MessageError) as refused:
+        decode(Answer, payload)
+    assert ("Answer.ok: got 1, wanted true or false" in str(refused.value)) is by_field
+    assert str(refused.value).startswith("Answer")
+
+
 def test_requests_and_answers_come_back_as_they_were_sent() -> None:
     request = Request(do="accept", effect="towed_load", model="0123456789ab", finding=2, who="engineer")
     answer = Answer(ok=True, sentence="change 3 is offered", change=3, fingerprint="0123456789ab", from_tick=7)

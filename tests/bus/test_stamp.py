@@ -29,6 +29,11 @@ def test_a_stamp_is_of_one_key(one: str, other: str) -> None:
     assert len(stamp_of(one)) == STAMP_BYTES
 
 
+def test_a_stamp_is_what_the_tool_of_others_says() -> None:
+    """``printf safedpa/f/mine/state | b2sum -l 64``: a program in another language makes the same."""
+    assert stamp_of(MINE).hex() == "fc5b9a0df84c1874"
+
+
 @pytest.fixture
 def pair(free_port: int) -> Iterator[tuple[ZenohTransport, ZenohTransport]]:
     """Two peers; the first one also says what no transport would."""

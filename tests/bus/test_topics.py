@@ -85,6 +85,35 @@ def test_the_table_is_sound() -> None:
     assert max(kinds.values()) == 1, "a message type tells its topic"
 
 
+SMALL, DOCUMENT = 65_536, 4_194_304
+"""Bytes: 64 KiB, and 4 MiB for reports and model files."""
+BY_HAND = {  # writer, delivery, ticks until it is stale (two seconds at 20 Hz: 40), most bytes, whether in bundles
+    "state": ("robot", "latest", 0, SMALL, True),
+    "scan": ("robot", "all", 40, SMALL, False),
+    "surroundings": ("perception", "latest", 0, SMALL, False),
+    "latent": ("adaptation", "latest", 0, SMALL, True),
+    "wish": ("policy", "latest", 0, SMALL, True),
+    "action": ("safety_filter", "latest", 0, SMALL, True),
+    "verdict": ("safety_filter", "all", 0, SMALL, True),
+    "health": ("*", "latest", 40, SMALL, True),
+    "finding": ("diagnosis", "all", 40, DOCUMENT, False),
+    "model": ("diagnosis", "all", 0, DOCUMENT, False),
+    "takeover": ("*", "all", 0, SMALL, False),
+    "asked": ("diagnosis", "all", 0, SMALL, False),
+    "setup": ("*", "all", 0, DOCUMENT, False),
+}
+"""What a control loop asks of each: an action of the last tick is one too old, and of what is only shown two seconds
+are new enough; what is recorded for an audit is not replaced."""
+
+
+@pytest.mark.parametrize("name", TOPICS)
+def test_a_topic_is_what_was_agreed_of_it(name: str) -> None:
+    topic = TOPICS[name]
+    got = (topic.writer, topic.delivery, topic.largest_age_ticks, topic.largest_bytes, topic.bundles)
+    assert got == BY_HAND[name]
+    assert topic.per_service is (topic.writer == "*")
+
+
 def test_every_input_of_every_node_has_exactly_one_producer() -> None:
     produced = Counter(topic for node in nodes() for topic in node.outputs)
     for node in nodes():

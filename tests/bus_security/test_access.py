@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
-from safedpa.bus.security.access import ROLES, access_control, roles_of, size_limits
+from safedpa.bus.security.access import ROLES, access_control, rate_limits, roles_of, size_limits
 from safedpa.bus.wire.stamp import STAMP_BYTES
 from safedpa.errors import InputError
 
@@ -89,3 +89,55 @@ def test_every_topic_has_a_size() -> None:
 
 def test_every_service_that_writes_a_topic_is_a_role() -> None:
     assert {topic.writer for topic in TOPICS.values()} - {"*"} <= set(ROLES)
+
+
+def rights_of(subject: str, robots: list[str], message: str, flow: str) -> set[str]:
+    return keys_of(access_control("f", robots), subject, message, flow)
+
+
+def test_who_lives_says_so_under_its_own_name_and_nobody_else() -> None:
+    """A robot of itself, a service of the whole fleet; who only asks is no member."""
+    robots = ["r1", "r2"]
+    for role in set(roles_of(robots)) - {"router", "operator", "healthcheck"}:
+        name, _, robot = role.partition(".")
+        assert rights_of(role, robots, "liveliness_token", "ingress") == {f"safedpa/f/{robot or '-'}/alive/{name}/*"}
+    for role in ("operator", "healthcheck"):
+        assert rights_of(role, robots, "liveliness_token", "ingress") == set()
+
+
+LOOKING = {"dashboard", "workbench", "operator", "healthcheck"}
+
+
+@pytest.mark.parametrize("role", sorted(set(roles_of(())) - {"router"}))
+def test_who_shows_or_asks_may_look_who_lives_and_no_other_service(role: str) -> None:
+    everybody = {"safedpa/f/*/alive/*/*"} if role in LOOKING else set()
+    for message in ("liveliness_query", "declare_liveliness_subscriber"):
+        assert rights_of(role, ["r"], message, "ingress") == everybody
+    assert rights_of(role, ["r"], "liveliness_token", "egress") == everybody
+
+
+def test_a_robot_looks_at_itself_alone() -> None:
+    for message, flow in (("liveliness_query", "ingress"), ("liveliness_token", "egress")):
+        assert rights_of("robot.r1", ["r1", "r2"], message, flow) == {"safedpa/f/r1/alive/robot/*"}
+
+
+def test_every_writer_hears_of_its_readers() -> None:
+    """A publisher that hears of none sends nothing."""
+    control = access_control("f", ["r"])
+    for topic in TOPICS.values():
+        wanted = {"robot.r" if topic.writer == "robot" else topic.writer}
+        if topic.writer == "*":
+            wanted = SEVERAL[topic.name]
+        heard = {
+            role
+            for role in set(roles_of(["r"])) - {"router"}
+            if any(key.split("/")[3] == topic.name for key in keys_of(control, role, "declare_subscriber", "egress"))
+        }
+        assert heard == wanted, topic.name
+
+
+def test_a_member_may_beat_a_hundred_times_a_second_and_tick_eight_times_as_fast_as_the_fastest_robot() -> None:
+    (limits,) = rate_limits("f", ["r"])
+    rates = {rule["key_expr"].split("/")[3]: rule["freq"] for rule in limits["rules"]}
+    assert rates.pop("health") == 100.0
+    assert set(rates.values()) == {8 * 500.0}

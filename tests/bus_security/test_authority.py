@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -132,3 +133,40 @@ def test_a_process_with_half_an_identity_does_not_start(options: tuple[str, ...]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
     assert done.returncode == 2
     assert sentence in done.stderr
+
+
+def test_a_member_can_be_no_authority_and_an_authority_signs_members_alone(tmp_path: Path) -> None:
+    """RFC 5280, 4.2.1.9: an authority's basic constraints are critical, and a path of 0 allows none below it."""
+    folder = tmp_path / "not" / "there" / "yet"
+    authority = Authority(folder, "f")
+    authority.issue("policy", 1.0)
+    authority.issue("router", 1.0, ("localhost",))
+    top = loaded(folder / "authority.pem").extensions.get_extension_for_class(x509.BasicConstraints)
+    assert (top.critical, top.value.ca, top.value.path_length) == (True, True, 0)
+    for role in ("policy", "router"):
+        found = {part.oid: part for part in loaded(folder / f"{role}.pem").extensions}
+        constraints = found.pop(x509.BasicConstraints.oid)
+        assert (constraints.critical, constraints.value) == (True, x509.BasicConstraints(ca=False, path_length=None))
+        assert not any(part.critical for part in found.values()), "who does not know them may pass over them"
+
+
+def test_an_authority_lasts_ten_years_and_no_certificate_longer(tmp_path: Path) -> None:
+    authority = Authority(tmp_path, "f")
+    top = loaded(tmp_path / "authority.pem")
+    assert top.not_valid_after_utc - top.not_valid_before_utc == datetime.timedelta(days=3650, minutes=5)
+    made = loaded(authority.issue("policy", 3650.0))
+    assert made.not_valid_after_utc - made.not_valid_before_utc == datetime.timedelta(days=3650, minutes=5)
+    with pytest.raises(InputError, match="at most 3650"):
+        authority.issue("policy", 3650.5)
+
+
+def test_a_certificate_is_everybodys_to_read_and_its_owners_alone_to_write(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        Authority(tmp_path, "f").issue("policy", 1.0)
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
+    assert modes == {
+        "authority.pem": 0o644, "authority.key.pem": 0o600, "policy.pem": 0o644, "policy.key.pem": 0o600,
+    }  # fmt: skip

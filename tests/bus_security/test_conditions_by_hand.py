@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import base64
+import ctypes
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,7 +18,7 @@ from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, Zen
 from safedpa.bus.loop.process import identity_from
 from safedpa.bus.security.access import ROUTER, access_control, rate_limits
 from safedpa.bus.security.authority import Authority
-from safedpa.bus.security.certificates import Card
+from safedpa.bus.security.certificates import Card, Certificates, close_memory
 from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, SENSE, STATUS, request_key, robot_of_request
 from safedpa.bus.wire.topics import BUNDLE, TOPICS
 from safedpa.errors import BusError, InputError
@@ -200,3 +203,56 @@ def test_a_role_without_a_certificate_is_refused() -> None:
                 identity_from(options)
         else:
             assert identity_from(options) is None
+
+
+@pytest.mark.parametrize(("result", "closed"), [(0, True), (-1, False), (1, False)])
+def test_memory_is_closed_where_the_kernel_says_so(monkeypatch: pytest.MonkeyPatch, result: int, closed: bool) -> None:
+    """prctl(2): PR_SET_DUMPABLE is 4, SUID_DUMP_DISABLE 0; with anything behind them it may answer EINVAL."""
+    asked: list[tuple[int, ...]] = []
+
+    def prctl(*words: int) -> int:
+        asked.append(words)
+        return result
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: SimpleNamespace(prctl=prctl))
+    assert close_memory() is closed
+    assert asked == [(4, 0, 0, 0, 0)]
+
+
+@pytest.mark.parametrize("library", [SimpleNamespace(), None])
+def test_where_the_system_knows_no_such_thing_memory_stays_open(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
+    def opened(name: None) -> Any:
+        if library is None:
+            raise OSError("no library")
+        return library
+
+    monkeypatch.setattr(ctypes, "CDLL", opened)
+    assert close_memory() is False
+
+
+@pytest.mark.parametrize(
+    ("mode", "told"), [(0o600, False), (0o640, False), (0o604, True), (0o602, True), (0o601, True)]
+)
+def test_a_key_is_exposed_where_others_than_its_group_may_do_anything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: int, told: bool
+) -> None:
+    Authority(tmp_path, "f").issue("policy", 1.0)
+    (tmp_path / "policy.key.pem").chmod(mode)
+    Certificates(tmp_path, "policy")
+    assert ("bus.key_exposed" in capsys.readouterr().err) is told
+
+
+def test_a_card_of_64_kib_is_read_whole(tmp_path: Path) -> None:
+    """A pipe holds as much; what is longer is cut, and refused."""
+    long = PEM + b"x" * 20_000
+    descriptor = Card("policy", long, long, long).pipe()
+    assert Card.from_descriptor(descriptor, "policy").key == long
+
+
+def test_a_card_says_to_zenoh_what_its_files_say(tmp_path: Path) -> None:
+    Authority(tmp_path, "f").issue("policy", 1.0)
+    files, card = Certificates(tmp_path, "policy").tls(), Card.of(tmp_path, "policy").tls()
+    assert {name: base64.b64decode(value) for name, value in card.items()} == {
+        f"{name}_base64": Path(value).read_bytes() for name, value in files.items()
+    }
+    assert "PRIVATE" not in repr(Card.of(tmp_path, "policy"))

@@ -97,3 +97,10 @@ def test_what_is_issued_again_takes_the_place_of_what_was_there_and_leaves_nothi
     assert {path.name for path in tmp_path.iterdir()} == {
         f"{name}{end}" for name in ("authority", "policy") for end in (".pem", ".key.pem")
     }
+
+
+def test_what_is_signed_for_others_is_marked_as_what_is_issued(tmp_path: Path) -> None:
+    request = request_of(ec.generate_private_key(ec.SECP256R1()))
+    made = x509.load_pem_x509_certificate(Authority(tmp_path, "f").sign(request, "policy", 1.0))
+    marked = {type(part.value): part.critical for part in made.extensions}
+    assert marked == {x509.BasicConstraints: True, x509.ExtendedKeyUsage: False}

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.coverage import coverage_of, inside
+from safedpa.diagnosis.coverage import _covered, coverage_of, inside
+from safedpa.diagnosis.document import Covered, Gap
 from safedpa.dynamics import load_model
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
@@ -56,6 +57,62 @@ def test_what_was_driven_evenly_has_no_gap_and_few_data_say_nothing():
     assert coverage_of([driven(even[:200])]) == ()
     assert coverage_of([]) == ()
     assert "throttle" not in by_name([driven(np.full(4800, 0.3))])
+
+
+def by_parts(*counts, level=0.0, period=0.0625):
+    """The range of one action with so many rows at 0.5, 1.5 and so on."""
+    table = np.concatenate([np.full(count, part + 0.5) for part, count in enumerate(counts)])
+    variable = load_model("dart_car").system.action[0]
+    return _covered(variable, level + table, np.full(len(table), period), 6.25)
+
+
+def ends(found):
+    return (found.low, found.high, [(gap.low, gap.high, gap.seconds) for gap in found.gaps])
+
+
+def test_parts_gaps_and_ends_by_hand():
+    """A block is 6.25 s, 100 rows; values at 0.5, 1.5 to 9.5: ten parts of 0.9."""
+    full = 400
+    whole = by_parts(*[full] * 10)
+    assert (whole.seconds, ends(whole)) == (pytest.approx(250.0), (0.5, pytest.approx(9.5), []))
+    held = by_parts(full, full, 0, full, full, full, full, full, full, full)
+    assert ends(held)[2] == [], "what lies between two that are held is told by both sides"
+    gap = by_parts(full, full, 60, 39, full, full, full, full, full, full)
+    assert ends(gap)[2] == [(pytest.approx(2.3), pytest.approx(4.1), pytest.approx(99 * 0.0625))]
+    enough = by_parts(full, full, 100, 39, full, full, full, full, full, full)
+    assert ends(enough)[2] == [], "a block is enough"
+    less = by_parts(full, full, 99, 99, full, full, full, full, full, full)
+    assert len(ends(less)[2]) == 1
+    long = by_parts(full, full, 0, 0, 0, 30, full, full, 0, full)
+    assert ends(long)[2] == [(pytest.approx(2.3), pytest.approx(5.9), pytest.approx(30 * 0.0625))]
+
+
+def test_ends_that_hold_less_than_a_block_are_not_held():
+    """Half a block beyond is left out of the range; a last part of less than a block ends it."""
+    full = 400
+    few = by_parts(49, full, full, full, full, full, full, full, full, 49)
+    assert ends(few)[:2] == (1.5, pytest.approx(8.5)), "less than 50 rows lie there"
+    some = by_parts(60, full, full, full, full, full, full, full, full, 60)
+    assert ends(some)[:2] == (pytest.approx(1.4), pytest.approx(8.6)), "a tenth of 0.5 to 9.5 that holds 60 rows"
+    block = by_parts(100, full, full, full, full, full, full, full, full, 100)
+    assert ends(block)[:2] == (0.5, pytest.approx(9.5))
+
+
+def test_of_less_than_twenty_blocks_nothing_is_said():
+    """125 s."""
+    assert by_parts(*[200] * 10) is not None
+    assert by_parts(*[200] * 9, 199) is None
+    assert by_parts(*[0] * 3, 4000) is None, "it does not change"
+    assert by_parts(*[300] * 10, period=0.03125) is None
+    assert by_parts(*[300] * 10, level=-30.0).low == pytest.approx(-29.5), "of any sign"
+
+
+def test_a_range_holds_both_its_ends_and_a_gap_its_lower_one():
+    system = load_model("dart_car").system
+    found = [Covered("throttle", "1", 0.0, 1.0, 200.0, (Gap(0.4, 0.6, 1.0),))]
+    tried = np.array([-1e-9, 0.0, 0.4 - 1e-9, 0.4, 0.6 - 1e-9, 0.6, 1.0, 1.0 + 1e-9])
+    said = inside(found, system, np.zeros((8, 4)), np.column_stack([tried, 0 * tried]))
+    assert said.tolist() == [False, True, True, False, False, True, True, False]
 
 
 def test_rows_in_a_gap_or_beyond_the_range_lie_outside():

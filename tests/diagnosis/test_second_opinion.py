@@ -89,3 +89,66 @@ def test_while_much_is_missing_the_filter_has_no_say():
     """It takes friction itself for lasting pushes."""
     assert clear(5.0, SimpleNamespace(value=0.38), SimpleNamespace(value=0.4))
     assert not clear(5.0, SimpleNamespace(value=0.18), SimpleNamespace(value=0.2))
+
+
+@pytest.mark.parametrize(
+    ("name", "windows", "filtered", "std", "wanted"),
+    [
+        ("quadratic_drag", [0.5], [0.25], [0.01], (True, True)),  # half of it is left
+        ("quadratic_drag", [0.5], [0.2499], [0.01], (False, True)),
+        ("quadratic_drag", [0.5], [0.5], [0.125], (False, False)),  # four deviations and no more
+        ("quadratic_drag", [0.5], [0.5], [0.1111], (True, False)),
+        ("quadratic_drag", [9.0], [9.0], [1.0], (True, False)),  # nine and no more
+        ("quadratic_drag", [9.01], [9.01], [1.0], (True, True)),
+        ("quadratic_drag", [0.5], [0.5], [0.0], (True, False)),  # without a deviation nothing is said
+        ("constant_force", [1.0, 1.0], [1.0, 0.0], [1e-2, 1.0], (True, False)),
+        ("constant_force", [1.0, 1.0], [1.0, 0.0], [1.0, 1e-2], (False, False)),
+        ("constant_force", [2.0, 1.0], [0.0, 1.0], [0.10, 0.06], (False, False)),  # 278 of 678 are left
+        ("constant_force", [2.0, 1.0], [0.0, 1.0], [0.10, 0.04], (True, False)),  # 625 of 1025
+        ("quadratic_drag", [0.001], [0.5], [0.05], (True, True)),  # more than windows found, not less
+        ("payload", [0.5], [0.5], [0.01], (True, True)),
+        ("steering_gain", [1.4], [1.1], [0.01], (False, True)),  # a quarter of what it differs from 1
+        ("steering_gain", [1.4], [1.3], [0.01], (True, True)),
+    ],
+)
+def test_each_number_counts_by_how_well_the_filter_knows_it(opinion, name, windows, filtered, std, wanted):
+    """What is left: sum(w f / s^2) / sum(w^2 / s^2), from where the effect does nothing."""
+    assert opinion(name, windows, filtered, std) == wanted
+
+
+def test_of_several_effects_each_has_to_last_and_too_short_a_recording_decides_nothing(monkeypatch):
+    items = [effect("car", name) for name in ("quadratic_drag", "understeer")]
+    parameters = {f"{item.name}.{p.name}": p for item in items for p in item.parameters}
+
+    def model(*values):
+        settings = {path: SimpleNamespace(value=v) for path, v in zip(parameters, values, strict=True)}
+        return SimpleNamespace(settings=settings, parameters=parameters)
+
+    fit = SimpleNamespace(model=model(0.5, 0.5), paths=tuple(parameters), free=None)
+    trial = SimpleNamespace(effects=("quadratic_drag", "understeer"), fit=fit)
+    search = SimpleNamespace(shooting=SimpleNamespace(windows="windows"))
+    asked = []
+
+    def answers(found):
+        def refined(*arguments):
+            asked.append(arguments)
+            return found
+
+        monkeypatch.setattr(second_opinion, "refined", refined)
+        return agrees(trial, search), certain(trial, search)
+
+    small = np.array([0.01, 0.01])
+    assert answers(SimpleNamespace(model=model(0.5, 0.5), paths=tuple(parameters), deviations=small)) == (True, True)
+    assert answers(SimpleNamespace(model=model(0.5, 0.1), paths=tuple(parameters), deviations=small)) == (False, True)
+    assert answers(SimpleNamespace(model=model(0.1, 0.05), paths=tuple(parameters), deviations=small)) == (False, False)
+    assert answers(None) == (True, False), "too short for the filter"
+    assert {one[3:] for one in asked} == {("windows", 3)}
+
+
+def test_at_the_limits_themselves_another_opinion_is_asked_for():
+    assert not clear(8.0, None, SimpleNamespace(value=0.1))
+    assert clear(8.001, None, SimpleNamespace(value=0.1))
+    assert not clear(0.0, None, SimpleNamespace(value=0.25))
+    assert clear(0.0, None, SimpleNamespace(value=0.2501))
+    assert not clear(0.0, SimpleNamespace(value=0.85 * 0.125), SimpleNamespace(value=0.125))
+    assert clear(0.0, SimpleNamespace(value=0.10624), SimpleNamespace(value=0.125))

@@ -44,6 +44,15 @@ def test_one_direction_alone_proves_nothing() -> None:
     assert sign_flip_exact(one, other, 24) == 1.0
 
 
+def test_one_group_proves_nothing_and_none_is_refused() -> None:
+    one, other = np.ones(6, dtype=bool), np.zeros(6, dtype=bool)
+    assert sign_flip_exact(one, other, 1) == 1.0
+    assert sign_flip_exact(one, other, 2) == 0.5
+    for groups in (0, -1):
+        with pytest.raises(ValueError, match="as many in each"):
+            sign_flip_exact(one, other, groups)
+
+
 def test_holm_multiplies_by_what_is_left() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.9, 0.8]) == [1.0, 1.0]

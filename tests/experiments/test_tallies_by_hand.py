@@ -21,6 +21,7 @@ from safedpa_lab.experiments import (
     pendulum_payload,
     pendulum_story,
 )
+from safedpa_lab.experiments.car_conditions import Conditions
 from safedpa_lab.experiments.car_drives import Drive, cut_at_contact
 from safedpa_lab.experiments.delayed_drives import DelayedDrives
 from safedpa_lab.experiments.live_drive import LiveDrive, _Notes
@@ -142,6 +143,7 @@ def test_a_group_has_something_hidden_where_any_of_its_robots_has(robots: list[s
 def test_an_episode_of_the_car_is_counted_to_its_goal(goal_at: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     statuses = ["passed", "corrected", "fallback", "disabled", "relaxed", "passed"]
     robot = SimpleNamespace(collisions=["r1 and a wall", "again"], goals_reached=0, tick=6, trajectory_hash="t")
+    robot.values, robot.goal = (0.0, 0.0, 0.0, 0.0), (0.0, 4.0)
 
     def driven(*_: Any) -> Any:
         for number, status in enumerate(statuses):
@@ -150,12 +152,13 @@ def test_an_episode_of_the_car_is_counted_to_its_goal(goal_at: int | None, monke
             yield SimpleNamespace(verdict=verdict, state=None)
 
     monkeypatch.setattr(car_episodes, "drive", driven)
-    monkeypatch.setattr(car_episodes, "CarRobot", lambda *_: robot)
-    for name in ("nodes_of", "car_scene"):
-        monkeypatch.setattr(car_episodes, name, lambda *_: None)
+    monkeypatch.setattr(car_episodes, "nodes_of", lambda *_: None)
+    monkeypatch.setattr(Conditions, "nodes", lambda *_: None)
+    monkeypatch.setattr(Conditions, "robot", lambda *_: robot)
     counted = SimpleNamespace(see=lambda *_: None, counts={"wall": [1, 2]})
     monkeypatch.setattr(car_episodes, "CoverageCount", lambda *_: counted)
     group: Any = SimpleNamespace(method=None, folder=None, settings=None, margin=None, load="none", ticks=6, seeds=(4,))
+    group.conditions = Conditions()
     (found,) = car_episodes.run_group(group)
     seen = statuses if goal_at is None else statuses[: goal_at + 1]
     assert (found.success, found.safe, found.collisions) == (goal_at is not None, False, 2)

@@ -58,16 +58,19 @@ def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:
 
 
 def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutError:
-    """The error of the model when each fold is predicted with parameters fitted without it."""
+    """The error of the model when each fold is predicted with parameters fitted without it.
+
+    What such a model cannot predict counts as infinite; folds of which the fit has no windows are predicted by all.
+    """
     windows = heldout.windows
     predicted = np.full((len(windows), len(windows.system.state)), np.nan)
+    left = np.ones(len(windows), dtype=bool)
     for fold, values in fitted.without(shooting).items():
         own = np.flatnonzero(heldout.fold == fold)
         if len(own):
             model = moved(fitted.model, dict(zip(fitted.paths, values.tolist(), strict=True)))
             part = windows.select(own)
-            predicted[own] = rollout_at(model, part, [part.end])[0]
-    left = np.isnan(predicted).all(axis=1)
+            predicted[own], left[own] = rollout_at(model, part, [part.end])[0], False
     if left.any():
         part = windows.select(np.flatnonzero(left))
         predicted[left] = rollout_at(fitted.model, part, [part.end])[0]
