@@ -79,7 +79,7 @@ def test_the_car_against_the_grid() -> None:
     answers = [
         _Answer(0, "passed", 0.0, below=False, missed=False, excess=None, shortfall=None, untold=True),
         _Answer(1, "corrected", 0.5, below=True, missed=False, excess=0.3, shortfall=None, untold=False),
-        _Answer(2, "corrected", 0.0, below=False, missed=False, excess=0.0, shortfall=None, untold=False),
+        _Answer(2, "corrected", 0.0, below=True, missed=False, excess=0.0, shortfall=None, untold=False),
         _Answer(3, "relaxed", None, below=False, missed=True, excess=None, shortfall=0.25, untold=True),
         _Answer(4, "fallback", None, below=False, missed=False, excess=None, shortfall=0.001, untold=True),
         _Answer(5, "violated", None, below=False, missed=False, excess=None, shortfall=0.125, untold=False),
@@ -93,7 +93,7 @@ def test_the_car_against_the_grid() -> None:
         "answers relaxed": (1, None),
         "answers violated": (1, None),
         "largest break of a condition, in scales": (0.5, 3),
-        "passed or corrected, predicted h < 0": (1, 3),
+        "passed or corrected, predicted h < 0": (2, 3),
         "h < 0 now, and not told (or told wrongly)": (3, 6),
         "relaxed, though the grid keeps all": (1, 2),
         "corrected 0.1 of a range beyond the grid": (50.0, 2),

@@ -87,6 +87,15 @@ def test_what_is_ready_waits_for_that_of_others_five_milliseconds_at_most(
     assert node.after == [6] * 6
 
 
+def test_the_outputs_of_a_turn_are_on_the_bus_before_what_nobody_waits_for_is_done(state_at: StateAt) -> None:
+    fleet = Fleet(state_at, lockstep=False)
+    node = fleet.loop._node = Taking(fleet, 0.0)
+    fleet.loop.quantum = 0.005
+    spoken(fleet, state_at, [f"r{number}" for number in range(6)])
+    fleet.loop.serve(0.0)
+    assert node.after == [6] * 6
+
+
 def test_heartbeats_about_robots_that_fell_silent_are_on_the_bus_when_the_turn_ends(state_at: StateAt) -> None:
     fleet = Fleet(state_at, lockstep=False)
     names = [f"r{number}" for number in range(9)]

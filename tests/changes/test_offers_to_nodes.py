@@ -367,3 +367,28 @@ def test_a_model_with_which_the_filter_cannot_decide_is_refused(
     answer = ticking.node._versions.answer("r1", ticking.state_of(1, 1))
     assert answer.state == "refused"
     assert "the filter cannot decide with it" in answer.reason
+
+
+class Tried:
+    """What came of an offer that was tried apart."""
+
+    def __init__(self, **outcome: str) -> None:
+        self._outcome = outcome
+
+    def outcome(self, *, wait: bool) -> dict[str, str]:
+        del wait
+        return self._outcome
+
+
+def test_an_offer_that_failed_apart_is_refused_with_what_was_said_there(ticking: Ticking) -> None:
+    ticking.node.try_apart(lambda *_: Tried(problem="it ends in a crash"))
+    ticking.node.hear("r1", offer())
+    assert ticking.answer() == ("refused", "it ends in a crash")
+    ticking.node.hear("r1", decision("take", from_tick=ticking.tick + 1))
+    assert ticking.answer()[0] == "refused"
+
+
+def test_an_offer_that_went_well_apart_is_ready(ticking: Ticking) -> None:
+    ticking.node.try_apart(lambda *_: Tried(problem=""))
+    ticking.node.hear("r1", offer())
+    assert ticking.answer()[0] == "ready"

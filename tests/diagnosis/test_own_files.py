@@ -7,8 +7,9 @@ import shutil
 
 import pytest
 
-from safedpa.compare.output import new_folder
+from safedpa.compare.output import new_folder, writable
 from safedpa.effects import effect
+from safedpa.errors import InputError
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
 
@@ -76,3 +77,12 @@ def test_two_folders_of_one_second_differ(tmp_path, monkeypatch):
     assert str(first) == "compare-my_car-2026-11-22-150102"
     first.mkdir()
     assert str(new_folder("compare", "models/my_car.toml", now)) == "compare-my_car-2026-11-22-150102-2"
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_a_place_that_is_no_folder_is_told_so(made, tmp_path):
+    place = tmp_path / "place"
+    if made:
+        place.write_text("a file")
+    with pytest.raises(InputError, match="place: got no folder that exists; make it"):
+        writable(place)

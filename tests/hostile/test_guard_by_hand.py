@@ -93,6 +93,15 @@ def test_without_a_cookie_the_form_is_shown_where_a_password_brings_one(
     assert not page.seen
 
 
+def test_who_may_not_ask_at_all_is_not_led_to_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page under another name is refused, whether or not a password could be given."""
+    for password in ("", "sesame"):
+        page = Page(monkeypatch, password)
+        page.door = Door(Hosts("127.0.0.1"), 8080, token="a-token", password=password)
+        assert page.ask(headers=((b"origin", b"http://elsewhere.example"),), method="POST") == 403
+        assert not page.seen
+
+
 @pytest.mark.parametrize("method", ["POST", "HEAD", "PUT"])
 def test_a_token_in_the_address_is_good_for_opening_the_page_alone(
     method: str, monkeypatch: pytest.MonkeyPatch

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.safety.checked import Values, first, made, probe
 
+from safedpa.errors import InputError
 from safedpa.safety import (
     FunctionBarrier,
     RolloutBarrier,
@@ -62,10 +63,11 @@ class Open:
     def __init__(self, checked: Checked, end: float = np.inf) -> None:
         self.settings, self.tools, self.end = checked.safe.settings, checked.safe.tools, end
         self.asked: list[tuple[float, float]] = []
+        self.beyond = Status.relaxed
 
     def decide(self, state: Values, wish: Values, latent: Any, **_: Any) -> Verdict:
         self.asked.append((float(state[0]), float(wish[0])))
-        status = Status.passed if state[0] < self.end else Status.relaxed
+        status = Status.passed if state[0] < self.end else self.beyond
         return replace(resting_verdict(np.array(wish), ""), status=status)
 
 
@@ -110,6 +112,14 @@ def test_a_drive_ends_where_no_action_keeps_every_condition() -> None:
     assert up
     assert max(one.state[0] for one in found) < 0.75 + 0.2 + 1e-9
     assert not [state for state, _ in safe.asked if state >= 0.95 + 1e-9]
+
+
+def test_a_filter_that_decides_nothing_is_refused_at_the_first_state_and_ends_a_drive_later() -> None:
+    checked, safe = opened(end=0.75)
+    safe.beyond = Status.fallback
+    assert max(one.state[0] for one in probed(checked, [np.array([0.0])], 40, 0)) >= 0.75
+    with pytest.raises(InputError, match="the filter decides nothing at"):
+        probed(checked, [np.array([0.8])], 40, 0)
 
 
 def test_drives_begin_inside_where_some_state_is() -> None:
