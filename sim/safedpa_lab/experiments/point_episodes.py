@@ -1,0 +1,121 @@
+"""One method on the episodes of the point robot's experiment: the unit of work, and what is counted of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.statistics import mean_interval, seeds_interval, wilson_interval
+from safedpa_lab.point.driven import Driven, driven, windy_task
+from safedpa_lab.point.drivers import Wheel, driver_of
+from safedpa_lab.point.methods import PENALISED, Method
+
+__all__ = ["DEVELOPMENT", "Work", "account_of", "best_penalty", "over_seeds"]
+
+Floats = NDArray[np.float64]
+
+DEVELOPMENT: Final = seeds_for("development", 1, 60_000)[0]
+"""The seed on which RMA-P's penalty is chosen."""
+_SHOWN: Final = 4
+"""Directions of which one path is kept for the pictures."""
+
+
+@final
+@dataclass(frozen=True)
+class Work:
+    """A method with its weights and margin, and the episodes."""
+
+    method: Method
+    wheel: Wheel
+    directions: int
+    episodes: int
+    """Of each direction."""
+    steps: int
+    force: float
+    """N."""
+    seed: int
+    shown: bool = False
+    """Whether some paths are kept."""
+
+
+def account_of(work: Work) -> dict[str, Any]:
+    """What became of it."""
+    method, directions, episodes = work.method, work.directions, work.episodes
+    task = windy_task(directions, episodes, work.force, work.seed)
+    driver = driver_of(method, task, work.wheel)
+    shown = np.arange(0, directions, max(1, directions // _SHOWN)) * episodes if work.shown else np.zeros(0, int)
+    found = driven(driver, task, work.steps, shown)
+    epsilon = work.wheel.margins[method.filter] if method.filter else None
+    told = {"title": method.title, "told": method.told, "filter": method.filter, "epsilon": epsilon}
+    return {**told, **_account(found, directions, work.steps)}
+
+
+def best_penalty(models: Path, work: Work) -> dict[str, Any]:
+    """The penalty of RMA-P with the highest return less cost in the ``work``'s episodes on the development seed."""
+    rows: dict[str, Any] = {}
+    for name in PENALISED:
+        wheel = Wheel(models, rma_p=name)
+        own = Work(
+            Method(name, "", policy=name), wheel, work.directions, work.episodes, work.steps, work.force, work.seed
+        )
+        account = account_of(own)
+        reward, cost = account["reward"][0], account["cost"][0]
+        rows[name] = {"reward": reward, "cost": cost, "score": reward - cost, "safe": account["safe_episodes"]}
+    best = max(rows, key=lambda name: float(rows[name]["score"]))
+    return {"chosen": best, "episodes": work.directions * work.episodes, "seed": work.seed, "rows": rows}
+
+
+def over_seeds(accounts: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    """Means over training seeds of what each seed's policy came to, with 95 % intervals over seeds (Student's t)."""
+    shares = np.array([one["safe_episodes"] / one["episodes"] for one in accounts.values()])
+    goals, cost = (np.array([one[name][0] for one in accounts.values()]) for name in ("goals", "cost"))
+    each = {"safe": seeds_interval(shares), "goals": seeds_interval(goals), "cost": seeds_interval(cost)}
+    return {"training_seeds": list(accounts), **each, "each": np.stack((shares, goals, cost), axis=1).tolist()}
+
+
+def _account(found: Driven, directions: int, steps: int) -> dict[str, Any]:
+    count = len(found.goals)
+    safe, reached = int((found.cost == 0.0).sum()), int((found.goals > 0.0).sum())
+
+    def by_direction(values: Floats) -> list[float]:
+        means: list[float] = np.round(values.reshape(directions, -1).mean(axis=1), 5).tolist()
+        return means
+
+    return {
+        "episodes": count,
+        "safe_steps": mean_interval(1.0 - found.cost / steps),
+        "safe_episodes": safe,
+        "safe_episodes_interval": list(wilson_interval(safe, count)),
+        "unsafe_steps": int(found.cost.sum()),
+        "goals": mean_interval(found.goals),
+        "reached": reached,
+        "reached_interval": list(wilson_interval(reached, count)),
+        "reward": mean_interval(found.reward),
+        "cost": mean_interval(found.cost),
+        "least_room": round(float(found.least_room.min()), 4),
+        "first_goal_median": _finite(float(np.median(found.first_goal))),
+        "corrected": round(found.corrected, 5),
+        "relaxed": round(found.relaxed, 5),
+        "milliseconds_per_episode": round(1e3 * found.processor_seconds / count, 2),
+        "microseconds_per_decision": round(1e6 * found.processor_seconds / count / steps, 2),
+        "directions_safe_steps": by_direction(1.0 - found.cost / steps),
+        "directions_safe_episodes": by_direction((found.cost == 0.0).astype(float)),
+        "directions_goals": by_direction(found.goals),
+        "goals_each": found.goals.astype(int).tolist(),
+        "safe_each": _flags(found.cost == 0.0),
+        "success_each": _flags(found.goals > 0.0),
+        "shown": found.shown,
+    }
+
+
+def _flags(flags: NDArray[np.bool_]) -> str:
+    return "".join("1" if flag else "0" for flag in flags)
+
+
+def _finite(number: float) -> float | None:
+    return round(number, 2) if np.isfinite(number) else None
