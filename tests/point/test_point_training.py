@@ -18,6 +18,7 @@ from safedpa_lab.point.baseline_set import baseline_named, seeds_of, train_basel
 from safedpa_lab.point.baselines import _algorithm, _task
 from safedpa_lab.point.constrained import constrained_step
 from safedpa_lab.point.plan import Plan, score
+from safedpa_lab.point.policy_file import BaselinePolicy
 from safedpa_lab.point.vector_environment import PointEnvironment
 
 
@@ -81,7 +82,8 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
-    monkeypatch.setattr(baselines, "_EVALUATED", 16)
+    for name in ("_EVALUATED", "_COMPARED"):
+        monkeypatch.setattr(baselines, name, 16)
     began = process_time()
     small = {"steps": 16_000}
     first = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], changes=small)
@@ -121,11 +123,11 @@ def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
     assert score("trpo", quick, 1.0) == pytest.approx(12.0)
 
 
-def test_each_training_seed_has_a_folder_and_each_plan_a_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("_EVALUATED", "_COMPARED"):
-        monkeypatch.setattr(baselines, name, 4)  # how good they are is not looked at here
+def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def judged(policy: BaselinePolicy, *_: object) -> dict[str, float]:
+        return {"reward": float(policy.tensors["policy.1.bias"].sum()), "cost": 0.0, "goals": 0.0}
+
+    monkeypatch.setattr(baselines, "evaluate_policy", judged)  # how good they are is not looked at here
     small = {"steps": 4_000, "robots": 16, "inputs": "equal", "limit": 0.5, "cap": 2.0}
     found = train_baselines(tmp_path, ["trpo_lagrangian"], ["wind"], (0, 3), changes=small)
     assert list(found) == [f"seed_{seed}/trpo_lagrangian_wind_equal_0_5" for seed in (0, 3)]

@@ -16,8 +16,8 @@ import numpy as np
 
 from safedpa.errors import InputError
 from safedpa.safety.margin import smallest_sample
+from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.pendulum_advantage import advantages
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, seeds_interval, wilson_interval
 from safedpa_lab.point.driven import Driven, driven, windy_task
-from safedpa_lab.point.drivers import Wheel, driver_of
+from safedpa_lab.point.drivers import Wheel, driver_of, there_is
 from safedpa_lab.point.methods import PENALISED, Method
 
 __all__ = ["DEVELOPMENT", "Work", "account_of", "best_penalty", "over_seeds"]
@@ -56,9 +56,9 @@ def account_of(work: Work) -> dict[str, Any]:
 
 
 def best_penalty(models: Path, work: Work) -> dict[str, Any]:
-    """The penalty of RMA-P with the highest return less cost in the ``work``'s episodes on the development seed."""
+    """The penalty of RMA-P with the highest return less cost in the ``work``'s episodes, of those that were trained."""
     rows: dict[str, Any] = {}
-    for name in PENALISED:
+    for name in (one for one in PENALISED if there_is(one, models)):
         wheel = Wheel(models, rma_p=name)
         own = Work(
             Method(name, "", policy=name), wheel, work.directions, work.episodes, work.steps, work.force, work.seed
@@ -107,6 +107,9 @@ def _account(found: Driven, directions: int, steps: int) -> dict[str, Any]:
         "directions_safe_episodes": by_direction((found.cost == 0.0).astype(float)),
         "directions_goals": by_direction(found.goals),
         "goals_each": found.goals.astype(int).tolist(),
+        "safe": safe,
+        "success": reached,
+        "both": int(((found.cost == 0.0) & (found.goals > 0.0)).sum()),
         "safe_each": _flags(found.cost == 0.0),
         "success_each": _flags(found.goals > 0.0),
         "shown": found.shown,

@@ -27,7 +27,7 @@ from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.way import Ways
 
-__all__ = ["ShieldedDriver", "Wheel", "driver_of", "training_seeds", "with_weights"]
+__all__ = ["ShieldedDriver", "Wheel", "driver_of", "there_is", "training_seeds", "with_weights"]
 
 Floats = NDArray[np.float64]
 Wish = Callable[[Floats], NDArray[np.floating[Any]]]
@@ -96,6 +96,15 @@ def driver_of(method: Method, task: PointTask, wheel: Wheel) -> Driver:
 def training_seeds(method: Method, baselines: Path) -> tuple[int | None, ...]:
     """Of which there are policies of a method: each is driven. One of nothing where it is no baseline's."""
     return seeds_of(method.baseline, baselines) if method.baseline else (None,)
+
+
+def there_is(name: str, models: Path) -> bool:
+    """Whether a learned model of that name is in the folder or ships."""
+    try:
+        weights_named(name, models)
+    except InputError:
+        return False
+    return True
 
 
 def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
