@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments import point_episodes
-from safedpa_lab.experiments.point import PointExperiment, _advantages
-from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, best_penalty, over_seeds
+from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything
+from safedpa_lab.experiments.point_episodes import DEVELOPMENT, best_penalty, over_seeds
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval, seeds_interval
 from safedpa_lab.point import drivers
@@ -171,21 +170,27 @@ def test_several_training_seeds_have_an_interval_over_seeds() -> None:
         seeds_interval(np.zeros(0))
 
 
-def test_the_penalty_is_chosen_by_return_less_cost_on_the_development_seed(monkeypatch: pytest.MonkeyPatch) -> None:
-    driven_with, costs = [], dict(zip(PENALISED, (5.0, 1.0, 0.5, 0.0), strict=True))
-
-    def account(work: Work) -> dict[str, Any]:
-        driven_with.append(work.seed)
-        cost = costs[work.method.policy]
-        return {"reward": [9.0 + cost, 0, 0], "cost": [2.0 * cost, 0, 0], "safe_episodes": 0}
-
-    monkeypatch.setattr(point_episodes, "account_of", account)
-    monkeypatch.setattr(point_episodes, "there_is", lambda name, _: name != "rma_p_3")
-    work = Work(METHODS["rma_p"], Wheel(), 2, 3, 10, FORCE, DEVELOPMENT)
-    choice = best_penalty(NOWHERE, work)
-    assert choice["chosen"] == "rma_p_1", "the best of those that were trained"
-    assert set(driven_with) == {DEVELOPMENT}
+def test_the_penalty_is_chosen_by_return_less_cost() -> None:
+    costs = dict(zip(PENALISED, (5.0, 1.0, 0.5, 0.0), strict=True))
+    told = {"safe_episodes": 0}
+    found = {name: {"reward": [9.0 + cost, 0, 0], "cost": [2.0 * cost, 0, 0], **told} for name, cost in costs.items()}
+    choice = best_penalty(found)
+    assert choice["chosen"] == "rma_p_3"
     assert choice["rows"]["rma_p_0_1"]["score"] == pytest.approx(4.0)
+    assert choice["seed"] == DEVELOPMENT
+
+
+def test_who_has_another_filter_is_driven_with_both_margins_and_safedpa_once() -> None:
+    experiment = PointExperiment(NOWHERE, NOWHERE, ("safedpa", "mix", "ppo"), 2, 1)
+    work = _everything(experiment, {"safedpa": 0.002, "mix": 0.012}, {})
+    found = [(item.method, item.epsilon, [table for table, _ in places]) for item, places in work.items()]
+    assert found == [
+        ("safedpa", 0.002, ["own", "same"]),
+        ("mix", 0.012, ["own"]),
+        ("mix", 0.002, ["same"]),
+        ("ppo", None, ["own"]),
+    ]
+    assert len({item.weights for item in work}) == 2, "SafeDPA's policy, and PPO's"
 
 
 def test_numbers_that_are_none_are_refused() -> None:

@@ -17,7 +17,7 @@ _OWN = "safedpa"
 def advantages(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], directions: int) -> list[dict[str, Any]]:
     """SafeDPA against every other method of each question, by outcome: safe, success, and both.
 
-    ``tables`` by question and method. Episodes are paired by start, wind and draws, direction by direction. Episodes in one wind go well or
+    ``tables`` by question and method. Episodes are paired by start, wind and draws. Episodes in one wind go well or
     badly together, so the exact McNemar test over episodes stands beside one that exchanges whole directions; both by
     Holm's method over all comparisons.
     """

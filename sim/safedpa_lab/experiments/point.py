@@ -17,14 +17,14 @@ import numpy as np
 from safedpa.errors import InputError
 from safedpa.safety.margin import smallest_sample
 from safedpa_lab.experiments.advantages import advantages
-from safedpa_lab.experiments.car_workers import Workers
+from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
-from safedpa_lab.point.drivers import Wheel, training_seeds
-from safedpa_lab.point.margin import COVERAGE, measured_margins
-from safedpa_lab.point.methods import FILTERS, METHODS, Method
+from safedpa_lab.point.drivers import Wheel, digest_of, penalised, training_seeds
+from safedpa_lab.point.margin import COVERAGE, Calibration, measured_margins
+from safedpa_lab.point.methods import FILTERS, METHODS
 from safedpa_sim.point.task import EPISODE_STEPS
 
 __all__ = ["TABLES", "PointExperiment", "point_experiment"]
@@ -48,10 +48,12 @@ class PointExperiment:
     steps: int = EPISODE_STEPS
     force: float = LARGEST_FORCE
     drives: int = 120
-    """That calibrate a margin, in each of two rounds, as long as an episode at most 10 s."""
+    """That calibrate a margin, in each of two rounds."""
     seed: int = 0
     processes: int = 2
     date: str = ""
+    record: Path | None = None
+    """Where drives are kept, so that an experiment goes on where it was cut off."""
 
     def __post_init__(self) -> None:
         lows = {"directions": 1, "episodes": 1, "steps": 1, "seed": 0, "processes": 1, "force": 0}
@@ -66,7 +68,8 @@ class PointExperiment:
         return seeds_for("evaluation", 1, self.seed)[0]
 
 
-_CALIBRATING_STEPS: Final = 500
+_CALIBRATING_STEPS: Final = 250
+"""Of each drive that calibrates a margin, where episodes are no shorter."""
 
 
 def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
@@ -74,17 +77,14 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
 
     Raises InputError where a method's weights are neither in the folder nor among those that ship.
     """
-    wheel = Wheel(experiment.models, experiment.baselines)
-    margins = _margins(experiment, wheel)
+    margins = _margins(experiment)
     choice = _choice(experiment)
-    wheel = replace(wheel, rma_p=choice["chosen"] if choice else wheel.rma_p)
-    work = _everything(experiment, wheel, {name: row["epsilon"] for name, row in margins.items()})
+    work = _everything(experiment, {name: row["epsilon"] for name, row in margins.items()}, choice)
+    done = driven(account_of, list(work), experiment.processes, tell, experiment.record)
     accounts: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
-    with Workers(experiment.processes) as workers:
-        done = workers.map(account_of, [item for _, item in work])
-        for index, ((place, item), account) in enumerate(zip(work, done, strict=True)):
-            accounts.setdefault(place, {})[item.wheel.seed or 0] = account
-            tell(index + 1, len(work))
+    for (item, places), outcome in zip(work.items(), done, strict=True):
+        for table, name in places:
+            accounts.setdefault((table, name), {})[item.training_seed or 0] = _row(name, item, outcome["account"])
     tables = {table: _rows(accounts, table) for table in TABLES}
     names = ("date", "seed", "directions", "episodes", "steps", "force", "drives")
     told = {name: getattr(experiment, name) for name in names}
@@ -99,54 +99,82 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
     }
 
 
-def _margins(experiment: PointExperiment, wheel: Wheel) -> dict[str, dict[str, Any]]:
+def _margins(experiment: PointExperiment) -> dict[str, dict[str, Any]]:
     """Of the filters that the methods have, and SafeDPA's, which the second table gives to all."""
     used = {METHODS[name].filter for name in experiment.methods} - {""}
     if not used:
         return {}
-    filters = [name for name in FILTERS if name in used | {_OWN}]
+    filters = ",".join(name for name in FILTERS if name in used | {_OWN})
     steps = min(_CALIBRATING_STEPS, experiment.steps)
-    return measured_margins(filters, wheel, experiment.drives, steps, experiment.force)
+    asked = Calibration(filters, str(experiment.models), experiment.drives, steps, experiment.force)
+    record = experiment.record and experiment.record.with_suffix(".margins.jsonl")
+    found: dict[str, dict[str, Any]] = driven(measured_margins, [asked], 1, record=record)[0]["margins"]
+    return found
 
 
 def _choice(experiment: PointExperiment) -> dict[str, Any]:
-    if "rma_p" not in experiment.methods:
+    """RMA-P's penalty by development drives, as many as are counted."""
+    names = penalised(experiment.models) if "rma_p" in experiment.methods else ()
+    if not names:
         return {}
-    return best_penalty(experiment.models, replace(_work(experiment, METHODS["rma_p"], Wheel()), seed=DEVELOPMENT))
+    work = [replace(_work(experiment, name, None, None), seed=DEVELOPMENT) for name in names]
+    done = driven(account_of, work, experiment.processes, record=experiment.record)
+    found = best_penalty({name: one["account"] for name, one in zip(names, done, strict=True)})
+    return {**found, "episodes": experiment.directions * experiment.episodes}
 
 
 def _everything(
-    experiment: PointExperiment, wheel: Wheel, epsilon: Mapping[str, float]
-) -> list[tuple[tuple[str, str], Work]]:
-    """By table and method: who has no filter, or SafeDPA's, stands in the first table alone."""
-    same = dict.fromkeys(epsilon, epsilon.get(_OWN, 0.0))
-    work = []
-    for table, margins in zip(TABLES, (epsilon, same), strict=True):
-        for name in experiment.methods:
-            method = METHODS[name]
-            if table == "same" and method.filter in ("", _OWN):
-                continue
-            for seed in training_seeds(method, experiment.baselines):
-                own = replace(wheel, margins=margins, seed=seed)
-                first = seed is None or seed == training_seeds(method, experiment.baselines)[0]
-                work.append(((table, name), _work(experiment, method, own, table == "own" and first)))
+    experiment: PointExperiment, epsilon: Mapping[str, float], choice: Mapping[str, Any]
+) -> dict[Work, list[tuple[str, str]]]:
+    """What is to be driven, each with the tables and methods that it is counted for.
+
+    Who has no filter, or SafeDPA's, stands in the first table alone; SafeDPA itself in both, with the same drives.
+    """
+    work: dict[Work, list[tuple[str, str]]] = {}
+    for name in experiment.methods:
+        method = METHODS[name]
+        driven_as = choice["chosen"] if name == "rma_p" and choice else name
+        for seed in training_seeds(method, experiment.baselines):
+            own = _work(experiment, driven_as, seed, epsilon.get(method.filter))
+            work.setdefault(own, []).append(("own", name))
+            if name == _OWN:
+                work[own].append(("same", name))
+            elif method.filter not in ("", _OWN):
+                work.setdefault(replace(own, epsilon=epsilon[_OWN]), []).append(("same", name))
     return work
 
 
-def _work(experiment: PointExperiment, method: Method, wheel: Wheel, shown: bool = False) -> Work:
-    directions, episodes = experiment.directions, experiment.episodes
-    return Work(method, wheel, directions, episodes, experiment.steps, experiment.force, experiment.evaluation, shown)
+def _work(experiment: PointExperiment, name: str, seed: int | None, epsilon: float | None) -> Work:
+    models, baselines = str(experiment.models), str(experiment.baselines)
+    plain = Work(
+        name,
+        models,
+        baselines,
+        "",
+        seed,
+        epsilon,
+        experiment.directions,
+        experiment.episodes,
+        experiment.steps,
+        experiment.force,
+        experiment.evaluation,
+        shown=True,
+    )
+    wheel = Wheel(experiment.models, experiment.baselines, seed=seed)
+    return replace(plain, weights=digest_of(plain.driven, wheel))
+
+
+def _row(name: str, work: Work, account: Mapping[str, Any]) -> dict[str, Any]:
+    method = METHODS[name]
+    told = {"title": method.title, "told": method.told, "filter": method.filter, "epsilon": work.epsilon}
+    return {**told, **account}
 
 
 def _rows(accounts: Mapping[tuple[str, str], dict[int, dict[str, Any]]], table: str) -> dict[str, Any]:
-    """By method the account of its first training seed, and what all seeds came to where there are several.
-
-    Who has SafeDPA's filter stands in both tables with the same figures.
-    """
+    """By method the account of its first training seed, and what all seeds came to where there are several."""
     rows = {}
     for (found_in, name), by_seed in accounts.items():
-        shared = table == "same" and METHODS[name].filter == _OWN and name == _OWN
-        if found_in == table or shared:
+        if found_in == table:
             row = dict(next(iter(by_seed.values())))
             if len(by_seed) > 1:
                 row["over_seeds"] = over_seeds(by_seed)

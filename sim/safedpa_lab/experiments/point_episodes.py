@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, seeds_interval, wilson_interval
 from safedpa_lab.point.driven import Driven, driven, windy_task
-from safedpa_lab.point.drivers import Wheel, driver_of, there_is
-from safedpa_lab.point.methods import PENALISED, Method
+from safedpa_lab.point.drivers import Wheel, driver_of
+from safedpa_lab.point.methods import METHODS, Method
 
 __all__ = ["DEVELOPMENT", "Work", "account_of", "best_penalty", "over_seeds"]
 
@@ -28,10 +29,17 @@ _SHOWN: Final = 4
 @final
 @dataclass(frozen=True)
 class Work:
-    """A method with its weights and margin, and the episodes."""
+    """A method with its weights and margin, and the episodes; plain values, so that they can be kept in a file."""
 
-    method: Method
-    wheel: Wheel
+    method: str
+    """Of ``METHODS``, or one of RMA-P's grid."""
+    models: str
+    baselines: str
+    weights: str
+    """Digest of the policy's file: drives of other weights are no drives of these."""
+    training_seed: int | None
+    epsilon: float | None
+    """m; nothing where there is no filter."""
     directions: int
     episodes: int
     """Of each direction."""
@@ -42,32 +50,33 @@ class Work:
     shown: bool = False
     """Whether some paths are kept."""
 
+    @property
+    def driven(self) -> Method:
+        """What drives."""
+        return METHODS.get(self.method) or Method(self.method, "", policy=self.method)
+
 
 def account_of(work: Work) -> dict[str, Any]:
-    """What became of it."""
-    method, directions, episodes = work.method, work.directions, work.episodes
+    """What became of it, with the work's own fields."""
+    method, directions, episodes = work.driven, work.directions, work.episodes
+    margins = {} if work.epsilon is None else {method.filter: work.epsilon}
+    wheel = Wheel(Path(work.models), Path(work.baselines), margins, work.training_seed)
     task = windy_task(directions, episodes, work.force, work.seed)
-    driver = driver_of(method, task, work.wheel)
+    driver = driver_of(method, task, wheel)
     shown = np.arange(0, directions, max(1, directions // _SHOWN)) * episodes if work.shown else np.zeros(0, int)
     found = driven(driver, task, work.steps, shown)
-    epsilon = work.wheel.margins[method.filter] if method.filter else None
-    told = {"title": method.title, "told": method.told, "filter": method.filter, "epsilon": epsilon}
-    return {**told, **_account(found, directions, work.steps)}
+    account = _account(found, directions, work.steps)
+    return {**{item.name: getattr(work, item.name) for item in fields(work)}, "account": account}
 
 
-def best_penalty(models: Path, work: Work) -> dict[str, Any]:
-    """The penalty of RMA-P with the highest return less cost in the ``work``'s episodes, of those that were trained."""
+def best_penalty(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The policy of RMA-P's grid with the highest return less cost, of what became of each on development drives."""
     rows: dict[str, Any] = {}
-    for name in (one for one in PENALISED if there_is(one, models)):
-        wheel = Wheel(models, rma_p=name)
-        own = Work(
-            Method(name, "", policy=name), wheel, work.directions, work.episodes, work.steps, work.force, work.seed
-        )
-        account = account_of(own)
+    for name, account in found.items():
         reward, cost = account["reward"][0], account["cost"][0]
         rows[name] = {"reward": reward, "cost": cost, "score": reward - cost, "safe": account["safe_episodes"]}
     best = max(rows, key=lambda name: float(rows[name]["score"]))
-    return {"chosen": best, "episodes": work.directions * work.episodes, "seed": work.seed, "rows": rows}
+    return {"chosen": best, "seed": DEVELOPMENT, "rows": rows}
 
 
 def over_seeds(accounts: dict[int, dict[str, Any]]) -> dict[str, Any]:

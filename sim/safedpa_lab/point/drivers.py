@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, final
 
@@ -27,7 +28,7 @@ from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.way import Ways
 
-__all__ = ["ShieldedDriver", "Wheel", "driver_of", "there_is", "training_seeds", "with_weights"]
+__all__ = ["ShieldedDriver", "Wheel", "digest_of", "driver_of", "penalised", "training_seeds", "with_weights"]
 
 Floats = NDArray[np.float64]
 Wish = Callable[[Floats], NDArray[np.floating[Any]]]
@@ -42,14 +43,8 @@ class Wheel:
     baselines: Path = Path()
     margins: Mapping[str, float] = field(default_factory=dict)
     """m, by filter."""
-    rma_p: str = PENALISED[0]
-    """Which of the grid RMA-P is."""
     seed: int | None = None
     """Of a baseline's training; nothing: the first that there is."""
-
-    def resolved(self, method: Method) -> Method:
-        """The method with the policy that its name leaves open."""
-        return replace(method, policy=self.rma_p) if method.policy == "rma_p" else method
 
 
 @final
@@ -72,7 +67,6 @@ def driver_of(method: Method, task: PointTask, wheel: Wheel) -> Driver:
 
     Raises InputError where there are none, or no margin for its filter.
     """
-    method = wheel.resolved(method)
     adapts = method.policy if method.policy not in ("", SEEKER) else "learned"
     if method.baseline:
         policy = baseline_named(method.baseline, wheel.baselines, _seed(method, wheel))
@@ -98,13 +92,23 @@ def training_seeds(method: Method, baselines: Path) -> tuple[int | None, ...]:
     return seeds_of(method.baseline, baselines) if method.baseline else (None,)
 
 
-def there_is(name: str, models: Path) -> bool:
-    """Whether a learned model of that name is in the folder or ships."""
-    try:
-        weights_named(name, models)
-    except InputError:
-        return False
-    return True
+def digest_of(method: Method, wheel: Wheel) -> str:
+    """Of the weights of a method's policy, where it has any. Raises InputError where there are none."""
+    if method.baseline:
+        policy = baseline_named(method.baseline, wheel.baselines, _seed(method, wheel))
+        parts = (part.tobytes() for _, part in sorted(policy.tensors.items()))
+        return sha256(b"".join(parts)).hexdigest()[:16]
+    return "" if method.policy == SEEKER else weights_named(method.policy, wheel.models).digest[:16]
+
+
+def penalised(models: Path) -> tuple[str, ...]:
+    """Those of RMA-P's grid that are in the folder or ship."""
+    found = []
+    for name in PENALISED:
+        with contextlib.suppress(InputError):
+            weights_named(name, models)
+            found.append(name)
+    return tuple(found)
 
 
 def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
@@ -112,7 +116,8 @@ def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
     task, found = PointTask(1, 0), []
     for name, method in METHODS.items():
         with contextlib.suppress(InputError):
-            driver_of(method, task, Wheel(models, baselines, {method.filter: 0.0}))
+            own = penalised(models) or (method.policy,) if name == "rma_p" else (method.policy,)
+            driver_of(replace(method, policy=own[0]), task, Wheel(models, baselines, {method.filter: 0.0}))
             found.append(name)
     return tuple(found)
 

@@ -7,6 +7,8 @@ filter itself finds there one period later, by what it believes then: a latent t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -26,7 +28,7 @@ from safedpa_sim.point.filtering import least_room
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["COVERAGE", "NEAR", "measured_margins", "one_step_errors"]
+__all__ = ["COVERAGE", "NEAR", "Calibration", "measured_margins", "one_step_errors"]
 
 Floats = NDArray[np.float64]
 
@@ -38,27 +40,43 @@ _SKIPPED: Final = 100
 _TRUTH: Final = "oracle"
 
 
-def measured_margins(
-    filters: Sequence[str], wheel: Wheel, drives: int, steps: int, force: float = LARGEST_FORCE
-) -> dict[str, dict[str, Any]]:
-    """By filter, its margin [m]: of a step of a drive that is not known, of the stated coverage.
+@final
+@dataclass(frozen=True)
+class Calibration:
+    """What margins are measured on; plain values, so that they can be kept in a file. Raises InputError for fewer
+    drives than the coverage needs."""
+
+    filters: str
+    """Of ``FILTERS``, with commas between."""
+    models: str
+    drives: int
+    steps: int
+    """Of each drive."""
+    force: float = LARGEST_FORCE
+    """N, towards directions at random."""
+
+    def __post_init__(self) -> None:
+        if self.drives < smallest_sample(COVERAGE):
+            raise InputError(f"--drives: got {self.drives}, wanted {smallest_sample(COVERAGE)} or more")
+
+
+def measured_margins(asked: Calibration) -> dict[str, Any]:
+    """``margins``: by filter, its margin [m], of a step of a drive that is not known, of the stated coverage.
 
     In two rounds, since errors depend on where the filter lets the robot go: drives of SafeDPA's policy behind the
     filter that knows the wind make a first margin; other drives behind the filter itself with that margin make the one
-    that counts. ``drives`` of ``steps`` each, in ``force`` [N] towards directions at random, on seeds for calibration.
-    Raises InputError for fewer drives than the coverage needs.
+    that counts. Each round has as many drives for every filter, on seeds for calibration.
     """
-    if drives < smallest_sample(COVERAGE):
-        raise InputError(f"--drives: got {drives}, wanted {smallest_sample(COVERAGE)} or more for {COVERAGE:.0%}")
     seeds = list(seeds_for("calibration", 2, _SKIPPED))
-
-    told = _errors(_windy(drives, seeds[0], force), wheel, _TRUTH, 0.0, filters, steps)
+    models, filters = Path(asked.models), asked.filters.split(",")
+    told = _errors(_windy(asked.drives, seeds[0], asked.force), models, _TRUTH, 0.0, filters, asked.steps)
     found = {}
     for name in filters:
         first = max(0.0, margins_over_drives(told[name], COVERAGE)[0])
-        own = _errors(_windy(drives, seeds[1], force), wheel, name, first, (name,), steps)[name]
-        found[name] = {**_row(own), "first": first, "seeds": seeds, "steps": steps}
-    return found
+        task = _windy(asked.drives, seeds[1], asked.force)
+        own = _errors(task, models, name, first, (name,), asked.steps)[name]
+        found[name] = {**_row(own), "first": first, "seeds": seeds, "steps": asked.steps}
+    return {**{item.name: getattr(asked, item.name) for item in fields(asked)}, "margins": found}
 
 
 def _row(errors: list[Floats]) -> dict[str, Any]:
@@ -83,15 +101,14 @@ def _windy(drives: int, seed: int, force: float) -> PointTask:
 
 
 def _errors(
-    task: PointTask, wheel: Wheel, before: str, epsilon: float, filters: Sequence[str], steps: int
+    task: PointTask, models: Path, before: str, epsilon: float, filters: Sequence[str], steps: int
 ) -> dict[str, list[Floats]]:
     """By filter, the errors [m] near hazards along each drive behind the filter ``before``."""
-    behind = Wheel(wheel.models, wheel.baselines, {before: epsilon})
-    driver = driver_of(Method("", "", filter=before), task, behind)
+    driver = driver_of(Method("", "", filter=before), task, Wheel(models, margins={before: epsilon}))
     assert isinstance(driver, ShieldedDriver)
     watched = {}
     for name in filters:
-        own = driver.shield if name == before else shield_of(name, task, epsilon=epsilon, folder=wheel.models)
+        own = driver.shield if name == before else shield_of(name, task, epsilon=epsilon, folder=models)
         watched[name] = _Watched(own, task)
     for _ in range(steps):
         for one in watched.values():

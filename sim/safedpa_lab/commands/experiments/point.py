@@ -29,6 +29,7 @@ _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 @click.option("--drives", type=int, default=120, show_default=True, help="of each round that calibrate a margin")
 @click.option("--seed", type=int, default=0, show_default=True, help="of layouts, headings, goals that are counted")
 @click.option("--processes", type=int, default=2, show_default=True)
+@click.option("--record", type=_FOLDER, metavar="FILE", help="keep drives there, and go on with those it holds")
 @click.option("--quick", is_flag=True, help="8 directions x 4 episodes of 500 steps")
 @click.option("--out", type=_FOLDER, help="folder for tables, JSON and figures")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
