@@ -13,6 +13,7 @@ import pytest
 from safedpa.errors import InputError
 from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, best_penalty, over_seeds
+from safedpa_lab.experiments.point_report import against_table, short_table
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval, seeds_interval
 from safedpa_lab.point import drivers
@@ -128,6 +129,11 @@ def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: p
     assert set(result["methods"]) == {"ppo", "cpo"}
     assert result["methods"]["cpo"]["goals"] == result["methods"]["ppo"]["goals"], "the same policy, the same world"
     assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    short = short_table(result, "methods").splitlines()
+    assert [line.split("|")[1:4] for line in short[2:]] == [
+        [" PPO ", " lidar ", "  "],
+        [" CPO, limit 25 ", " lidar ", "  "],
+    ]
     assert safedpa.run(["experiment", "point", "--methods", "cppo"]) == 2
     assert "did you mean" in capsys.readouterr().err
 
@@ -154,6 +160,8 @@ def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes() -> None
     assert safe["mcnemar"] == pytest.approx(2 * 0.5**8)
     assert safe["mcnemar_holm"] == pytest.approx(3 * safe["mcnemar"])
     assert safe["goals"] == pytest.approx([-1.0, -1.0, -1.0])
+    page = against_table({"advantages": rows, "methods": {"ppo": {"title": "PPO", "told": "lidar"}}})
+    assert "| PPO | lidar | +8 -0 | 0.02 |" in page
 
 
 def test_several_training_seeds_have_an_interval_over_seeds() -> None:

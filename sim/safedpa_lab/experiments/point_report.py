@@ -9,7 +9,7 @@ from typing import Any
 from safedpa_lab.point.methods import FILTERS
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["markdown_of", "write_report"]
+__all__ = ["against_table", "margins_table", "markdown_of", "penalty_table", "short_table", "write_report"]
 
 
 def write_report(result: dict[str, Any], out: Path) -> None:
@@ -35,14 +35,38 @@ def markdown_of(result: dict[str, Any]) -> str:
     if len(same) > 1:
         parts += ["## The same margin for all", _safety(same)]
     if result["margins"]:
-        parts += ["## Margins", _margins(result)]
+        parts += ["## Margins", margins_table(result)]
     if result["penalty"]:
-        parts += ["## RMA-P's penalty", _penalty(result["penalty"])]
+        parts += ["## RMA-P's penalty", penalty_table(result)]
     if result["advantages"]:
         parts += ["## SafeDPA against each", _advantages(result)]
     if any("over_seeds" in row for row in own.values()):
         parts += ["## Several training seeds", _seeds(own)]
     return "\n\n".join([*parts, "## Reward, cost, time", _gained(own)]) + "\n"
+
+
+def short_table(result: Mapping[str, Any], table: str) -> str:
+    """Of ``methods`` or ``same_margin``: margin, episodes without cost, goals, and those over PPO's."""
+    lines = ["| | told | margin, mm | episodes without cost, % | goals | over PPO's |", "|---|---|---|---|---|---|"]
+    for row in result[table].values():
+        margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
+        safe = _share(row["safe_episodes"], row["episodes"], row["safe_episodes_interval"])
+        ratio = f"{row['of_ppo'][0]:.2f}" if "of_ppo" in row else ""
+        goals = _interval(row["goals"], 1, 1)
+        lines.append(f"| {row['title']} | {row['told']} | {margin} | {safe} | {goals} | {ratio} |")
+    return "\n".join(lines)
+
+
+def against_table(result: Mapping[str, Any]) -> str:
+    """SafeDPA against each, every filter with its own margin: episodes that only one of the two drove without cost."""
+    lines = ["| SafeDPA against | told | safe | p | by directions | goals less |", "|---|---|---|---|---|---|"]
+    for row in result["advantages"]:
+        if row["question"] == "own" and row["outcome"] == "safe":
+            other = result["methods"][row["against"]]
+            found = f"+{row['only_safedpa']} -{row['only_other']}"
+            p = f"{row['mcnemar_holm']:.1g} | {row['directions_holm']:.1g}"
+            lines.append(f"| {other['title']} | {other['told']} | {found} | {p} | {_interval(row['goals'], 1, 1)} |")
+    return "\n".join(lines)
 
 
 def _safety(rows: Mapping[str, Any]) -> str:
@@ -64,7 +88,8 @@ def _safety(rows: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _margins(result: Mapping[str, Any]) -> str:
+def margins_table(result: Mapping[str, Any]) -> str:
+    """How each margin was made."""
     some = next(iter(result["margins"].values()))
     lines = [
         f"{100 * some['coverage']:g} % of a step near a hazard, conformal over {some['drives']} drives of "
@@ -79,7 +104,9 @@ def _margins(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _penalty(choice: Mapping[str, Any]) -> str:
+def penalty_table(result: Mapping[str, Any]) -> str:
+    """RMA-P's grid on development drives."""
+    choice = result["penalty"]
     lines = [
         f"{choice['episodes']} episodes, development seed {choice['seed']}; chosen: {choice['chosen']}.\n",
         "| policy | reward | cost | reward - cost | episodes without cost |",
