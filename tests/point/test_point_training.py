@@ -13,8 +13,9 @@ from sb3_contrib import TRPO
 from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
+from safedpa_lab.experiments.point_baselines import markdown_of
 from safedpa_lab.point import baselines, fisher
-from safedpa_lab.point.baseline_set import baseline_named, seeds_of, train_baselines
+from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
 from safedpa_lab.point.baselines import _algorithm, _task
 from safedpa_lab.point.constrained import constrained_step
 from safedpa_lab.point.plan import Plan, score
@@ -137,5 +138,8 @@ def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, mo
     assert one.inputs == "equal"
     assert not np.array_equal(one.tensors["policy.0.weight"], other.tensors["policy.0.weight"])
     account = found["seed_0/trpo_lagrangian_wind_equal_0_5"]
+    told = markdown_of(baselines_in(tmp_path, 3))
+    assert "| trpo_lagrangian_wind_equal_0_5 | equal | 0.5 |" in told
+    assert told.rstrip().endswith("| 3 |")
     scores = {row[0]: row[3] for row in account["compared"]}
     assert scores[account["chosen"]["steps"]] == max(scores.values())

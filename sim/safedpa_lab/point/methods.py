@@ -67,7 +67,8 @@ def _both(name: str, inputs: str = "lidar") -> Method:
     return Method(f"{alone.name}_filtered", title, "", "safedpa", alone.baseline, alone.told)
 
 
-_LIDAR: Final = "ppo_wind_latent_filtered"
+_LIDAR: Final = "ppo_lagrangian_wind_latent_1"
+"""It heeds the cost, so that the filter has less to change."""
 _ALL: Final = (
     Method("safedpa", "SafeDPA", filter="safedpa"),
     *(Method(name, FILTERS[name], filter=name) for name in FILTERS if name.startswith("fix_")),
