@@ -26,7 +26,7 @@ _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 @click.option("--episodes", type=int, default=20, show_default=True, help="of each method and direction")
 @click.option("--steps", type=int, default=1000, show_default=True, help="of each episode")
 @click.option("--force", type=float, default=0.008, show_default=True, help="N")
-@click.option("--drives", type=int, default=120, show_default=True, help="of each round that calibrate a margin")
+@click.option("--drives", type=int, default=400, show_default=True, help="of each round that calibrate a margin")
 @click.option("--seed", type=int, default=0, show_default=True, help="of layouts, headings, goals that are counted")
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--record", type=_FOLDER, metavar="FILE", help="keep drives there, and go on with those it holds")
