@@ -86,6 +86,7 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
         for table, name in places:
             accounts.setdefault((table, name), {})[item.training_seed or 0] = _row(name, item, outcome["account"])
     tables = {table: _rows(accounts, table) for table in TABLES}
+    _beside_ppo(tables)
     names = ("date", "seed", "directions", "episodes", "steps", "force", "drives")
     told = {name: getattr(experiment, name) for name in names}
     return {
@@ -179,16 +180,15 @@ def _rows(accounts: Mapping[tuple[str, str], dict[int, dict[str, Any]]], table: 
             if len(by_seed) > 1:
                 row["over_seeds"] = over_seeds(by_seed)
             rows[name] = row
-    _beside(rows, "ppo", "of_ppo")
     return rows
 
 
-def _beside(rows: dict[str, Any], other: str, key: str) -> None:
-    """Goals over another's in the same episodes."""
-    if other in rows and any(rows[other]["goals_each"]):
-        beside = np.array(rows[other]["goals_each"], dtype=np.float64)
-        for row in rows.values():
-            row[key] = ratio_interval(np.array(row["goals_each"], dtype=np.float64), beside)
+def _beside_ppo(tables: Mapping[str, Mapping[str, Any]]) -> None:
+    """Goals over PPO's, with the benchmark's inputs, in the same episodes; in both tables."""
+    ppo = np.array(tables["own"].get("ppo", {}).get("goals_each", ()), dtype=np.float64)
+    if ppo.any():
+        for row in (row for table in tables.values() for row in table.values()):
+            row["of_ppo"] = ratio_interval(np.array(row["goals_each"], dtype=np.float64), ppo)
 
 
 def _advantages(tables: Mapping[str, Mapping[str, Any]], directions: int) -> list[dict[str, Any]]:

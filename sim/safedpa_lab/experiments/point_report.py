@@ -17,8 +17,11 @@ def write_report(result: dict[str, Any], out: Path) -> None:
     from safedpa_lab.experiments.point_figures import write_figures
 
     out.mkdir(parents=True, exist_ok=True)
-    rows = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["methods"].items()}
-    write_result(out / "point.json", {**result, "methods": rows})
+    tables = {
+        table: {name: {key: row[key] for key in row if key != "shown"} for name, row in result[table].items()}
+        for table in ("methods", "same_margin")
+    }
+    write_result(out / "point.json", {**result, **tables})
     (out / "point.md").write_text(markdown_of(result), encoding="utf-8")
     write_figures(result, out)
 
