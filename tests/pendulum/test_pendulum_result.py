@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from safedpa_lab.experiments.pendulum_advantage import advantages
+from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.experiments.statistics import wilson_interval
 

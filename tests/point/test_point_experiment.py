@@ -5,16 +5,22 @@ from __future__ import annotations
 import json
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.point import PointExperiment
-from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
-from safedpa_lab.point import methods
+from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything
+from safedpa_lab.experiments.point_episodes import DEVELOPMENT, best_penalty, over_seeds
+from safedpa_lab.experiments.point_report import against_table, short_table
+from safedpa_lab.experiments.seeds import SEEDS
+from safedpa_lab.experiments.statistics import mean_interval, ratio_interval, seeds_interval
+from safedpa_lab.point import drivers
 from safedpa_lab.point.driven import PolicyDriver, driven, windy_task
-from safedpa_lab.point.methods import METHODS, Method, ShieldedDriver, driver_of
+from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
+from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.methods import METHODS, PENALISED, Method
 from safedpa_lab.point.policy_file import BaselinePolicy, save_policy
 from safedpa_lab.point.shield import shield_of
 from safedpa_services.command_line import safedpa
@@ -53,7 +59,7 @@ def test_every_direction_has_its_robots_and_every_method_the_same_world() -> Non
 
 def test_what_is_counted_is_what_the_task_tells() -> None:
     task = windy_task(4, 2, FORCE, 1)
-    found = driven(PolicyDriver(task, Reckless()), task, 300, np.array([0, 5]))
+    found = driven(PolicyDriver(task, Reckless(), inputs_of("lidar", task)), task, 300, np.array([0, 5]))
     assert (found.cost > 0.0).any(), "who drives straight meets a hazard"
     np.testing.assert_array_equal(found.least_room <= 0.0, found.cost > 0.0)
     np.testing.assert_array_equal(np.isfinite(found.first_goal), found.goals > 0.0)
@@ -80,7 +86,7 @@ def test_what_ships_is_safe_behind_the_learned_filter_and_ppo_alone_is_not() -> 
     found = {}
     for name in ("safedpa", "ppo"):
         task = windy_task(8, 1, FORCE, 7)
-        found[name] = driven(driver_of(METHODS[name], task, NOWHERE, NOWHERE), task, 150)
+        found[name] = driven(driver_of(METHODS[name], task, Wheel(margins={"safedpa": 0.004})), task, 150)
     assert found["safedpa"].cost.sum() == 0.0
     assert found["safedpa"].goals.sum() >= 5.0
     assert found["ppo"].cost.sum() > 0.0
@@ -110,7 +116,7 @@ def _untrained(folder: Path) -> None:
         tensors[f"policy.{index}.weight"] = random.normal(0.0, 0.2, (sizes[index + 1], sizes[index])).astype(np.float32)
         tensors[f"policy.{index}.bias"] = np.zeros(sizes[index + 1], np.float32)
     for name in ("ppo", "cpo"):
-        save_policy(BaselinePolicy(tensors, {}), folder / f"{name}_wind.safetensors")
+        save_policy(BaselinePolicy(tensors, {}), folder / "seed_0" / f"{name}_wind.safetensors")
 
 
 def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,21 +124,91 @@ def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: p
     options = ["--methods", "ppo, cpo", "--baselines", str(tmp_path), "--processes", "1", "--steps", "60"]
     small = ["--directions", "4", "--episodes", "2"]
     assert safedpa.run(["experiment", "point", *options, *small, "--out", str(tmp_path / "out")]) == 0
-    assert "| CPO |" in capsys.readouterr().out
+    assert "| CPO, limit 25 |" in capsys.readouterr().out
     result = json.loads((tmp_path / "out" / "point.json").read_text())
     assert set(result["methods"]) == {"ppo", "cpo"}
     assert result["methods"]["cpo"]["goals"] == result["methods"]["ppo"]["goals"], "the same policy, the same world"
     assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    short = short_table(result, "methods").splitlines()
+    assert [line.split("|")[1:4] for line in short[2:]] == [
+        [" PPO ", " lidar ", "  "],
+        [" CPO, limit 25 ", " lidar ", "  "],
+    ]
     assert safedpa.run(["experiment", "point", "--methods", "cppo"]) == 2
     assert "did you mean" in capsys.readouterr().err
 
 
+def test_whoever_is_compared_meets_what_nothing_was_chosen_on() -> None:
+    """Seeds of margins, of RMA-P's penalty, of kept policies and of what is counted are apart."""
+    counted = PointExperiment(Path(), Path(), seed=2300).evaluation
+    assert counted in SEEDS["evaluation"]
+    assert DEVELOPMENT in SEEDS["development"]
+    assert all(seed + extra in SEEDS["development"] for seed in range(5) for extra in (50_000, 51_000))
+
+
+def _row(goals: list[int], safe: str) -> dict[str, Any]:
+    reached = "".join("1" if one else "0" for one in goals)
+    told = {"safe": safe.count("1"), "success": reached.count("1"), "both": safe.count("1")}
+    return {"goals_each": goals, "safe_each": safe, "success_each": reached, **told}
+
+
+def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes() -> None:
+    ours, other = _row([2] * 12, "1" * 12), _row([3] * 12, "0" * 8 + "1" * 4)
+    rows = _advantages({"own": {"safedpa": ours, "ppo": other}, "same": {}}, 4)
+    safe = next(row for row in rows if row["outcome"] == "safe")
+    assert (safe["only_safedpa"], safe["only_other"]) == (8, 0)
+    assert safe["mcnemar"] == pytest.approx(2 * 0.5**8)
+    assert safe["mcnemar_holm"] == pytest.approx(3 * safe["mcnemar"])
+    assert safe["goals"] == pytest.approx([-1.0, -1.0, -1.0])
+    page = against_table({"advantages": rows, "methods": {"ppo": {"title": "PPO", "told": "lidar"}}})
+    assert "| PPO | lidar | +8 -0 | 0.02 |" in page
+
+
+def test_several_training_seeds_have_an_interval_over_seeds() -> None:
+    """Student's t with two degrees of freedom: 4.303 deviations of the mean."""
+    accounts = {
+        seed: {"safe_episodes": safe, "episodes": 10, "goals": [goals, 0, 0], "cost": [0.0, 0, 0]}
+        for seed, safe, goals in ((0, 5, 3.0), (1, 6, 4.0), (2, 7, 5.0))
+    }
+    found = over_seeds(accounts)
+    assert found["training_seeds"] == [0, 1, 2]
+    assert found["goals"] == pytest.approx([4.0, 4.0 - 4.303 / np.sqrt(3), 4.0 + 4.303 / np.sqrt(3)], abs=1e-3)
+    assert found["cost"] == [0.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match="one at least"):
+        seeds_interval(np.zeros(0))
+
+
+def test_the_penalty_is_chosen_by_return_less_cost() -> None:
+    costs = dict(zip(PENALISED, (5.0, 1.0, 0.5, 0.0), strict=True))
+    told = {"safe_episodes": 0}
+    found = {name: {"reward": [9.0 + cost, 0, 0], "cost": [2.0 * cost, 0, 0], **told} for name, cost in costs.items()}
+    choice = best_penalty(found)
+    assert choice["chosen"] == "rma_p_3"
+    assert choice["rows"]["rma_p_0_1"]["score"] == pytest.approx(4.0)
+    assert choice["seed"] == DEVELOPMENT
+
+
+def test_who_has_another_filter_is_driven_with_both_margins_and_safedpa_once() -> None:
+    experiment = PointExperiment(NOWHERE, NOWHERE, ("safedpa", "mix", "ppo"), 2, 1)
+    work = _everything(experiment, {"safedpa": 0.002, "mix": 0.012}, {})
+    found = [(item.method, item.epsilon, [table for table, _ in places]) for item, places in work.items()]
+    assert found == [
+        ("safedpa", 0.002, ["own", "same"]),
+        ("mix", 0.012, ["own"]),
+        ("mix", 0.002, ["same"]),
+        ("ppo", None, ["own"]),
+    ]
+    assert len({item.weights for item in work}) == 2, "SafeDPA's policy, and PPO's"
+
+
 def test_numbers_that_are_none_are_refused() -> None:
+    with pytest.raises(InputError, match="--drives: got 98, wanted 99"):
+        PointExperiment(Path(), Path(), drives=98)
     with pytest.raises(InputError, match="--episodes"):
         PointExperiment(Path(), Path(), episodes=0)
 
 
 def test_methods_without_weights_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: METHODS[name] for name in ("ppo", "oracle", "seeker")}
-    monkeypatch.setattr(methods, "METHODS", {**some, "none": Method("none", "None", policy="never_trained")})
-    assert methods.with_weights(NOWHERE, NOWHERE) == tuple(some)
+    monkeypatch.setattr(drivers, "METHODS", {**some, "none": Method("none", "None", policy="never_trained")})
+    assert drivers.with_weights(NOWHERE, NOWHERE) == tuple(some)

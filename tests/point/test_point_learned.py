@@ -20,7 +20,8 @@ from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_acti
 from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
 from safedpa_lab.point.margin import one_step_errors
 from safedpa_lab.point.moments import drawn_moments
-from safedpa_lab.point.shield import Shield, shield_of, weights_named
+from safedpa_lab.point.shield import Shield, shield_of
+from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
 from safedpa_sim.point.filtering import PointFilter, least_room

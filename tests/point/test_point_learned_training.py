@@ -20,19 +20,21 @@ from safedpa_sim.point.observation import entries_seen
 from safedpa_sim.point.policy_task import PointPractice
 from safedpa_sim.training.configuration import load_configuration
 
+PUNISHED = ("rma", "rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
+
 
 def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 60)  # what it does, no figure, is looked at here
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
-    assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", "rma_p"]
+    assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", *PUNISHED]
     assert min(records["1a"]["explained"]) > 0.5
     assert records["fix_45"]["loss"] < records["mix"]["loss"]
     weights = load_weights(tmp_path / "point_learned.safetensors")
     assert all(weights.has(name) for name in ("mu", "f", "g", "phi", "policy"))
     assert len(records["1b"]["imitation_errors"]) == 2
     assert LatentPolicy(weights).act(np.zeros((3, entries_seen(2)))).shape == (3, 2)
-    assert load_weights(tmp_path / "point_rma_p.safetensors").has("policy")
+    assert all(load_weights(tmp_path / f"point_{name}.safetensors").has("policy") for name in PUNISHED)
 
 
 def test_robots_that_practise_behind_the_stand_in_never_enter_a_hazard() -> None:
@@ -103,6 +105,6 @@ def test_mistakes_are_named() -> None:
 
 def _plain():
     """The shipped weights without what is not asked of them here."""
-    from safedpa_lab.point.shield import weights_named
+    from safedpa_lab.point.weights import weights_named
 
     return weights_named("learned")

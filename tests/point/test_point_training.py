@@ -13,11 +13,13 @@ from sb3_contrib import TRPO
 from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
-from safedpa_lab.point import fisher
-from safedpa_lab.point.baseline_set import baseline_named, train_baselines
+from safedpa_lab.experiments.point_baselines import markdown_of
+from safedpa_lab.point import baselines, fisher
+from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
 from safedpa_lab.point.baselines import _algorithm, _task
-from safedpa_lab.point.constrained import Multiplier, constrained_step
-from safedpa_lab.point.plan import Plan
+from safedpa_lab.point.constrained import constrained_step
+from safedpa_lab.point.plan import Plan, score
+from safedpa_lab.point.policy_file import BaselinePolicy
 from safedpa_lab.point.vector_environment import PointEnvironment
 
 
@@ -81,23 +83,26 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
+    for name in ("_EVALUATED", "_COMPARED"):
+        monkeypatch.setattr(baselines, name, 16)
     began = process_time()
-    first = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], steps=16_000)
+    small = {"steps": 16_000}
+    first = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], changes=small)
     used = process_time() - began
     driven_alone = processor_seconds_of_driving(16_000)
-    assert 0.0 < first["ppo_lagrangian_still"]["processor_seconds"] < min(used + 0.05, 300.0 * driven_alone)
+    assert 0.0 < first["seed_0/ppo_lagrangian_still"]["processor_seconds"] < min(used + 0.05, 300.0 * driven_alone)
     assert [path.name for path in elsewhere.iterdir() if "torchinductor" not in path.name] == []  # torch's own cache
-    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    written = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "seed_0").iterdir()}
     assert set(written) == {"ppo_lagrangian_still.safetensors"}
-    again = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], steps=16_000)
+    again = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], changes=small)
     assert all(account["skipped"] for account in again.values())
-    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
-    act = baseline_named("ppo_lagrangian", "still", tmp_path).act(np.zeros((3, 31)))
+    assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "seed_0").iterdir()} == written
+    act = baseline_named("ppo_lagrangian_still", tmp_path).act(np.zeros((3, 31), np.float32))
     assert act.shape == (3, 2)
     with pytest.raises(InputError, match="did you mean"):
         train_baselines(tmp_path, ["cppo"])
     with pytest.raises(InputError, match="train-baselines"):
-        baseline_named("none", "still", tmp_path)
+        baseline_named("none_still", tmp_path)
 
 
 @pytest.mark.parametrize(("limit", "sign"), [(-1.0, 1.0), (1000.0, -1.0)])
@@ -110,17 +115,31 @@ def test_the_excess_is_the_cost_over_its_limit(limit: float, sign: float) -> Non
     assert algorithm._excess(0.01) == pytest.approx((35.0 - limit) / 1000.0)
 
 
-def test_the_multiplier_follows_the_cost_within_its_bounds() -> None:
-    environment = PointEnvironment(_task(Plan(robots=16), 0), 0)
-    multiplier = Multiplier(environment, limit=25.0, rate=0.01, largest=1.0)
-    multiplier._on_rollout_end()
-    assert environment.weight == 0.0
-    environment.costs.append(35.0)
-    multiplier._on_rollout_end()
-    assert environment.weight == pytest.approx(0.1)
-    for _ in range(30):
-        multiplier._on_rollout_end()
-    assert environment.weight == 1.0
-    environment.costs.append(-2000.0)
-    multiplier._on_rollout_end()
-    assert environment.weight == 0.0
+def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
+    """An excess of the limit counts as much as return; a cost below it, or of those that heed none, nothing."""
+    safe, quick = {"reward": 9.0, "cost": 2.0}, {"reward": 12.0, "cost": 30.0}
+    assert score("ppo_lagrangian", safe, 1.0) == pytest.approx(8.0)
+    assert score("ppo_lagrangian", safe, 25.0) == pytest.approx(9.0)
+    assert score("cpo", quick, 25.0) == pytest.approx(7.0)
+    assert score("trpo", quick, 1.0) == pytest.approx(12.0)
+
+
+def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def judged(policy: BaselinePolicy, *_: object) -> dict[str, float]:
+        return {"reward": float(policy.tensors["policy.1.bias"].sum()), "cost": 0.0, "goals": 0.0}
+
+    monkeypatch.setattr(baselines, "evaluate_policy", judged)  # how good they are is not looked at here
+    small = {"steps": 4_000, "robots": 16, "inputs": "equal", "limit": 0.5, "cap": 2.0}
+    found = train_baselines(tmp_path, ["trpo_lagrangian"], ["wind"], (0, 3), changes=small)
+    assert list(found) == [f"seed_{seed}/trpo_lagrangian_wind_equal_0_5" for seed in (0, 3)]
+    assert found["seed_3/trpo_lagrangian_wind_equal_0_5"]["plan"]["cap"] == 2.0
+    assert seeds_of("trpo_lagrangian_wind_equal_0_5", tmp_path) == (0, 3)
+    one, other = (baseline_named("trpo_lagrangian_wind_equal_0_5", tmp_path, seed) for seed in (0, 3))
+    assert one.inputs == "equal"
+    assert not np.array_equal(one.tensors["policy.0.weight"], other.tensors["policy.0.weight"])
+    account = found["seed_0/trpo_lagrangian_wind_equal_0_5"]
+    told = markdown_of(baselines_in(tmp_path, 3))
+    assert "| trpo_lagrangian_wind_equal_0_5 | equal | 0.5 |" in told
+    assert told.rstrip().endswith("| 3 |")
+    scores = {row[0]: row[3] for row in account["compared"]}
+    assert scores[account["chosen"]["steps"]] == max(scores.values())

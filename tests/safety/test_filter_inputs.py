@@ -188,7 +188,7 @@ def raises(*_: Any) -> Any:
             {"step": lambda x, a: x + 2.0, "barriers": [FunctionBarrier(lambda x: 0.4 if x[0] < 1.0 else math.inf)]},
             "no finite number for any action",
         ),
-        ({"barriers": 7}, "TypeError"),
+        ({"barriers": 7}, "barriers: got int, wanted a list of them"),
     ],
 )
 def test_failing_functions_of_the_user(changes: dict[str, Any], reason: str) -> None:

@@ -6,11 +6,13 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.point.plan import BASELINES, COST_LIMIT, INPUTS, MULTIPLIERS
 
 __all__ = ["command"]
 
@@ -25,24 +27,40 @@ __all__ = ["command"]
 @click.option("--names", metavar="NAME,NAME,...", help="which ones; all of ppo, trpo, both with _lagrangian, cpo")
 @click.option("--tasks", metavar="NAME,NAME", help="still, wind; both when left out")
 @click.option("--steps", type=click.IntRange(min=1), help="of each; 4 million when left out")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seeds", default="0", show_default=True, metavar="N,N,...", help="of training; one folder each")
+@click.option("--inputs", type=click.Choice(INPUTS), default="lidar", show_default=True, help="what they are told")
+@click.option("--limit", type=click.FloatRange(min=0.0), default=COST_LIMIT, show_default=True, help="of the cost")
+@click.option("--cap", type=click.FloatRange(min=0.0), help="of the multiplier; none when left out")
+@click.option("--multiplier", type=click.Choice(MULTIPLIERS), default=MULTIPLIERS[0], show_default=True)
+@click.option("--filtered", type=click.FloatRange(0.0, 1.0), default=0.0, help="share of the steps behind the filter")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("train")
-def command(out: Path, names: str | None, tasks: str | None, steps: int | None, seed: int, as_json: bool) -> None:
+def command(
+    out: Path, names: str | None, tasks: str | None, seeds: str, steps: int | None, as_json: bool, **plan: Any
+) -> None:
     """Train the model-free baselines of the point robot: in still air (the benchmark's task), and in winds.
 
-    A baseline that is there already from the same plan is skipped. Writes weights, baselines.json with the learning
-    curves, baselines.md and a picture of the curves.
+    Inputs: lidar is the benchmark's; latent adds what SafeDPA's history encoder knows; equal is all that SafeDPA's own
+    policy is told. A baseline that is there already from the same plan is skipped. Writes weights, baselines.json with
+    the learning curves, baselines.md and a picture of the curves.
     """
     from safedpa_lab.experiments.point_baselines import markdown_of, write_baselines
     from safedpa_lab.point.baseline_set import TASKS, baselines_in, train_baselines
-    from safedpa_lab.point.plan import BASELINES
 
     chosen = _split("--names", names, BASELINES), _split("--tasks", tasks, tuple(TASKS))
-    train_baselines(out, *chosen, steps, seed, _tell)
-    found = baselines_in(out)
+    numbers = _numbers(seeds)
+    changes = plan if steps is None else {**plan, "steps": steps}
+    train_baselines(out, *chosen, numbers, _tell, changes)
+    found = baselines_in(out, numbers[0])
     write_baselines(found, out)
     click.echo(json.dumps(found) if as_json else markdown_of(found))
+
+
+def _numbers(seeds: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in seeds.split(",")]
+    if not all(part.isdecimal() for part in parts):
+        raise InputError(f"--seeds: got '{seeds}', wanted whole numbers with commas between, as 0,1,2")
+    return tuple(int(part) for part in parts)
 
 
 def _split(option: str, given: str | None, everything: tuple[str, ...]) -> tuple[str, ...]:

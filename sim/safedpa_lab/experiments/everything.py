@@ -170,7 +170,7 @@ PARTS: Final = (
         "pendulum.json",
     ),
     Part("pendulum-story", ("pendulum-story",), ("--directions", "1", "--episodes", "1"), 6, "pendulum-story.json"),
-    Part("point", ("point", "--seed", "2"), ("--quick", "--methods", "safedpa"), 30, "point.json"),
+    Part("point", ("point", "--seed", "2300"), ("--quick", "--methods", "unfiltered"), 90, "point.json"),
     Part("point-heat-map", ("point-heat-map", "--moments", "480"), ("--moments", "2"), 5, "point-heat-map.json"),
     Part("point-story", ("point-story",), ("--robots", "2", "--seconds", "1"), 5, "point-story.json"),
     Part("hidden-effects", ("hidden-effects", "--seed", "7002"), ("--cases", "1", "--suite", "ordinary"), 240),

@@ -16,8 +16,8 @@ import numpy as np
 
 from safedpa.errors import InputError
 from safedpa.safety.margin import smallest_sample
+from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.pendulum_advantage import advantages
 from safedpa_lab.experiments.pendulum_episodes import QUESTIONS, Choice, Work, accounts, best_penalty
 from safedpa_lab.experiments.pendulum_sweeps import Sweeps, swept
 from safedpa_lab.experiments.seeds import seeds_for

@@ -1,35 +1,44 @@
-"""The paper's Safety Gym experiment: the point robot among hazards, in a force from every direction, every method."""
+"""The paper's Safety Gym experiment: the point robot among hazards, in a force from every direction, every method.
+
+Two tables: each filter with the margin that was calibrated for it, and SafeDPA's margin for all. Seeds are apart:
+margins on calibration seeds, RMA-P's penalty and every trained policy on development seeds, what is counted on
+evaluation seeds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.statistics import mean_interval, ratio_interval, wilson_interval
+from safedpa.safety.margin import smallest_sample
+from safedpa_lab.experiments.advantages import advantages
+from safedpa_lab.experiments.kept_drives import driven
+from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
+from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
-from safedpa_lab.point.driven import Driven, driven, windy_task
-from safedpa_lab.point.methods import METHODS, Method, driver_of
+from safedpa_lab.point.drivers import Wheel, digest_of, penalised, training_seeds
+from safedpa_lab.point.margin import COVERAGE, Calibration, measured_margins
+from safedpa_lab.point.methods import FILTERS, METHODS
 from safedpa_sim.point.task import EPISODE_STEPS
 
-__all__ = ["PointExperiment", "point_experiment"]
+__all__ = ["TABLES", "PointExperiment", "point_experiment"]
 
-Floats = NDArray[np.float64]
 Tell = Callable[[int, int], None]
-_SHOWN = 4
-"""Directions of which one path is kept for the pictures."""
+TABLES: Final = ("own", "same")
+"""Each filter's own margin; SafeDPA's for all."""
+_OWN: Final = "safedpa"
 
 
 @final
 @dataclass(frozen=True)
 class PointExperiment:
-    """What is to be run."""
+    """What is to be run. Raises InputError for numbers that make no experiment."""
 
     models: Path
     baselines: Path
@@ -38,21 +47,29 @@ class PointExperiment:
     episodes: int = 20
     steps: int = EPISODE_STEPS
     force: float = LARGEST_FORCE
+    drives: int = 400
+    """That calibrate a margin, in each of two rounds; with hardly more than 99 the largest error of all would be it."""
     seed: int = 0
     processes: int = 2
     date: str = ""
+    record: Path | None = None
+    """Where drives are kept, so that an experiment goes on where it was cut off."""
 
     def __post_init__(self) -> None:
-        for name, low in (
-            ("directions", 1),
-            ("episodes", 1),
-            ("steps", 1),
-            ("seed", 0),
-            ("processes", 1),
-            ("force", 0),
-        ):
+        lows = {"directions": 1, "episodes": 1, "steps": 1, "seed": 0, "processes": 1, "force": 0}
+        for name, low in {**lows, "drives": smallest_sample(COVERAGE)}.items():
             if not getattr(self, name) >= low:
                 raise InputError(f"--{name}: got {getattr(self, name)}, wanted {low} or more")
+        seeds_for("evaluation", 1, self.seed)
+
+    @property
+    def evaluation(self) -> int:
+        """The seed of what is counted."""
+        return seeds_for("evaluation", 1, self.seed)[0]
+
+
+_CALIBRATING_STEPS: Final = 250
+"""Of each drive that calibrates a margin, where episodes are no shorter."""
 
 
 def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
@@ -60,67 +77,127 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
 
     Raises InputError where a method's weights are neither in the folder nor among those that ship.
     """
-    work = [(experiment, METHODS[name]) for name in experiment.methods]
-    rows: dict[str, Any] = {}
-    with Workers(experiment.processes) as workers:
-        for index, (item, row) in enumerate(zip(work, workers.map(_done, work), strict=True)):
-            rows[item[1].name] = row
-            tell(index + 1, len(work))
-    _beside_ppo(rows)
-    told = {name: getattr(experiment, name) for name in ("date", "seed", "directions", "episodes", "steps", "force")}
-    return {**told, "methods": rows}
-
-
-def _done(work: tuple[PointExperiment, Method]) -> dict[str, Any]:
-    experiment, method = work
-    directions, episodes = experiment.directions, experiment.episodes
-    task = windy_task(directions, episodes, experiment.force, experiment.seed)
-    driver = driver_of(method, task, experiment.models, experiment.baselines)
-    shown = np.arange(0, directions, max(1, directions // _SHOWN)) * episodes
-    found = driven(driver, task, experiment.steps, shown)
-    return {"title": method.title, "filter": method.filter, **_account(found, directions, experiment.steps)}
-
-
-def _account(found: Driven, directions: int, steps: int) -> dict[str, Any]:
-    count = len(found.goals)
-    safe, reached = int((found.cost == 0.0).sum()), int((found.goals > 0.0).sum())
-
-    def by_direction(values: Floats) -> list[float]:
-        means: list[float] = np.round(values.reshape(directions, -1).mean(axis=1), 5).tolist()
-        return means
-
+    margins = _margins(experiment)
+    choice = _choice(experiment)
+    work = _everything(experiment, {name: row["epsilon"] for name, row in margins.items()}, choice)
+    done = driven(account_of, list(work), experiment.processes, tell, experiment.record)
+    accounts: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
+    for (item, places), outcome in zip(work.items(), done, strict=True):
+        for table, name in places:
+            accounts.setdefault((table, name), {})[item.training_seed or 0] = _row(name, item, outcome["account"])
+    tables = {table: _rows(accounts, table) for table in TABLES}
+    _beside_ppo(tables)
+    names = ("date", "seed", "directions", "episodes", "steps", "force", "drives")
+    told = {name: getattr(experiment, name) for name in names}
     return {
-        "episodes": count,
-        "safe_steps": mean_interval(1.0 - found.cost / steps),
-        "safe_episodes": safe,
-        "safe_episodes_interval": list(wilson_interval(safe, count)),
-        "unsafe_steps": int(found.cost.sum()),
-        "goals": mean_interval(found.goals),
-        "reached": reached,
-        "reached_interval": list(wilson_interval(reached, count)),
-        "reward": mean_interval(found.reward),
-        "cost": mean_interval(found.cost),
-        "least_room": round(float(found.least_room.min()), 4),
-        "first_goal_median": _finite(float(np.median(found.first_goal))),
-        "corrected": round(found.corrected, 5),
-        "relaxed": round(found.relaxed, 5),
-        "milliseconds_per_episode": round(1e3 * found.processor_seconds / count, 2),
-        "microseconds_per_decision": round(1e6 * found.processor_seconds / count / steps, 2),
-        "directions_safe_steps": by_direction(1.0 - found.cost / steps),
-        "directions_safe_episodes": by_direction((found.cost == 0.0).astype(float)),
-        "directions_goals": by_direction(found.goals),
-        "goals_each": found.goals.tolist(),
-        "shown": found.shown,
+        **told,
+        "evaluation_seed": experiment.evaluation,
+        "margins": margins,
+        "penalty": choice,
+        "methods": tables["own"],
+        "same_margin": tables["same"],
+        "advantages": _advantages(tables, experiment.directions),
     }
 
 
-def _finite(number: float) -> float | None:
-    return round(number, 2) if np.isfinite(number) else None
+def _margins(experiment: PointExperiment) -> dict[str, dict[str, Any]]:
+    """Of the filters that the methods have, and SafeDPA's, which the second table gives to all."""
+    used = {METHODS[name].filter for name in experiment.methods} - {""}
+    if not used:
+        return {}
+    filters = ",".join(name for name in FILTERS if name in used | {_OWN})
+    steps = min(_CALIBRATING_STEPS, experiment.steps)
+    asked = Calibration(filters, str(experiment.models), experiment.drives, steps, experiment.force)
+    record = experiment.record and experiment.record.with_suffix(".margins.jsonl")
+    found: dict[str, dict[str, Any]] = driven(measured_margins, [asked], 1, record=record)[0]["margins"]
+    return found
 
 
-def _beside_ppo(rows: dict[str, Any]) -> None:
-    """Goals over PPO's in the same episodes."""
-    each = {name: np.array(row.pop("goals_each")) for name, row in rows.items()}
-    if "ppo" in each and each["ppo"].any():
-        for name, row in rows.items():
-            row["of_ppo"] = ratio_interval(each[name], each["ppo"])
+def _choice(experiment: PointExperiment) -> dict[str, Any]:
+    """RMA-P's penalty by development drives, as many as are counted."""
+    names = penalised(experiment.models) if "rma_p" in experiment.methods else ()
+    if not names:
+        return {}
+    work = [replace(_work(experiment, name, None, None), seed=DEVELOPMENT) for name in names]
+    done = driven(account_of, work, experiment.processes, record=experiment.record)
+    found = best_penalty({name: one["account"] for name, one in zip(names, done, strict=True)})
+    return {**found, "episodes": experiment.directions * experiment.episodes}
+
+
+def _everything(
+    experiment: PointExperiment, epsilon: Mapping[str, float], choice: Mapping[str, Any]
+) -> dict[Work, list[tuple[str, str]]]:
+    """What is to be driven, each with the tables and methods that it is counted for.
+
+    Who has no filter, or SafeDPA's, stands in the first table alone; SafeDPA itself in both, with the same drives.
+    """
+    work: dict[Work, list[tuple[str, str]]] = {}
+    for name in experiment.methods:
+        method = METHODS[name]
+        driven_as = choice["chosen"] if name == "rma_p" and choice else name
+        for seed in training_seeds(method, experiment.baselines):
+            own = _work(experiment, driven_as, seed, epsilon.get(method.filter))
+            work.setdefault(own, []).append(("own", name))
+            if name == _OWN:
+                work[own].append(("same", name))
+            elif method.filter not in ("", _OWN):
+                work.setdefault(replace(own, epsilon=epsilon[_OWN]), []).append(("same", name))
+    return work
+
+
+def _work(experiment: PointExperiment, name: str, seed: int | None, epsilon: float | None) -> Work:
+    models, baselines = str(experiment.models), str(experiment.baselines)
+    plain = Work(
+        name,
+        models,
+        baselines,
+        "",
+        seed,
+        epsilon,
+        experiment.directions,
+        experiment.episodes,
+        experiment.steps,
+        experiment.force,
+        experiment.evaluation,
+        shown=True,
+    )
+    wheel = Wheel(experiment.models, experiment.baselines, seed=seed)
+    return replace(plain, weights=digest_of(plain.driven, wheel))
+
+
+def _row(name: str, work: Work, account: Mapping[str, Any]) -> dict[str, Any]:
+    method = METHODS[name]
+    told = {"title": method.title, "told": method.told, "filter": method.filter, "epsilon": work.epsilon}
+    return {**told, **account}
+
+
+def _rows(accounts: Mapping[tuple[str, str], dict[int, dict[str, Any]]], table: str) -> dict[str, Any]:
+    """By method the account of its first training seed, and what all seeds came to where there are several."""
+    rows = {}
+    for (found_in, name), by_seed in accounts.items():
+        if found_in == table:
+            row = dict(next(iter(by_seed.values())))
+            if len(by_seed) > 1:
+                row["over_seeds"] = over_seeds(by_seed)
+            rows[name] = row
+    return rows
+
+
+def _beside_ppo(tables: Mapping[str, Mapping[str, Any]]) -> None:
+    """Goals over PPO's, with the benchmark's inputs, in the same episodes; in both tables."""
+    ppo = np.array(tables["own"].get("ppo", {}).get("goals_each", ()), dtype=np.float64)
+    if ppo.any():
+        for row in (row for table in tables.values() for row in table.values()):
+            row["of_ppo"] = ratio_interval(np.array(row["goals_each"], dtype=np.float64), ppo)
+
+
+def _advantages(tables: Mapping[str, Mapping[str, Any]], directions: int) -> list[dict[str, Any]]:
+    """SafeDPA against each: exact tests of who was safe and who reached a goal, and the difference in goals."""
+    if _OWN not in tables["own"]:
+        return []
+    own = np.array(tables["own"][_OWN]["goals_each"], dtype=np.float64)
+    rows = advantages({name: table for name, table in tables.items() if len(table) > 1}, directions)
+    for row in rows:
+        other = tables[row["question"]][row["against"]]["goals_each"]
+        row["goals"] = mean_interval(own - np.array(other, dtype=np.float64))
+    return rows

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from safedpa_lab.experiments.car_style import BLACK, GREY, bare, figure, heading
 from safedpa_lab.point.baseline_set import PUBLISHED, TASKS
 from safedpa_lab.point.methods import BASELINE_TITLES
-from safedpa_lab.point.plan import BASELINES
+from safedpa_lab.point.plan import BASELINES, LIMITED
 from safedpa_lab.provenance.record import write_result
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def write_baselines(found: dict[str, dict[str, Any]], out: Path) -> None:
 
 
 def markdown_of(found: dict[str, dict[str, Any]]) -> str:
-    """One line a baseline: reward and cost of an episode in still air, as published, and in winds."""
+    """One line a baseline: reward and cost of an episode in still air, as published, and in winds; then all others."""
     lines = [
         "| reward / cost of an episode of 1000 steps | still air | published, 10 million steps | in winds "
         "| steps, million | processor, min |",
@@ -51,7 +51,28 @@ def markdown_of(found: dict[str, dict[str, Any]]) -> str:
         lines.append(
             f"| {BASELINE_TITLES[name]} | {told[0]} | {reward:.1f} / {cost:.1f} | {told[1]} | {steps} | {minutes} |"
         )
-    return "\n".join(lines) + "\n"
+    others = {key: row for key, row in found.items() if key not in _plain()}
+    return "\n".join([*lines, *(("", *_others(others)) if others else ())]) + "\n"
+
+
+def _plain() -> set[str]:
+    """The keys of those with the benchmark's inputs and limit."""
+    return {f"{name}_{task}" for name in BASELINES for task in TASKS}
+
+
+def _others(found: dict[str, dict[str, Any]]) -> list[str]:
+    """One line for each that was trained with other inputs, or for another limit."""
+    lines = [
+        "| trained | told | limit | reward | cost | goals | multiplier | kept, million steps | of | seed |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for key, row in found.items():
+        plan = row["plan"]
+        told = f"{row['reward']:.1f} | {row['cost']:.1f} | {row['goals']:.1f} | {row['multiplier']:.2f}"
+        kept = f"{row['chosen']['steps'] / 1e6:.2f} | {plan['steps'] / 1e6:g}"
+        limit = f"{plan['limit']:g}" if plan["name"] in LIMITED else ""
+        lines.append(f"| {key} | {plan['inputs']} | {limit} | {told} | {kept} | {plan['seed']} |")
+    return lines
 
 
 def _draw(found: dict[str, dict[str, Any]], path: Path) -> None:

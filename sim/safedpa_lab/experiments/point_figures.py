@@ -21,19 +21,20 @@ _COLOURS = {
     "oracle": "#222222",
     "physics": "#7A8590",
     "mix": "#7FCBB5",
+    "safedpa_lidar": "#4B6FB5",
     "unfiltered": "#56B4E9",
+    "rma": "#E6B800",
     "rma_p": "#F0C878",
     "ppo": "#D55E00",
     "trpo": "#E69F00",
-    "ppo_lagrangian": "#B8860B",
-    "trpo_lagrangian": "#C8553D",
     "cpo": "#CC79A7",
-    "ppo_filtered": "#4B6FB5",
+    "seeker": "#4B6FB5",
 }
+"""By name, or by the beginning of it."""
 _FIX = "#009E73"
 _WITHIN = "#D55E00"
 _PATH_STEPS = 500
-_PANELS = ("safedpa", "fix_45", "mix", "unfiltered", "rma_p", "ppo", "ppo_lagrangian", "cpo")
+_PANELS = ("safedpa", "fix_45", "mix", "safedpa_lidar", "rma_p", "ppo", "ppo_equal", "ppo_lagrangian_equal_1")
 
 
 def write_figures(result: dict[str, Any], out: Path) -> None:
@@ -44,7 +45,13 @@ def write_figures(result: dict[str, Any], out: Path) -> None:
 
 
 def _colour(name: str) -> str:
-    return _COLOURS.get(name, _FIX)
+    known = [begins for begins in _COLOURS if name == begins or name.startswith(f"{begins}_")]
+    return _COLOURS[max(known, key=len)] if known else _FIX
+
+
+def _named(row: dict[str, Any]) -> str:
+    """Title, and what the policy is told."""
+    return f"{row['title']} ({row['told']})"
 
 
 def _circles(result: dict[str, Any], path: Path) -> None:
@@ -70,7 +77,7 @@ def _circles(result: dict[str, Any], path: Path) -> None:
             axes.tick_params(pad=-3)
             share = 100 * row["safe_episodes"] / row["episodes"]
             axes.set_title(
-                f"{fill(row['title'], 22)}\n{100 * row['safe_steps'][0]:.1f} % / {share:.1f} %",
+                f"{fill(_named(row), 24)}\n{100 * row['safe_steps'][0]:.1f} % / {share:.1f} %",
                 fontsize=7.2,
                 color=BLACK,
             )
@@ -83,7 +90,7 @@ def _circles(result: dict[str, Any], path: Path) -> None:
 
 def _success(result: dict[str, Any], path: Path) -> None:
     """Episodes with an unsafe step against goals; a number at each point, names beside the picture."""
-    with figure(path, 4.6) as drawn:
+    with figure(path, 5.4) as drawn:
         axes, names = drawn.subplots(1, 2, width_ratios=(2.3, 1.0))
         placed: list[tuple[float, float]] = []
         for number, (name, row) in enumerate(result["methods"].items(), 1):
@@ -104,8 +111,9 @@ def _success(result: dict[str, Any], path: Path) -> None:
                 va="center",
                 arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkB": 3},
             )
-            names.text(0.0, 1.0 - 0.058 * number, f"{number}", fontsize=7.5, color=_colour(name), ha="right")
-            names.text(0.06, 1.0 - 0.058 * number, row["title"], fontsize=7.5, color=BLACK)
+            height = 1.0 - number / (len(result["methods"]) + 1)
+            names.text(0.0, height, f"{number}", fontsize=7.5, color=_colour(name), ha="right")
+            names.text(0.06, height, _named(row), fontsize=6, color=BLACK)
         names.set_axis_off()
         axes.axhline(2.0, color=GREY, linestyle=":", linewidth=1)
         axes.set_ylim(-5, 101)
@@ -146,7 +154,7 @@ def _paths(result: dict[str, Any], path: Path) -> None:
         for axes in panels[len(rows) :]:
             axes.set_axis_off()
         for axes, row in zip(panels, rows.values(), strict=False):
-            _path(axes, row["shown"][index], row["title"])
+            _path(axes, row["shown"][index], _named(row))
         robot = next(iter(rows.values()))["shown"][index]["robot"]
         towards = 360.0 * (robot // result["episodes"]) / result["directions"]
         heading(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from safedpa_lab.point.methods import FILTERS
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["markdown_of", "write_report"]
+__all__ = ["against_table", "margins_table", "markdown_of", "penalty_table", "short_table", "write_report"]
 
 
 def write_report(result: dict[str, Any], out: Path) -> None:
@@ -15,32 +17,72 @@ def write_report(result: dict[str, Any], out: Path) -> None:
     from safedpa_lab.experiments.point_figures import write_figures
 
     out.mkdir(parents=True, exist_ok=True)
-    rows = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["methods"].items()}
-    write_result(out / "point.json", {**result, "methods": rows})
+    tables = {
+        table: {name: {key: row[key] for key in row if key != "shown"} for name, row in result[table].items()}
+        for table in ("methods", "same_margin")
+    }
+    write_result(out / "point.json", {**result, **tables})
     (out / "point.md").write_text(markdown_of(result), encoding="utf-8")
     write_figures(result, out)
 
 
 def markdown_of(result: dict[str, Any]) -> str:
-    """Safety and success by method, then what it gained and cost."""
+    """Both tables, the margins, RMA-P's penalty, tests against SafeDPA, several training seeds, what it cost."""
     head = (
         f"{result['directions']} directions of a force of {1e3 * result['force']:g} mN x {result['episodes']} episodes "
-        f"of {result['steps']} steps, seed {result['seed']}"
+        f"of {result['steps']} steps, seed {result['seed']} (evaluation {result['evaluation_seed']})"
     )
-    parts = [f"{head}, {result['date']}." if result["date"] else f"{head}.", _safety(result), _gained(result)]
-    return "\n\n".join(parts) + "\n"
+    own, same = result["methods"], result["same_margin"]
+    parts = [f"{head}, {result['date']}." if result["date"] else f"{head}."]
+    parts += ["## Each filter with its own margin", _safety(own)]
+    if len(same) > 1:
+        parts += ["## The same margin for all", _safety(same)]
+    if result["margins"]:
+        parts += ["## Margins", margins_table(result)]
+    if result["penalty"]:
+        parts += ["## RMA-P's penalty", penalty_table(result)]
+    if result["advantages"]:
+        parts += ["## SafeDPA against each", _advantages(result)]
+    if any("over_seeds" in row for row in own.values()):
+        parts += ["## Several training seeds", _seeds(own)]
+    return "\n\n".join([*parts, "## Reward, cost, time", _gained(own)]) + "\n"
 
 
-def _safety(result: dict[str, Any]) -> str:
+def short_table(result: Mapping[str, Any], table: str) -> str:
+    """Of ``methods`` or ``same_margin``: margin, episodes without cost, goals, and those over PPO's."""
+    lines = ["| | told | margin, mm | episodes without cost, % | goals | over PPO's |", "|---|---|---|---|---|---|"]
+    for row in result[table].values():
+        margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
+        safe = _share(row["safe_episodes"], row["episodes"], row["safe_episodes_interval"])
+        ratio = f"{row['of_ppo'][0]:.2f}" if "of_ppo" in row else ""
+        goals = _interval(row["goals"], 1, 1)
+        lines.append(f"| {row['title']} | {row['told']} | {margin} | {safe} | {goals} | {ratio} |")
+    return "\n".join(lines)
+
+
+def against_table(result: Mapping[str, Any]) -> str:
+    """SafeDPA against each, every filter with its own margin: episodes that only one of the two drove without cost."""
+    lines = ["| SafeDPA against | told | safe | p | by directions | goals less |", "|---|---|---|---|---|---|"]
+    for row in result["advantages"]:
+        if row["question"] == "own" and row["outcome"] == "safe":
+            other = result["methods"][row["against"]]
+            found = f"+{row['only_safedpa']} -{row['only_other']}"
+            p = f"{row['mcnemar_holm']:.1g} | {row['directions_holm']:.1g}"
+            lines.append(f"| {other['title']} | {other['told']} | {found} | {p} | {_interval(row['goals'], 1, 1)} |")
+    return "\n".join(lines)
+
+
+def _safety(rows: Mapping[str, Any]) -> str:
     lines = [
-        "| mean (95 % interval) | steps without cost, % | episodes without cost, % | worst direction, % of steps "
-        "| goals an episode | of PPO's | reached one, % |",
-        "|---|---|---|---|---|---|---|",
+        "| mean (95 % interval) | told | margin, mm | steps without cost, % | episodes without cost, % "
+        "| worst direction, % of steps | goals an episode | of PPO's | reached one, % |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for row in result["methods"].values():
+    for row in rows.values():
         count = row["episodes"]
+        margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
         lines.append(
-            f"| {row['title']} | {_interval(row['safe_steps'], 100, 2, 100.0)} "
+            f"| {row['title']} | {row['told']} | {margin} | {_interval(row['safe_steps'], 100, 2, 100.0)} "
             f"| {_share(row['safe_episodes'], count, row['safe_episodes_interval'])} "
             f"| {100 * min(row['directions_safe_steps']):.2f} "
             f"| {_interval(row['goals'], 1, 2)} | {_interval(row['of_ppo'], 1, 2) if 'of_ppo' in row else ''} "
@@ -49,17 +91,83 @@ def _safety(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _gained(result: dict[str, Any]) -> str:
+def margins_table(result: Mapping[str, Any]) -> str:
+    """How each margin was made."""
+    some = next(iter(result["margins"].values()))
     lines = [
-        "| | reward | cost | unsafe steps, all | least room, m | first goal, s | corrected, % | not all kept, % "
-        "| processor: ms an episode | us a decision |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        f"{100 * some['coverage']:g} % of a step near a hazard, conformal over {some['drives']} drives of "
+        f"{some['steps']} steps in each of two rounds, calibration seeds {some['seeds'][0]} and {some['seeds'][1]}.\n",
+        "| filter knows | margin, mm | first round, mm | of a whole drive, mm | median error, mm | steps |",
+        "|---|---|---|---|---|---|",
     ]
-    for row in result["methods"].values():
+    for name, row in result["margins"].items():
+        lengths = (row["epsilon"], row["first"], row["of_a_drive"], row["median_error"])
+        told = " | ".join("none" if length is None else f"{1e3 * length:.2f}" for length in lengths)
+        lines.append(f"| {FILTERS[name]} | {told} | {row['transitions']} |")
+    return "\n".join(lines)
+
+
+def penalty_table(result: Mapping[str, Any]) -> str:
+    """RMA-P's grid on development drives."""
+    choice = result["penalty"]
+    lines = [
+        f"{choice['episodes']} episodes, development seed {choice['seed']}; chosen: {choice['chosen']}.\n",
+        "| policy | reward | cost | reward - cost | episodes without cost |",
+        "|---|---|---|---|---|",
+    ]
+    for name, row in choice["rows"].items():
+        lines.append(f"| {name} | {row['reward']:.2f} | {row['cost']:.2f} | {row['score']:.2f} | {row['safe']} |")
+    return "\n".join(lines)
+
+
+def _advantages(result: Mapping[str, Any]) -> str:
+    lines = [
+        "Episodes in which only one of two was good: McNemar's exact test over episodes, and the exact exchange of "
+        "whole directions, by Holm over all lines. Good: no cost (safe), a goal (reached), both.\n",
+        "| margins | against | outcome | only SafeDPA | only the other | p, McNemar | p, directions "
+        "| goals: SafeDPA less the other |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    tables = {"own": result["methods"], "same": result["same_margin"]}
+    for row in result["advantages"]:
+        title = tables[row["question"]][row["against"]]["title"]
+        told = tables[row["question"]][row["against"]]["told"]
+        outcome = {"success": "reached"}.get(row["outcome"], row["outcome"])
+        lines.append(
+            f"| {row['question']} | {title} ({told}) | {outcome} | {row['only_safedpa']} | {row['only_other']} "
+            f"| {row['mcnemar_holm']:.2g} | {row['directions_holm']:.2g} | {_interval(row['goals'], 1, 2)} |"
+        )
+    return "\n".join(lines)
+
+
+def _seeds(rows: Mapping[str, Any]) -> str:
+    lines = [
+        "Mean over training seeds (95 % interval over seeds, Student's t); the tables above hold the first seed.\n",
+        "| | training seeds | episodes without cost, % | goals | cost |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows.values():
+        if (found := row.get("over_seeds")) is not None:
+            seeds = ", ".join(map(str, found["training_seeds"]))
+            lines.append(
+                f"| {row['title']} ({row['told']}) | {seeds} | {_interval(found['safe'], 100, 1, 100.0, 0.0)} "
+                f"| {_interval(found['goals'], 1, 2)} | {_interval(found['cost'], 1, 1, None, 0.0)} |"
+            )
+    return "\n".join(lines)
+
+
+def _gained(rows: Mapping[str, Any]) -> str:
+    lines = [
+        "| | told | reward | cost | unsafe steps, all | least room, m | first goal, s | corrected, % "
+        "| not all kept, % | processor: ms an episode | us a decision |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows.values():
         filtered = f"{100 * row['corrected']:.1f} | {100 * row['relaxed']:.1f}" if row["filter"] else " | "
         first = row["first_goal_median"]
         lines.append(
-            f"| {row['title']} | {_interval(row['reward'], 1, 1)} | {_interval(row['cost'], 1, 1, None, 0.0)} "
+            f"| {row['title']} | {row['told']} | {_interval(row['reward'], 1, 1)} "
+            f"| {_interval(row['cost'], 1, 1, None, 0.0)} "
             f"| {row['unsafe_steps']} | {row['least_room']:.3f} | {'never' if first is None else f'{first:.1f}'} "
             f"| {filtered} | {row['milliseconds_per_episode']:.0f} | {row['microseconds_per_decision']:.0f} |"
         )

@@ -14,6 +14,7 @@ __all__ = [
     "coverage_row",
     "mean_interval",
     "ratio_interval",
+    "seeds_interval",
     "wilson_interval",
 ]
 
@@ -68,6 +69,22 @@ def mean_interval(values: NDArray[np.float64]) -> list[float]:
     """Mean of independent values, and the ends of its 95 % interval: mean -+ 1.96 deviation / sqrt(n)."""
     mean = float(np.mean(values))
     spread = _NORMAL_95 * float(np.std(values, ddof=1)) / sqrt(len(values)) if len(values) > 1 else float("inf")
+    return [mean, mean - spread, mean + spread]
+
+
+def seeds_interval(values: NDArray[np.float64]) -> list[float]:
+    """Mean of a few values, one a training seed, and the ends of its 95 % interval by Student's t: mean -+ t s/sqrt(n).
+
+    Infinite for one value. Raises ValueError for none.
+    """
+    from scipy.stats import t
+
+    if not len(values):
+        raise ValueError("got no value, wanted one at least")
+    mean, count = float(np.mean(values)), len(values)
+    if count == 1:
+        return [mean, -float("inf"), float("inf")]
+    spread = float(t.ppf(0.975, count - 1)) * float(np.std(values, ddof=1)) / sqrt(count)
     return [mean, mean - spread, mean + spread]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -13,7 +13,16 @@ from safedpa_lab.point.plan import BASELINES, Plan
 from safedpa_lab.point.policy_file import BaselinePolicy, load_policy
 from safedpa_sim.training.progress import Tell, silent
 
-__all__ = ["LARGEST_FORCE", "PUBLISHED", "TASKS", "baseline_named", "baselines_in", "train_baselines"]
+__all__ = [
+    "LARGEST_FORCE",
+    "PUBLISHED",
+    "TASKS",
+    "baseline_named",
+    "baselines_in",
+    "folder_of",
+    "seeds_of",
+    "train_baselines",
+]
 
 LARGEST_FORCE: Final = 0.008
 """N, of 0.015 N that the robot can push with."""
@@ -31,45 +40,63 @@ PUBLISHED: Final = {
 """Reward and cost of an episode after ten million steps. Source: OmniSafe, JMLR 25 (2024), point, goal, level 1."""
 
 
+_SHIPPED: Final = Path(str(files("safedpa_sim.point"))) / "weights"
+
+
 def train_baselines(
     out: Path,
     names: Iterable[str] = BASELINES,
     tasks: Iterable[str] = tuple(TASKS),
-    steps: int | None = None,
-    seed: int = 0,
+    seeds: Iterable[int] = (0,),
     tell: Tell = silent,
+    changes: Mapping[str, Any] = {},
 ) -> dict[str, dict[str, Any]]:
-    """Trains each name on each task into ``out``/NAME_TASK.safetensors; the accounts by NAME_TASK.
+    """Trains each name on each task from each seed into ``out``/seed_N/KEY.safetensors; accounts by seed_N/KEY.
 
-    Raises InputError for names of baselines and tasks that are none.
+    ``changes`` are fields of ``Plan`` that are other than the task's; KEY is ``Plan.key``'s. Raises InputError for
+    names of baselines and tasks that are none.
     """
     from safedpa_lab.point.baselines import train_baseline
 
-    chosen = [(name, task) for task in tasks for name in names]
-    for name, task in chosen:
+    chosen = [(name, task, seed) for seed in seeds for task in tasks for name in names]
+    for name, task, _ in chosen:
         _known("baseline", name, BASELINES)
         _known("task", task, TASKS)
     accounts = {}
-    for name, task in chosen:
-        plan = replace(TASKS[task], seed=seed, steps=steps or TASKS[task].steps)
-        accounts[f"{name}_{task}"] = train_baseline(name, plan, out / f"{name}_{task}.safetensors", tell)
+    for name, task, seed in chosen:
+        plan = replace(TASKS[task], seed=seed, **changes)
+        key = f"{folder_of(seed)}/{plan.key(name, task)}"
+        accounts[key] = train_baseline(name, plan, out / f"{key}.safetensors", tell)
     return accounts
 
 
-def baselines_in(folder: Path) -> dict[str, dict[str, Any]]:
-    """The accounts of what lies in a folder, by NAME_TASK, in the order of ``BASELINES``."""
-    paths = {f"{name}_{task}": folder / f"{name}_{task}.safetensors" for task in TASKS for name in BASELINES}
-    return {key: load_policy(path).told for key, path in paths.items() if path.exists()}
+def folder_of(seed: int) -> str:
+    """Where the policies of one training seed lie."""
+    return f"seed_{seed}"
 
 
-def baseline_named(name: str, task: str, folder: Path) -> BaselinePolicy:
-    """NAME_TASK from the folder, or else the one that ships. Raises InputError when there is none."""
-    own = folder / f"{name}_{task}.safetensors"
-    shipped = Path(str(files("safedpa_sim.point"))) / "weights" / own.name
+def baselines_in(folder: Path, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """The accounts of one seed's policies in a folder, or else those that ship, by NAME_TASK and what follows it."""
+    found = {}
+    for place in (_SHIPPED, folder):
+        for path in sorted((place / folder_of(seed)).glob("*.safetensors")):
+            found[path.stem] = load_policy(path).told
+    return found
+
+
+def baseline_named(key: str, folder: Path, seed: int = 0) -> BaselinePolicy:
+    """KEY of a training seed from the folder, or else the one that ships. Raises InputError when there is none."""
+    own, shipped = (place / folder_of(seed) / f"{key}.safetensors" for place in (folder, _SHIPPED))
     for path in (own, shipped):
         if path.exists():
             return load_policy(path)
     raise InputError(f"{own}: no such file, and none ships; train it with 'safedpa train-baselines'")
+
+
+def seeds_of(key: str, folder: Path) -> tuple[int, ...]:
+    """The training seeds of which there is a policy of that KEY, in the folder or shipped."""
+    paths = [path for place in (folder, _SHIPPED) for path in place.glob(f"seed_*/{key}.safetensors")]
+    return tuple(sorted({int(path.parent.name.removeprefix("seed_")) for path in paths}))
 
 
 def _known(kind: str, name: str, names: Iterable[str]) -> None:

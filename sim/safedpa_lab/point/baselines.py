@@ -1,13 +1,13 @@
 """The paper's model-free baselines, trained on the point robot: PPO and TRPO, each with a Lagrange multiplier too; CPO.
 
-They see the benchmark's sensors, goal and hazard lidar, nothing of the wind, and have to learn what not to do from the
-cost alone. Networks 64 x 64 with tanh; every robot one environment, thousands of episodes.
+They have to learn what not to do from the cost alone, from what the plan's inputs tell. Networks 64 x 64 with tanh;
+every robot one environment, thousands of episodes. Of the policies along the way, each driven through the same whole
+episodes of development, the one with the best ``score`` is kept.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic, process_time
@@ -20,10 +20,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_lab.point.constrained import ConstrainedTRPO, Multiplier
+from safedpa_lab.point.constrained import ConstrainedTRPO
 from safedpa_lab.point.fisher import FisherTRPO
-from safedpa_lab.point.plan import BASELINES, Plan
+from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.multiplier import Multiplier
+from safedpa_lab.point.plan import BASELINES, Plan, score
 from safedpa_lab.point.policy_file import BaselinePolicy, load_policy, save_policy
+from safedpa_lab.point.sheltered import Shelter
 from safedpa_lab.point.vector_environment import PointEnvironment
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.progress import Tell, silent
@@ -32,7 +35,13 @@ __all__ = ["evaluate_policy", "train_baseline"]
 
 _EVALUATED = 256
 """Whole episodes of the last evaluation."""
-_EVALUATION_SEED = 1_000_003
+_COMPARED = 64
+"""Whole episodes by which policies along the way are compared."""
+_FEWER = 4
+_LOOKS = 8
+"""Policies of a training that are compared."""
+_LAST_SEED, _CHOICE_SEED = 50_000, 51_000
+"""Development seeds, on top of the plan's: of the last evaluation; of the choice."""
 
 
 def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> dict[str, Any]:
@@ -48,35 +57,41 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
         return {**known.told, "skipped": True}
     started, worked = monotonic(), process_time()
     torch.set_num_threads(1)  # the same weights however many cores there are
-    environment = PointEnvironment(_task(plan, plan.seed), plan.seed)
+    environment = PointEnvironment(_task(plan, plan.seed), plan.seed, plan.inputs)
     algorithm = _algorithm(name, environment, plan)
     algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
     watch = _Watch(name, environment, plan, tell)
     callbacks: list[BaseCallback] = [watch]
     if name.endswith("lagrangian"):
-        callbacks.append(Multiplier(environment))
+        callbacks.append(Multiplier(environment, plan))
     with torch.random.fork_rng(devices=[]):
         algorithm.learn(plan.steps, callbacks)
-    policy = _policy_of(algorithm)
+    watch.look()
     account = {
         "plan": made_from,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(monotonic() - started, 1),
         "processor_seconds": round(process_time() - worked, 1),
-        **evaluate_policy(policy.act, _task(plan, plan.seed + _EVALUATION_SEED, _EVALUATED)),
+        **_judged(watch.kept, plan, plan.seed + _LAST_SEED, _EVALUATED),
         "multiplier": round(environment.weight, 4),
         "learning_curve": watch.curve,
+        "chosen": {"steps": watch.kept_at, "score": round(watch.best, 3), "seed": plan.seed + _CHOICE_SEED},
+        "compared": watch.compared,
     }
-    save_policy(BaselinePolicy(policy.tensors, account), path)
+    save_policy(BaselinePolicy(watch.kept.tensors, account), path)
     return account
 
 
-def evaluate_policy(act: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]], task: PointTask) -> dict[str, Any]:
-    """Mean reward, cost and goals of one whole episode of each robot under a policy without noise."""
+def evaluate_policy(policy: BaselinePolicy, task: PointTask, filtered: bool = False) -> dict[str, Any]:
+    """Mean reward, cost and goals of one whole episode of each robot under a policy without noise.
+
+    ``filtered``: by the filter that knows the simulated physics.
+    """
     gained, paid, goals = np.zeros(task.count), np.zeros(task.count), np.zeros(task.count)
-    over = False
+    inputs, shelter, over = inputs_of(policy.inputs, task), Shelter(task), False
     while not over:
-        stepped = task.advance(act(task.observation()))
+        chosen = policy.act(inputs.see())
+        stepped = task.advance(shelter.safe(chosen) if filtered else chosen)
         gained += stepped.reward
         paid += stepped.cost
         goals += stepped.reached
@@ -88,6 +103,13 @@ def evaluate_policy(act: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]],
         "goals": float(goals.mean()),
         "safe": float((paid == 0.0).mean()),
     }
+
+
+def _judged(policy: BaselinePolicy, plan: Plan, seed: int, episodes: int) -> dict[str, Any]:
+    """In so many of the plan's episodes; in fewer behind the filter, which takes its time."""
+    filtered = plan.filtered > 0.0
+    task = _task(plan, seed, episodes // _FEWER if filtered else episodes)
+    return evaluate_policy(policy, task, filtered)
 
 
 def _task(plan: Plan, seed: int, count: int = 0) -> PointTask:
@@ -110,35 +132,48 @@ def _algorithm(name: str, environment: PointEnvironment, plan: Plan) -> Any:
     if name.startswith("ppo"):
         options: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 8, "ent_coef": 0.0}
         return PPO("MlpPolicy", learning_rate=lambda left: 6e-4 * max(left, 0.1), **options, **common)
-    kind = ConstrainedTRPO if name == "cpo" else FisherTRPO
-    return kind("MlpPolicy", n_steps=128, batch_size=2048, n_critic_updates=5, learning_rate=1e-3, **common)
+    common |= {"n_steps": 128, "batch_size": 2048, "n_critic_updates": 5, "learning_rate": 1e-3}
+    if name == "cpo":
+        return ConstrainedTRPO("MlpPolicy", limit=plan.limit, **common)
+    return FisherTRPO("MlpPolicy", **common)
 
 
-def _policy_of(algorithm: Any) -> BaselinePolicy:
+def _policy_of(algorithm: Any, plan: Plan) -> BaselinePolicy:
     actor = algorithm.policy
     layers = [actor.mlp_extractor.policy_net[0], actor.mlp_extractor.policy_net[2], actor.action_net]
     tensors = {}
     for index, layer in enumerate(layers):
         tensors[f"policy.{index}.weight"] = layer.weight.detach().numpy().copy()
         tensors[f"policy.{index}.bias"] = layer.bias.detach().numpy().copy()
-    return BaselinePolicy(tensors, {})
+    return BaselinePolicy(tensors, {"plan": plan.__dict__})
 
 
 @final
 class _Watch(BaseCallback):
-    """The learning curve, the costs that CPO learns from, and word of the progress."""
+    """The learning curve, the costs that CPO learns from, word of the progress, and the best policy so far."""
 
     def __init__(self, name: str, environment: PointEnvironment, plan: Plan, tell: Tell) -> None:
         super().__init__()
         self.curve: list[list[float]] = []
+        self.compared: list[list[float]] = []
+        """Steps, reward, cost and score of each policy that was looked at."""
+        self.best, self.kept_at = -math.inf, 0
+        self.kept: BaselinePolicy
         self._name, self._environment, self._plan, self._tell_it = name, environment, plan, tell
-        self._every = max(1, math.ceil(plan.steps / (100 * 128 * plan.robots)))
+        rollouts = math.ceil(plan.steps / (128 * plan.robots))
+        self._every, self._look_every = max(1, math.ceil(rollouts / 100)), max(1, rollouts // _LOOKS)
         self._rollouts = 0
 
     def _on_step(self) -> bool:
         if isinstance(self.model, ConstrainedTRPO):
             self.model.recent_costs.append(self._environment.cost.copy())
         return True
+
+    def _on_rollout_start(self) -> None:
+        plan = self._plan
+        self._environment.filtered = self.num_timesteps >= (1.0 - plan.filtered) * plan.steps
+        if self._rollouts and self._rollouts % self._look_every == 0:
+            self.look()
 
     def _on_rollout_end(self) -> None:
         self._rollouts += 1
@@ -147,5 +182,17 @@ class _Watch(BaseCallback):
             return
         reward, cost = float(np.mean(environment.returns)), float(np.mean(environment.costs))
         self.curve.append([self.num_timesteps, round(reward, 3), round(cost, 3), round(environment.weight, 4)])
-        note = f"reward {reward:.1f}, cost {cost:.1f}"
+        note = f"reward {reward:.1f}, cost {cost:.1f}, weight {environment.weight:.2f}"
         self._tell_it(self._name, self.num_timesteps, self._plan.steps, note)
+
+    def look(self) -> None:
+        """Drives the policy as it is through the episodes of the choice, and keeps it where none was better."""
+        plan, now = self._plan, _policy_of(self.model, self._plan)
+        if plan.filtered and not self._environment.filtered:
+            return
+        figures = _judged(now, plan, plan.seed + _CHOICE_SEED, _COMPARED)
+        found = score(self._name, figures, plan.limit)
+        figures_told = (figures["reward"], figures["cost"], found)
+        self.compared.append([self.num_timesteps, *(round(float(one), 3) for one in figures_told)])
+        if found >= self.best:
+            self.best, self.kept, self.kept_at = found, now, self.num_timesteps

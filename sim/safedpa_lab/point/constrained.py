@@ -1,4 +1,4 @@
-"""Constrained policy optimisation on sb3-contrib's trust region, and the Lagrange multiplier for PPO and TRPO.
+"""Constrained policy optimisation on sb3-contrib's trust region.
 
 CPO looks, in each update, for the step x of the policy's parameters
 
@@ -8,8 +8,7 @@ with g and b the gradients of the surrogate reward and cost per step, c the mean
 Fisher information; where no step within the trust region meets the limit it lowers the cost alone. The gradient of the
 cost is noisy, so b'H^-1 b is too large and a step promises to take off about ten times the cost that it does: c counts
 ten times. (With c as it is the cost stays at half above its limit; the published runs count it a thousand times.)
-Source: Achiam, Held, Tamar, Abbeel, Constrained Policy Optimization, ICML 2017; Ray, Achiam, Amodei, Benchmarking Safe
-Exploration in Deep Reinforcement Learning, 2019 (the multiplier).
+Source: Achiam, Held, Tamar, Abbeel, Constrained Policy Optimization, ICML 2017.
 """
 
 from __future__ import annotations
@@ -22,47 +21,20 @@ from typing import Any, Final, final
 import numpy as np
 import torch
 from sb3_contrib.common.utils import conjugate_gradient_solver
-from stable_baselines3.common.callbacks import BaseCallback
 from torch.distributions import kl_divergence
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from safedpa_lab.point.fisher import FisherTRPO
-from safedpa_lab.point.vector_environment import PointEnvironment
+from safedpa_lab.point.plan import COST_LIMIT
 from safedpa_sim.point.task import EPISODE_STEPS
 
-__all__ = ["COST_LIMIT", "ConstrainedTRPO", "CostCritic", "Multiplier", "constrained_step"]
+__all__ = ["ConstrainedTRPO", "CostCritic", "constrained_step"]
 
 Tensor = torch.Tensor
 
-COST_LIMIT: Final = 25.0
-"""Steps within hazards in an episode of 1000; the benchmark's limit."""
 _SMALL = 1e-10
 _URGENCY: Final = 10.0
 """How many times the excess counts."""
-
-
-@final
-class Multiplier(BaseCallback):
-    """weight <- clip(weight + rate (mean cost of the last episodes - limit), 0, largest) after every rollout.
-
-    Before anything is learned the cost is high for long: without ``largest`` the weight winds up to ten times what it
-    settles at, and the robots learn to stand still.
-    """
-
-    def __init__(
-        self, environment: PointEnvironment, limit: float = COST_LIMIT, rate: float = 0.002, largest: float = 1.0
-    ) -> None:
-        super().__init__()
-        self._environment, self._limit, self._rate, self._largest = environment, limit, rate, largest
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        environment = self._environment
-        if environment.costs:
-            over = float(np.mean(environment.costs)) - self._limit
-            environment.weight = min(max(0.0, environment.weight + self._rate * over), self._largest)
 
 
 @final

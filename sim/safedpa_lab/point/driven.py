@@ -9,6 +9,7 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa_lab.point.inputs import Inputs
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
 __all__ = ["Driven", "Driver", "PolicyDriver", "driven", "windy_task"]
@@ -30,22 +31,22 @@ class Driver(Protocol):
 
 
 class _Acts(Protocol):
-    """A policy: observations in, actions out."""
+    """A policy: what it is told in, actions out."""
 
-    def act(self, observation: Floats) -> NDArray[np.float32]:
-        """Actions (robots, 2) for observations (robots, 31)."""
+    def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions (robots, 2) for what is seen (robots, entries)."""
 
 
 @final
 class PolicyDriver:
     """A policy that acts by itself; nothing is corrected."""
 
-    def __init__(self, task: PointTask, policy: _Acts) -> None:
-        self._task, self._policy = task, policy
+    def __init__(self, task: PointTask, policy: _Acts, inputs: Inputs) -> None:
+        self._policy, self._inputs = policy, inputs
         self.corrected = self.relaxed = np.zeros(task.count, bool)
 
     def act(self) -> NDArray[np.float32]:  # noqa: D102
-        return self._policy.act(self._task.observation())
+        return self._policy.act(self._inputs.see())
 
 
 @final

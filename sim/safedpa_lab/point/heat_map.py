@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from safedpa.errors import InputError
 from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.moments import Moments, drawn_moments
-from safedpa_lab.point.shield import FIXED_DIRECTIONS, weights_named
+from safedpa_lab.point.shield import FIXED_DIRECTIONS
+from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.belief import ACTION_SCALE
 from safedpa_sim.point.body_steps import after_one_period
 from safedpa_sim.point.filtering import least_room

@@ -1,34 +1,14 @@
-"""The methods that are compared on the point robot: each a policy, and a filter or none."""
+"""The methods that are compared on the point robot: each a policy with what it is told, and a filter or none."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
-import numpy as np
-from numpy.typing import NDArray
+from safedpa_lab.point.plan import COST_LIMIT, LIMITED, Plan
+from safedpa_lab.point.shield import FIXED_DIRECTIONS
 
-from safedpa.errors import InputError
-from safedpa.robots.point.point_seeker import sought
-from safedpa_lab.point.baseline_set import baseline_named
-from safedpa_lab.point.beliefs import LearnedBelief
-from safedpa_lab.point.driven import Driver, PolicyDriver
-from safedpa_lab.point.plan import BASELINES
-from safedpa_lab.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
-from safedpa_sim.point.belief import Belief, to_task_action
-from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import around_hazards
-from safedpa_sim.point.observation import policy_seen
-from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import Ways
-
-__all__ = ["BASELINE_TITLES", "METHODS", "Method", "ShieldedDriver", "driver_of", "with_weights"]
-
-Floats = NDArray[np.float64]
-Wish = Callable[[Floats], NDArray[np.floating[Any]]]
+__all__ = ["BASELINE_TITLES", "FILTERS", "METHODS", "PENALISED", "SEEKER", "Method"]
 
 BASELINE_TITLES: Final = {
     "ppo": "PPO",
@@ -37,104 +17,74 @@ BASELINE_TITLES: Final = {
     "trpo_lagrangian": "TRPO-Lagrangian",
     "cpo": "CPO",
 }
+FILTERS: Final = {
+    "safedpa": "SafeDPA",
+    **{f"fix_{direction}": f"Fix-{direction}" for direction in FIXED_DIRECTIONS},
+    "mix": "Mix",
+    "physics": "all but the wind",
+    "oracle": "the wind",
+}
+"""Whose model a filter believes: each has a margin of its own."""
+PENALISED: Final = ("rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
+"""RMA-P's grid: what a step in a hazard takes off the reward in training."""
+SEEKER: Final = "seeker"
+TOLD: Final = {
+    "lidar": "lidar",
+    "latent": "lidar, z",
+    "equal": "z, way, hazards",
+}
 
 
 @final
 @dataclass(frozen=True)
 class Method:
-    """One line of the table. ``policy``: a learned model's (by ``adapts``' latent), or a baseline's; ``filter``: whose
-    model it believes, empty for none."""
+    """One line of the table.
+
+    ``policy``: a learned model's, with that model's phi; or ``seeker``; ``baseline``: the key of a file of
+    ``safedpa train-baselines`` in its place; ``filter``: of ``FILTERS``, empty for none.
+    """
 
     name: str
     title: str
     policy: str = "learned"
     filter: str = ""
+    baseline: str = ""
+    told: str = TOLD["equal"]
+    """What the policy is told beside its own motion and the goal."""
 
 
-_FIXED: Final = [
-    Method(f"fix_{direction}", f"Fix-{direction}", filter=f"fix_{direction}") for direction in FIXED_DIRECTIONS
-]
-METHODS: Final = {
-    method.name: method
-    for method in (
-        Method("safedpa", "SafeDPA", filter="safedpa"),
-        *_FIXED,
-        Method("mix", "Mix", filter="mix"),
-        Method("physics", "knows all but the wind", filter="physics"),
-        Method("oracle", "knows the wind", filter="oracle"),
-        Method("unfiltered", "SafeDPA without filter"),
-        Method("rma_p", "RMA-P", policy="rma_p"),
-        *(Method(name, BASELINE_TITLES[name], policy=name) for name in BASELINES),
-        Method("ppo_filtered", "PPO behind SafeDPA's filter", policy="ppo", filter="safedpa"),
-        Method("seeker", "goal seeker behind SafeDPA's filter", policy="seeker", filter="safedpa"),
-    )
-}
+def _alone(name: str, inputs: str = "lidar", limit: float = COST_LIMIT) -> Method:
+    """A baseline in winds, by its inputs and limit."""
+    key = Plan(inputs=inputs, limit=limit).key(name, "wind")
+    title = BASELINE_TITLES[name] + (f", limit {limit:g}" if name in LIMITED else "")
+    return Method(key.replace("_wind", ""), title, policy="", baseline=key, told=TOLD[inputs])
 
 
-@final
-class ShieldedDriver:
-    """A wish, of the latents as they are, through the filter."""
-
-    def __init__(self, task: PointTask, shield: Shield, wish: Wish) -> None:
-        self._task, self._shield, self._wish = task, shield, wish
-        self.corrected = self.relaxed = np.zeros(task.count, bool)
-
-    def act(self) -> Floats:  # noqa: D102
-        wish = self._wish(self._shield.see(self._task))
-        found = self._shield.act(self._task, wish)
-        self.corrected, self.relaxed = found.corrected, found.relaxed
-        return found.action
+def _both(name: str, inputs: str = "lidar") -> Method:
+    """The same policy behind SafeDPA's filter."""
+    alone = _alone(name, inputs)
+    title = f"{alone.title} behind SafeDPA's filter"
+    return Method(f"{alone.name}_filtered", title, "", "safedpa", alone.baseline, alone.told)
 
 
-def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) -> Driver:
-    """The method at the wheel of a task's robots; weights from the folders, or else those that ship.
-
-    Raises InputError where there are none.
-    """
-    if method.policy in BASELINES:
-        policy = baseline_named(method.policy, "wind", baselines)
-        if not method.filter:
-            return PolicyDriver(task, policy)
-        shield = shield_of(method.filter, task, folder=models)
-        return ShieldedDriver(task, shield, lambda _: policy.act(task.observation()))
-    if method.policy == "seeker":
-        shield = shield_of(method.filter, task, folder=models)
-        return ShieldedDriver(task, shield, _seeking(task, LearnedBelief(weights_named("learned", models))))
-    from safedpa_sim.point.latent_policy import LatentPolicy
-
-    learned = LatentPolicy(weights_named(method.policy, models))
-    shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)
-    ways = Ways(task.count)
-
-    def wish(latent: Floats) -> Floats:
-        place, layout = task.simulation.pose[:2].T, task.layout
-        turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
-        return learned.act(policy_seen(task, latent, turn))
-
-    return ShieldedDriver(task, shield, wish)
-
-
-def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
-    """Those of ``METHODS`` whose weights are in the folders or ship."""
-    task, found = PointTask(1, 0), []
-    for name, method in METHODS.items():
-        with contextlib.suppress(InputError):
-            driver_of(method, task, models, baselines)
-            found.append(name)
-    return tuple(found)
-
-
-def _seeking(task: PointTask, belief: Belief) -> Wish:
-    """The robot's own goal seeker, in the wind that the latent stands for."""
-
-    def wish(latent: Floats) -> Floats:
-        state, layout = centre_state(task.simulation), task.layout
-        believed = belief.believed(state, latent)
-        hazards = around_hazards(layout.hazards, believed.motion).hazards
-        found = []
-        for robot in range(task.count):
-            motion = believed.motion.of(robot)
-            found.append(sought(state[robot], layout.goal[robot], hazards[robot], motion.wind, float(motion.drag)))
-        return to_task_action(np.clip(found / believed.scale, -1.0, 1.0))
-
-    return wish
+_LIDAR: Final = "ppo_lagrangian_wind_latent_1"
+"""It heeds the cost, so that the filter has less to change."""
+_ALL: Final = (
+    Method("safedpa", "SafeDPA", filter="safedpa"),
+    *(Method(name, FILTERS[name], filter=name) for name in FILTERS if name.startswith("fix_")),
+    Method("mix", "Mix", filter="mix"),
+    Method("physics", "knows all but the wind", filter="physics"),
+    Method("oracle", "knows the wind", filter="oracle"),
+    Method("safedpa_lidar", "SafeDPA, lidar and z", "", "safedpa", _LIDAR, TOLD["latent"]),
+    Method("unfiltered", "SafeDPA without filter"),
+    Method("rma", "RMA", policy="rma"),
+    Method("rma_p", "RMA-P", policy="rma_p"),
+    *(_alone(name, "equal", 1.0) for name in BASELINE_TITLES),
+    *(_alone(name) for name in BASELINE_TITLES),
+    *(_alone(name, "lidar", 1.0) for name in LIMITED),
+    _both("ppo", "equal"),
+    _both("ppo"),
+    Method(SEEKER, "goal seeker behind SafeDPA's filter", SEEKER, "safedpa", told="way by hand"),
+)
+METHODS: Final = {method.name: method for method in _ALL}
+"""By name. ``rma_p`` is the best of ``PENALISED`` on development seeds."""

@@ -15,7 +15,7 @@ from safedpa.limits import check_tensor_file, parse_json
 from safedpa.networks import dense_stack
 from safedpa.networks.layers import layers_of
 from safedpa.records.atomic import atomic_path
-from safedpa_lab.point.vector_environment import OBSERVATION_SCALE
+from safedpa_lab.point.inputs import entries_of
 
 __all__ = ["BaselinePolicy", "load_policy", "save_policy"]
 
@@ -24,7 +24,7 @@ _KEY = "safedpa"
 
 @final
 class BaselinePolicy:
-    """a = clip(pi(o / scale), -1, 1): the mean of the Gaussian that was trained, tanh between dense layers.
+    """a = clip(pi(o), -1, 1): the mean of the Gaussian that was trained, tanh between dense layers; o: ``inputs``.
 
     Raises InputError for tensors that are no such network.
     """
@@ -32,15 +32,16 @@ class BaselinePolicy:
     def __init__(self, tensors: Mapping[str, NDArray[np.float32]], told: Mapping[str, Any]) -> None:
         self.tensors, self.told = dict(tensors), dict(told)
         self._layers = layers_of(self.tensors, "policy")
-        wanted = (len(OBSERVATION_SCALE), 2)
+        self.inputs: str = self.told.get("plan", {}).get("inputs", "lidar")
+        """Of ``INPUTS``: what it is to be told."""
+        wanted = (entries_of(self.inputs), 2)
         got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0]) if self._layers else (0, 0)
         if got != wanted:
             raise InputError(f"policy: got one of {got[0]} numbers in and {got[1]} out, wanted {wanted[0]} and 2")
 
-    def act(self, observation: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Actions (robots, 2) in [-1, 1] for observations (robots, 31)."""
-        scaled = (observation / OBSERVATION_SCALE).astype(np.float32)
-        chosen: NDArray[np.float32] = dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0)
+    def act(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions (robots, 2) in [-1, 1] for what its ``inputs`` tell (robots, entries)."""
+        chosen: NDArray[np.float32] = dense_stack(seen, self._layers, "tanh").clip(-1.0, 1.0)
         return chosen
 
 

@@ -9,22 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.adaptation.histories import Histories
-from safedpa.dynamics import load_model
-from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.errors import InputError, did_you_mean
-from safedpa.networks import Weights
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
-from safedpa_sim.point.belief import ACTION_SCALE, Belief, TrueBelief, to_task_action
+from safedpa_lab.point.weights import weights_named
+from safedpa_sim.point.belief import ACTION_SCALE, Belief, Believed, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import Filtered, PointFilter
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of", "weights_named"]
+__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of"]
 
 Floats = NDArray[np.float64]
 
 EPSILON: Final = 0.005
-"""m; the same margin for every method."""
+"""m; where nobody measured one: of a diagnosed model, and while moments are drawn behind the truth."""
 FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
 METHODS: Final = (
     "safedpa",
@@ -51,12 +49,13 @@ class Shield:
         self._belief, self._adaptation, self._filter = belief, adaptation, PointFilter(epsilon)
         self._nothing = np.zeros((count, 0))
         self._state: Floats | None = None
+        self._believed: Believed | None = None
 
     def reset(self, which: NDArray[np.intp]) -> None:
         """The robots of those indices have been put elsewhere: forget their histories."""
         if self._adaptation is not None:
             self._adaptation.reset(which)
-        self._state = None
+        self._state = self._believed = None
 
     def see(self, task: PointTask) -> Floats:
         """The latents (robots, latents) of the robots as they are; twice in a period changes nothing."""
@@ -71,23 +70,36 @@ class Shield:
         """What was seen last."""
         return self._nothing if self._adaptation is None else self._adaptation.latent
 
+    def believes(self, task: PointTask) -> Believed:
+        """What the filter's model says of the robots as they are. Raises InputError where there is no filter."""
+        if self._belief is None:
+            raise InputError("shield: got no filter, wanted one whose model can be asked")
+        self.see(task)
+        if self._believed is None:
+            state = centre_state(task.simulation) if self._state is None else self._state
+            self._believed = self._belief.believed(state, self.latent)
+        return self._believed
+
     def act(self, task: PointTask, wish: NDArray[np.floating]) -> Filtered:
         """Safe actions of ``PointTask`` for wishes (robots, 2) of it, to be carried out at once."""
         self.see(task)
-        state = centre_state(task.simulation) if self._state is None else self._state
         scaled = from_task_action(np.asarray(wish, dtype=np.float64))
-        chosen = self._safe(task, state, scaled)
-        if self._adaptation is not None:
-            self._adaptation.acted(chosen.action * ACTION_SCALE)
-        self._state = None
+        chosen = self._safe(task, scaled)
+        self.acted(chosen.action)
         return Filtered(to_task_action(chosen.action), chosen.corrected, chosen.relaxed)
 
-    def _safe(self, task: PointTask, state: Floats, wish: Floats) -> Filtered:
+    def acted(self, action: Floats) -> None:
+        """Actions (robots, 2) in [-1, 1] over the range of commands are being carried out."""
+        if self._adaptation is not None:
+            self._adaptation.acted(action * ACTION_SCALE)
+        self._state = self._believed = None
+
+    def _safe(self, task: PointTask, wish: Floats) -> Filtered:
         if self._belief is None:
             unchanged = np.zeros(len(wish), bool)
             return Filtered(wish, unchanged, unchanged)
-        believed = self._belief.believed(state, self.latent)
-        return self._filter.decide(state, wish, task.layout.hazards, believed)
+        state = centre_state(task.simulation) if self._state is None else self._state
+        return self._filter.decide(state, wish, task.layout.hazards, self.believes(task))
 
 
 def shield_of(
@@ -104,18 +116,6 @@ def shield_of(
     if method == "safedpa" and adaptation is None:
         raise InputError("method 'safedpa': got no model to adapt with, wanted adapts='learned' or another with phi")
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
-
-
-def weights_named(name: str, folder: Path = Path()) -> Weights:
-    """The weights of ``point_<name>`` in the folder, or else of the one that ships. Raises InputError for none."""
-    file = folder / f"point_{name}.toml"
-    try:
-        model = load_model(file if file.exists() else f"point_{name}")
-    except InputError as error:
-        raise InputError(f"{file}: {error}; train it with 'safedpa train point'") from error
-    if not isinstance(model.base, LearnedBase):
-        raise InputError(f"point_{name}: got a model without networks, wanted one of 'safedpa train point'")
-    return model.base.weights
 
 
 def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> Belief | None:

@@ -3,38 +3,40 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Final, final
+from typing import Any, final
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from safedpa_sim.point.task import EPISODE_STEPS, PointTask
+from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
+from safedpa_lab.point.sheltered import Shelter
+from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
 
-__all__ = ["OBSERVATION_SCALE", "PointEnvironment"]
+__all__ = ["PointEnvironment"]
 
 Floats = NDArray[np.float32]
 
-OBSERVATION_SCALE: Final = np.array(
-    [2.0, 2.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5] + [1.0] * 16
-)
-"""What counts as 1 in each entry of the observation: m/s2, m/s, rad/s, magnetic field, m."""
 _KEPT = 200
 """Episodes over which their means are told."""
 
 
 @final
 class PointEnvironment(VecEnv):
-    """Every robot is one environment. Reward: (reward - weight cost) / (1 + weight), weight 0 unless it is set.
+    """Every robot is one environment. Reward: (gained - weight cost) / (1 + weight), weight 0 unless it is set.
 
-    The cost of the last step of every robot stands in ``cost``; returns and costs of the episodes that ended last in
-    ``returns`` and ``costs``. Episodes begin at different steps, so that they do not all end at once.
+    ``inputs`` of ``INPUTS``: what is observed. With the lidar alone the benchmark's reward is gained; else what comes
+    nearer along the shortest way, as SafeDPA's own policy learned. While ``filtered`` the filter with the simulated
+    physics itself decides. The cost of the last step of every robot stands in ``cost``, of all since ``begin`` in
+    ``paid``; the benchmark's returns and costs of the episodes that ended last in ``returns`` and ``costs``. Episodes
+    begin at different steps, so that they do not all end at once.
     """
 
-    def __init__(self, task: PointTask, seed: int = 0) -> None:
+    def __init__(self, task: PointTask, seed: int = 0, inputs: str = "lidar") -> None:
         self.task = task
         self.weight = 0.0
+        self.filtered = False
         self.cost = np.zeros(task.count)
         self.returns: deque[float] = deque(maxlen=_KEPT)
         self.costs: deque[float] = deque(maxlen=_KEPT)
@@ -43,12 +45,25 @@ class PointEnvironment(VecEnv):
         self._whole = np.zeros(task.count, bool)
         """Whether the episode was seen from its beginning."""
         self._chosen: Floats = np.zeros((task.count, 2), np.float32)
-        seen = gymnasium.spaces.Box(-np.inf, np.inf, OBSERVATION_SCALE.shape, np.float32)
+        self._way = None if inputs == "lidar" else WayAhead(task)
+        self._inputs = inputs_of(inputs, task, way=self._way)
+        self._shelter = Shelter(task)
+        self.begin()
+        seen = gymnasium.spaces.Box(-np.inf, np.inf, (entries_of(inputs),), np.float32)
         super().__init__(task.count, seen, gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32))
 
+    def begin(self) -> None:
+        """From here on ``paid`` is counted."""
+        self.paid, self.stepped = 0.0, 0
+
+    @property
+    def episode_cost(self) -> float:
+        """Mean cost of 1000 steps since ``begin``: what an episode costs of the policy as it is now."""
+        return EPISODE_STEPS * self.paid / max(self.stepped, 1)
+
     def reset(self) -> Floats:
-        """The observations of all robots (robots, 31)."""
-        return self._seen()
+        """The observations of all robots (robots, entries)."""
+        return self._inputs.see()
 
     def step_async(self, actions: Floats) -> None:
         """Takes the actions (robots, 2)."""
@@ -56,21 +71,27 @@ class PointEnvironment(VecEnv):
 
     def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
         """Observations, rewards, which episodes ended, and notes on those that did."""
-        stepped = self.task.advance(self._chosen)
+        stepped = self.task.advance(self._shelter.safe(self._chosen) if self.filtered else self._chosen)
         self.cost = stepped.cost
         self._gained += stepped.reward
         self._paid += stepped.cost
+        self.paid, self.stepped = self.paid + float(stepped.cost.sum()), self.stepped + self.num_envs
+        reward = (self._reward(stepped) - self.weight * stepped.cost) / (1.0 + self.weight)
         infos: list[dict[str, Any]] = [{}] * self.num_envs
-        observation = self._seen()
         which = np.flatnonzero(stepped.timed_out)
         if len(which):
+            observation = self._inputs.look()
             for index in which:
-                infos[index] = {"terminal_observation": observation[index].copy(), "TimeLimit.truncated": True}
+                infos[index] = {"terminal_observation": observation[index], "TimeLimit.truncated": True}
             self._close(which)
             self.task.restart(which)
-            observation = self._seen()
-        reward = (stepped.reward - self.weight * stepped.cost) / (1.0 + self.weight)
-        return observation, reward.astype(np.float32), stepped.timed_out, infos
+            self._inputs.reset(which)
+            if self._way is not None:
+                self._way.renew()
+        return self._inputs.see(), reward.astype(np.float32), stepped.timed_out, infos
+
+    def _reward(self, stepped: Stepped) -> NDArray[np.float64]:
+        return stepped.reward if self._way is None else self._way.gained(stepped.reached)
 
     def _close(self, which: NDArray[np.intp]) -> None:
         whole = which[self._whole[which]]
@@ -78,10 +99,6 @@ class PointEnvironment(VecEnv):
         self.costs.extend(self._paid[whole].tolist())
         self._gained[which] = self._paid[which] = 0.0
         self._whole[which] = True
-
-    def _seen(self) -> Floats:
-        seen: Floats = (self.task.observation() / OBSERVATION_SCALE).astype(np.float32)
-        return seen
 
     def close(self) -> None:
         """Nothing is open."""

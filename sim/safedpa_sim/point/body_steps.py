@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["LARGEST_TURN", "after_one_period", "centre_state", "controls_of", "put_state"]
+__all__ = ["LARGEST_TURN", "actions_of", "after_one_period", "centre_state", "controls_of", "put_state"]
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +60,15 @@ def controls_of(action: Floats) -> Floats:
     """Controls (2, robots) of the body's motors for actions (robots, 2): thrust [N], turn [rad/s]."""
     controls: Floats = np.stack((action[:, 0] / POINT_BODY.gear, action[:, 1] / _TURN_OF_CONTROL))
     return controls
+
+
+def actions_of(controls: Floats) -> Floats:
+    """Actions (robots, 2), thrust [N] and turn [rad/s], that controls (2, robots) of the motors come to: what lies
+    beyond their limits pushes no harder and turns no faster."""
+    limit = POINT_BODY.force_limit
+    thrust = POINT_BODY.gear * np.clip(controls[0], -limit, limit)
+    turn = np.clip(_TURN_OF_CONTROL * np.clip(controls[1], -1.0, 1.0), -LARGEST_TURN, LARGEST_TURN)
+    return np.stack((thrust, turn), axis=1)
 
 
 def after_one_period(

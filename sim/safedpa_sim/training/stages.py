@@ -199,7 +199,7 @@ _STAGES: Final = {
         "ablations": (
             *(_in_force(direction) for direction in (45, 135, 225, 315)),
             _alone("mix"),
-            _with_penalty("rma_p", _LEARNED, _penalised),
+            *(_punished(penalty) for penalty in (0.0, 0.1, 0.3, 1.0, 3.0)),
         ),
     },
 }

@@ -26,8 +26,10 @@ _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 @click.option("--episodes", type=int, default=20, show_default=True, help="of each method and direction")
 @click.option("--steps", type=int, default=1000, show_default=True, help="of each episode")
 @click.option("--force", type=float, default=0.008, show_default=True, help="N")
-@click.option("--seed", type=int, default=0, show_default=True, help="of layouts, headings, goals")
+@click.option("--drives", type=int, default=400, show_default=True, help="of each round that calibrate a margin")
+@click.option("--seed", type=int, default=0, show_default=True, help="of layouts, headings, goals that are counted")
 @click.option("--processes", type=int, default=2, show_default=True)
+@click.option("--record", type=_FOLDER, metavar="FILE", help="keep drives there, and go on with those it holds")
 @click.option("--quick", is_flag=True, help="8 directions x 4 episodes of 500 steps")
 @click.option("--out", type=_FOLDER, help="folder for tables, JSON and figures")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
@@ -35,8 +37,9 @@ _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, **options: Any) -> None:
     """SafeDPA and its baselines on the point robot among eight hazards.
 
-    Every method meets the same layouts, forces and goals; the robots of a method drive all at once. Weights are looked
-    for in both folders, then among those that ship.
+    Every method meets the same layouts, forces and goals; the robots of a method drive all at once. Each filter has the
+    margin that other drives calibrate for it; in a second table all have SafeDPA's. Weights are looked for in both
+    folders, then among those that ship. Margins, RMA-P's penalty and what is counted have seeds apart.
     """
     from safedpa_lab.experiments.point import PointExperiment, point_experiment
     from safedpa_lab.experiments.point_report import markdown_of, write_report
@@ -56,7 +59,8 @@ def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, *
 
 def _trained(models: Path, baselines: Path) -> tuple[str, ...]:
     """All methods but those that nobody has trained, which are told."""
-    from safedpa_lab.point.methods import METHODS, with_weights
+    from safedpa_lab.point.drivers import with_weights
+    from safedpa_lab.point.methods import METHODS
 
     names = with_weights(models, baselines)
     for name in METHODS:

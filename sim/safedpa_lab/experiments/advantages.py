@@ -1,4 +1,4 @@
-"""Whether what SafeDPA gains or loses against each other method on the pendulum is more than chance."""
+"""Whether what SafeDPA gains or loses against each other method is more than chance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _OWN = "safedpa"
 
 
 def advantages(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], directions: int) -> list[dict[str, Any]]:
-    """SafeDPA against every other method of each question, by outcome: safe, and upright, and both.
+    """SafeDPA against every other method of each question, by outcome: safe, success, and both.
 
     ``tables`` by question and method. Episodes are paired by start, wind and draws. Episodes in one wind go well or
     badly together, so the exact McNemar test over episodes stands beside one that exchanges whole directions; both by

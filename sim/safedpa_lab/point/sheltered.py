@@ -1,0 +1,33 @@
+"""What the filter that knows the simulated physics makes of a policy's actions: a stand-in of SafeDPA's in training."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_lab.point.beliefs import from_task_action
+from safedpa_sim.point.belief import TrueBelief, to_task_action
+from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.filtering import PointFilter
+from safedpa_sim.point.policy_task import EPSILON
+from safedpa_sim.point.task import PointTask
+
+__all__ = ["Shelter"]
+
+
+@final
+class Shelter:
+    """For all robots of a task."""
+
+    def __init__(self, task: PointTask) -> None:
+        self._task, self._belief, self._filter = task, TrueBelief(task.simulation), PointFilter(EPSILON)
+
+    def safe(self, chosen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Safe actions (robots, 2) of ``PointTask`` for those that were chosen."""
+        task = self._task
+        state = centre_state(task.simulation)
+        believed = self._belief.believed(state, np.zeros((task.count, 0)))
+        wish = from_task_action(np.asarray(chosen, dtype=np.float64))
+        return to_task_action(self._filter.decide(state, wish, task.layout.hazards, believed).action)
