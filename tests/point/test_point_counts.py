@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments.point import _account
+from safedpa_lab.experiments.point_episodes import _account
 from safedpa_lab.point.driven import Driven
 
 STEPS = 100
