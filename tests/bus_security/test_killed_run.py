@@ -29,6 +29,7 @@ class Run:
     def __init__(self, folder: Path, *options: str) -> None:
         (folder / "private").mkdir(exist_ok=True)
         self.folder = folder
+        self._seen = dict[int, str]()
         command = [sys.executable, "-m", "safedpa_services", "up", "--secure", "--headless", "--no-diagnosis", "--json"]
         self.launcher = subprocess.Popen(
             [*command, "--out", str(folder / "runs"), *options],
@@ -40,7 +41,9 @@ class Run:
         )
 
     def processes(self) -> dict[int, str]:
-        """Its command line by process id; a process that shows nobody its environment does so by its parent."""
+        """Its command line by process id; a process that shows nobody its environment does so by its parent, and is
+        known from then on, since it may lose that parent.
+        """
         own, parents, lines = {self.launcher.pid}, dict[int, int](), dict[int, str]()
         for path in Path("/proc").glob("[0-9]*"):
             try:
@@ -51,8 +54,10 @@ class Run:
                     own.add(int(path.name))
             except OSError:
                 continue
+        own |= {pid for pid, words in self._seen.items() if lines.get(pid) == words}
         children = {pid for pid, above in parents.items() if above in own}
-        return {pid: lines[pid] for pid in (own | children) & lines.keys()}
+        self._seen = {pid: lines[pid] for pid in (own | children) & lines.keys()}
+        return dict(self._seen)
 
     def pid_of(self, service: str) -> int:
         """Of the newest process of a service; 0 without one."""
