@@ -102,7 +102,8 @@ def test_half_of_a_drive_and_the_rest_share_the_state_between_them():
 
 def test_without_recordings_the_real_car_is_left_out_and_said(tmp_path):
     assert "no --data was given" in real_tuning(RealTuning(None))["left_out"]
-    assert "holds 0 of them" in real_tuning(RealTuning(tmp_path))["left_out"]
+    with pytest.raises(InputError, match=r"--data .*: got 0 logs of the real car, wanted two or more"):
+        RealTuning(tmp_path)
 
 
 @pytest.mark.slow

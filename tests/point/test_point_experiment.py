@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything
+from safedpa_lab.experiments import point
+from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything, point_experiment
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, best_penalty, over_seeds
 from safedpa_lab.experiments.point_report import against_table, short_table
 from safedpa_lab.experiments.seeds import SEEDS
@@ -206,6 +207,18 @@ def test_numbers_that_are_none_are_refused() -> None:
         PointExperiment(Path(), Path(), drives=98)
     with pytest.raises(InputError, match="--episodes"):
         PointExperiment(Path(), Path(), episodes=0)
+
+
+def test_a_folder_is_refused_as_a_record_before_margins_are_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was told after minutes, and a file lay beside the folder."""
+    monkeypatch.setattr(point, "_margins", lambda _: pytest.fail("margins were measured first"))
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with pytest.raises(InputError, match="folder: cannot be kept as a record"):
+        point_experiment(PointExperiment(NOWHERE, NOWHERE, ("safedpa",), 2, 1, record=folder))
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
 def test_methods_without_weights_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

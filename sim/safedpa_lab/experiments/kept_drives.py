@@ -12,7 +12,7 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.provenance.code import digests
 
-__all__ = ["driven"]
+__all__ = ["check_record", "driven"]
 
 Order = TypeVar("Order")
 """A frozen dataclass of plain values; what comes out of its drive holds its fields."""
@@ -43,6 +43,12 @@ def driven(
                     file.write(json.dumps(outcome) + "\n")
             on_drive(len(found), len(different))
     return [found[order] for order in wanted]
+
+
+def check_record(record: Path | None, kind: type[Any], run: Callable[[Any], Outcome]) -> None:
+    """Begins the record, or finds that it can be gone on with, before other long work. Raises InputError as above."""
+    if record is not None:
+        _recorded(record, kind, run.__module__)
 
 
 def _recorded(path: Path, kind: Any, module: str) -> dict[Any, Outcome]:

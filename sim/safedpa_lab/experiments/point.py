@@ -17,7 +17,7 @@ import numpy as np
 from safedpa.errors import InputError
 from safedpa.safety.margin import smallest_sample
 from safedpa_lab.experiments.advantages import advantages
-from safedpa_lab.experiments.kept_drives import driven
+from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
@@ -77,6 +77,7 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
 
     Raises InputError where a method's weights are neither in the folder nor among those that ship.
     """
+    check_record(experiment.record, Work, account_of)
     margins = _margins(experiment)
     choice = _choice(experiment)
     work = _everything(experiment, {name: row["epsilon"] for name, row in margins.items()}, choice)

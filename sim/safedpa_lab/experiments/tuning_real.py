@@ -59,12 +59,19 @@ _LONG: Final = 2 * (_FIRST + STEPS) + 2
 
 @dataclass(frozen=True)
 class RealTuning:
-    """What to measure; without a folder of ``data``, or with none of the logs in it, the part is left out."""
+    """What to measure; without a folder of ``data`` the part is left out.
+
+    Raises InputError for a folder that does not hold two of the logs.
+    """
 
     data: Path | None
     out: Path | None = None
     seed: int = 0
     small: bool = False
+
+    def __post_init__(self) -> None:
+        if self.data is not None and len(found := paths_of(self.data, CAR)) < 2:
+            raise InputError(f"--data {self.data}: got {len(found)} logs of the real car, wanted two or more {CAR}")
 
 
 def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
@@ -72,10 +79,9 @@ def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _wh
 
     Raises InputError for logs that are too short or do not fit; the message names the log.
     """
-    logs = [] if experiment.data is None else paths_of(experiment.data, CAR)
-    if experiment.data is None or len(logs) < 2:
-        where = "no --data was given" if experiment.data is None else f"{experiment.data} holds {len(logs)} of them"
-        return {"left_out": f"logs of the real car: {where}; wanted two or more files {CAR}"}
+    if experiment.data is None:
+        return {"left_out": f"logs of the real car: no --data was given; wanted two or more files {CAR}"}
+    logs = paths_of(experiment.data, CAR)
     kept = Kept(None if experiment.out is None else experiment.out / "kept")
     configuration = _configuration(experiment)
     untuned = _untuned(configuration, kept, tell)

@@ -45,13 +45,14 @@ def command(**options: Any) -> None:
             raise InputError(f"--part {part}: {did_you_mean(part, _PARTS)}")
     if options["parts"] == ("real",) and options["data"] is None:
         raise InputError("--part real: got no --data, wanted the folder with recordings of the real car")
+    real = RealTuning(options["data"], out, options["seed"], options["small"])  # refused before, not after, long work
     result: dict[str, Any] = {"experiment": "tuning", "seed": options["seed"]}
     if "car" in parts:
         chosen = {"rows": options["rows"]} if options["rows"] else {}
         own = {name: options[name] for name in ("models", "out", "seed", "drives", "small")}
         result["car"] = car_tuning(CarTuning(**own, **chosen), _tell)
     if "real" in parts:
-        result["real"] = real_tuning(RealTuning(options["data"], out, options["seed"], options["small"]), _tell)
+        result["real"] = real_tuning(real, _tell)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_result(out / "tuning.json", result)
