@@ -10,11 +10,12 @@ from typing import Final, final
 
 import numpy as np
 
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import AbstractNode, StateMessage
 from safedpa.errors import InputError, did_you_mean
 from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings
 from safedpa_lab.experiments.car_scenes import PASSAGE, car_scene
+from safedpa_lab.experiments.changed_wishes import ChangedWishes
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
@@ -133,28 +134,17 @@ class NoisyRobot:
 
 
 @final
-class QuickerPolicyNode(AbstractNode):
+class QuickerPolicyNode(ChangedWishes):
     """A policy whose wishes to drive forwards are so many times as fast, or as slow."""
 
-    name = PolicyNode.name
-    inputs = PolicyNode.inputs
-    outputs = PolicyNode.outputs
-    share = PolicyNode.share
-
     def __init__(self, policy: AbstractNode, factor: float) -> None:
-        self._policy, self._factor = policy, factor
+        super().__init__(policy)
+        self._factor = factor
 
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        outputs = dict(self._policy.step(robot, state, inputs))
-        wish = outputs[WISH]
-        assert isinstance(wish, WishMessage)
-        speed, *others = wish.values
-        if speed > 0.0:
-            outputs[WISH] = dataclasses.replace(wish, values=(self._factor * speed, *others))
-        return outputs
-
-    def forget(self, robot: str) -> None:  # noqa: D102
-        self._policy.forget(robot)
+    def changed(self, values: tuple[float, ...], state: StateMessage) -> tuple[float, ...]:  # noqa: D102
+        del state
+        speed, *others = values
+        return (self._factor * speed, *others) if speed > 0.0 else values
 
 
 @final

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import AbstractNode, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
@@ -25,6 +25,7 @@ from safedpa.safety.settings import FilterSettings
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.car_methods import METHODS, nodes_of
 from safedpa_lab.experiments.car_scenes import car_scene
+from safedpa_lab.experiments.changed_wishes import ChangedWishes
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.core import CarRobot
@@ -112,40 +113,28 @@ def open_scene(seed: int, load: str) -> Scene:
 
 
 @final
-class ExploringPolicyNode(AbstractNode):
+class ExploringPolicyNode(ChangedWishes):
     """A policy whose wishes are changed at random, piecewise constant, so that a drive shows more of the dynamics."""
 
-    name = PolicyNode.name
-    inputs = PolicyNode.inputs
-    outputs = PolicyNode.outputs
-    share = PolicyNode.share
-
     def __init__(self, policy: AbstractNode, seed: int) -> None:
-        self._policy = policy
+        super().__init__(policy)
         self._draw = np.random.default_rng([seed, 13])
         self._ends = -np.inf
         self._replace = False
         self._change: Values = np.zeros(2)
 
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        outputs = dict(self._policy.step(robot, state, inputs))
-        wish = outputs[WISH]
-        assert isinstance(wish, WishMessage)
+    def changed(self, values: tuple[float, ...], state: StateMessage) -> tuple[float, ...]:  # noqa: D102
         if state.robot_time >= self._ends:
             self._explore(state.robot_time)
-        values = self._change if self._replace else np.array(wish.values) + self._change
+        wish = self._change if self._replace else np.array(values) + self._change
         low, high = _bounds()
-        outputs[WISH] = dataclasses.replace(wish, values=tuple(np.clip(values, low, high).tolist()))
-        return outputs
+        return tuple(np.clip(wish, low, high).tolist())
 
     def _explore(self, now: float) -> None:
         self._ends = now + self._draw.uniform(*_HELD)
         self._replace = bool(self._draw.random() < _OWN)
         low, high = _bounds() if self._replace else np.array(_OFFSETS).T
         self._change = self._draw.uniform(low, high)
-
-    def forget(self, robot: str) -> None:  # noqa: D102
-        self._policy.forget(robot)
 
 
 def _bounds() -> tuple[Values, Values]:

@@ -11,23 +11,14 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.car_family import with_family
 from safedpa_lab.commands.folder import made_folder
 
 __all__ = ["command"]
 
 
 @click.command(name="car")
-@click.option(
-    "--models",
-    type=click.Path(path_type=Path),
-    help="folder of the learned models; learned/car or learned/car_paper when left out, by the family",
-)
-@click.option(
-    "--family",
-    default="best",
-    show_default=True,
-    help="policies: best, ours with all that helps them; paper, trained and calibrated without loads and the filter",
-)
+@with_family
 @click.option("--episodes", type=int, default=100, show_default=True, help="of each method and configuration")
 @click.option("--first-seed", type=int, default=0, show_default=True, help="of the episodes' scenes")
 @click.option("--method", "methods", multiple=True, help="only this one; may be repeated")

@@ -10,23 +10,14 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.car_family import with_family
 from safedpa_lab.commands.folder import made_folder
 
 __all__ = ["command"]
 
 
 @click.command(name="car-curves")
-@click.option(
-    "--models",
-    type=click.Path(path_type=Path),
-    help="folder of the learned models; learned/car or learned/car_paper when left out, by the family",
-)
-@click.option(
-    "--family",
-    default="best",
-    show_default=True,
-    help="policies: best, ours with all that helps them; paper, trained and calibrated without loads and the filter",
-)
+@with_family
 @click.option(
     "--sweep",
     "sweeps",
