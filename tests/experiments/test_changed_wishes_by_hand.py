@@ -13,9 +13,19 @@ from safedpa_lab.experiments.car_conditions import QuickerPolicyNode
 from safedpa_lab.experiments.car_drives import ExploringPolicyNode
 
 STATE = StateMessage(
-    **{"epoch": 1, "tick": 3, "robot_time": 0.15, "publish_time": 0.0},
-    **{"values": (0.0,) * 4, "applied": (0.0,) * 2, "applied_by": "filter", "period": 0.05, "lockstep": True},
-    **{"goal": (), "obstacles": (), "field": (), "footprint": ()},
+    epoch=1,
+    tick=3,
+    robot_time=0.15,
+    publish_time=0.0,
+    values=(0.0,) * 4,
+    applied=(0.0,) * 2,
+    applied_by="filter",
+    period=0.05,
+    lockstep=True,
+    goal=(),
+    obstacles=(),
+    field=(),
+    footprint=(),
 )
 
 
@@ -30,8 +40,10 @@ class Says(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         del robot, inputs
-        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
-        return {WISH: WishMessage(**stamp, values=self.values, controller="test")}
+        wish = WishMessage(
+            epoch=1, tick=state.tick, robot_time=0.0, publish_time=0.0, values=self.values, controller="test"
+        )
+        return {WISH: wish}
 
     def forget(self, robot: str) -> None:
         self.forgotten.append(robot)
@@ -59,7 +71,7 @@ def test_it_stands_where_the_policy_stood_and_hands_on_what_is_forgotten() -> No
 
 
 def test_an_exploration_is_held_for_its_time_and_stays_within_the_bounds() -> None:
-    node, told = ExploringPolicyNode(Says(0.6, 0.1), 4), []
+    node, told = ExploringPolicyNode(Says(0.6, 0.1), 4), list[tuple[float, ...]]()
     for tick in range(200):
         told.append(wished(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))
     starts = [0, *(tick for tick in range(1, 200) if told[tick] != told[tick - 1])]

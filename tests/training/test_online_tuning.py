@@ -9,6 +9,7 @@ import torch
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks.weights import STRIDE
+from safedpa_sim.training import online_tuning
 from safedpa_sim.training.online_tuning import OnlineTuning, add_to_heads, head_features, tuned_online
 from safedpa_sim.training.paper_tuning import PaperTuning, lived_of, tune_as_written
 from safedpa_sim.training.prediction import ALONG
@@ -92,6 +93,13 @@ def test_of_a_single_drive_the_end_is_left_out_and_decides(circles):
     assert taken.refused
     _, taken = tuned_online(predictor(), circles[:1], SCALE, OnlineTuning(ridges=(1e-2,)))
     assert not taken.refused
+
+
+def test_a_model_without_any_error_stays_as_it_was(circles, monkeypatch):
+    monkeypatch.setattr(online_tuning, "_errors", lambda *_: (0.0, 0.0))
+    _, taken = tuned_online(predictor(), circles, SCALE)
+    assert taken.refused
+    assert taken.before == (0.0, 0.0)
 
 
 def test_drives_that_are_too_short_are_refused(circles):

@@ -86,7 +86,7 @@ def tuned_online(
         after = _mean(
             [_errors(_with(predictor, whole.without(sums[index]), ridge), parts[index], scale) for index in judged]
         )
-        shares = [new / old for new, old in zip(after, before, strict=True)]
+        shares = [new / old if old > 0.0 else math.inf for new, old in zip(after, before, strict=True)]
         if max(shares) < 1.0 and sum(shares) < best:
             best, found = sum(shares), (ridge, after)
     if found is None:
