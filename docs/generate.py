@@ -222,6 +222,7 @@ GENERATED = {
     "point_own": _of_result("point", lambda result: point_report.short_table(result, "methods")),
     "point_penalty": _of_result("point", point_report.penalty_table),
     "point_same": _of_result("point", lambda result: point_report.short_table(result, "same_margin")),
+    "point_seeds": _of_result("point", point_report.seeds_table),
     "promises": promises,
     "roles": roles,
 }

@@ -9,7 +9,15 @@ from typing import Any
 from safedpa_lab.point.methods import FILTERS
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["against_table", "margins_table", "markdown_of", "penalty_table", "short_table", "write_report"]
+__all__ = [
+    "against_table",
+    "margins_table",
+    "markdown_of",
+    "penalty_table",
+    "seeds_table",
+    "short_table",
+    "write_report",
+]
 
 
 def write_report(result: dict[str, Any], out: Path) -> None:
@@ -44,7 +52,7 @@ def markdown_of(result: dict[str, Any]) -> str:
     if result["advantages"]:
         parts += ["## SafeDPA against each", _advantages(result)]
     if any("over_seeds" in row for row in own.values()):
-        parts += ["## Several training seeds", _seeds(own)]
+        parts += ["## Several training seeds", seeds_table(result)]
     return "\n\n".join([*parts, "## Reward, cost, time", _gained(own)]) + "\n"
 
 
@@ -140,13 +148,14 @@ def _advantages(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _seeds(rows: Mapping[str, Any]) -> str:
+def seeds_table(result: Mapping[str, Any]) -> str:
+    """Of the methods that were trained from several seeds: what they came to in the mean, over seeds."""
     lines = [
         "Mean over training seeds (95 % interval over seeds, Student's t); the tables above hold the first seed.\n",
         "| | training seeds | episodes without cost, % | goals | cost |",
         "|---|---|---|---|---|",
     ]
-    for row in rows.values():
+    for row in result["methods"].values():
         if (found := row.get("over_seeds")) is not None:
             seeds = ", ".join(map(str, found["training_seeds"]))
             lines.append(
