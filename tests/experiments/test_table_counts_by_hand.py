@@ -173,6 +173,7 @@ def test_between_two_classes_of_the_same_spread_the_middle_decides(latent: list[
 
 def test_how_much_the_pendulum_has_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two questions of three and four methods, four of the seven with a filter; a table more for these."""
+
     def methods(*filters: str) -> list[Any]:
         return [SimpleNamespace(filter=one) for one in filters]
 
