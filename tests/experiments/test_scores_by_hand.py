@@ -288,7 +288,13 @@ def test_errors_of_the_logs_that_were_left_out_are_added_up(
 
 
 def test_how_often_an_effect_was_added_is_counted_most_frequent_first() -> None:
-    rows = [{"added": ["a"]}, {"added": ["b", "a"]}, {"added": []}, {"added": ["b"]}, {"added": ["c", "b"]}]
+    rows: list[dict[str, Any]] = [
+        {"added": ["a"]},
+        {"added": ["b", "a"]},
+        {"added": []},
+        {"added": ["b"]},
+        {"added": ["c", "b"]},
+    ]
     assert list(real_logs._stable(rows).items()) == [("b", 3), ("a", 2), ("c", 1)]
 
 
@@ -429,7 +435,7 @@ def test_the_page_of_hidden_effects_tells_how_many_cases_there_are(count: int) -
 
 
 def test_a_fleet_is_judged_robot_by_robot_and_group_by_group() -> None:
-    """Seven robots: three drag and are found; one tows and is not; of three healthy ones two are called ill together."""
+    """Seven robots: three drag and are found; one tows and is not; two of three healthy ones are called ill."""
     truth: dict[str, Any] = {f"d{n}": {"drag": {"c": 1.0}} for n in range(3)}
     truth |= {"t": {"tow": {"m": 2.0}}, **{f"h{n}": {} for n in range(3)}}
 

@@ -12,6 +12,7 @@ from safedpa_lab.experiments import car, car_curves, pendulum, point, point_repo
 from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_latent import LinearDiscriminant, _accuracy
 from safedpa_lab.experiments.car_methods import METHODS
+from safedpa_lab.experiments.car_sweeps import chosen_sweeps
 from safedpa_lab.experiments.car_table import cell_of, table_markdown
 from safedpa_lab.experiments.pendulum_figure_sweeps import _pooled
 from safedpa_lab.experiments.statistics import ratio_interval, wilson_interval
@@ -126,7 +127,7 @@ def test_progress_of_sweeps_is_of_all_that_is_driven_and_loads_that_changed_are_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A sweep of three values with two methods, two episodes each."""
-    sweep = next(iter(car_curves.chosen_sweeps(("load",))))
+    sweep = chosen_sweeps(("load",))[0]
     methods = [METHODS["safedpa"], METHODS["rma"]]
     place = {value: sweep.at(value) for value in sweep.values}
     found = {
@@ -166,7 +167,7 @@ def test_accuracy_is_the_share_of_what_is_said_right(said: str, right: int) -> N
 def test_between_two_classes_of_the_same_spread_the_middle_decides(latent: list[float], named: str) -> None:
     """Means (1, 0.5) and (2, 1.5), each with a cross of unit spread."""
     cross = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    known = np.concatenate([cross + (1.0, 0.5), cross + (2.0, 1.5)])
+    known = np.concatenate([cross + np.array(middle) for middle in ((1.0, 0.5), (2.0, 1.5))])
     found = LinearDiscriminant.fit(known, ["left"] * 4 + ["right"] * 4)
     assert found.classify(np.array([latent])) == [named]
 
@@ -212,7 +213,7 @@ def test_several_training_seeds_are_told_where_any_method_has_them(
 ) -> None:
     for name in ("_safety", "_seeds", "_gained"):
         monkeypatch.setattr(point_report, name, lambda _, name=name: f"({name})")
-    own = {f"method {n}": {"over_seeds": {}} if n in several else {} for n in range(3)}
+    own: dict[str, Any] = {f"method {n}": {"over_seeds": {}} if n in several else {} for n in range(3)}
     result = {
         "directions": 2, "force": 0.05, "episodes": 3, "steps": 10, "seed": 1, "evaluation_seed": 2, "date": "",
         "methods": own, "same_margin": {}, "margins": {}, "penalty": {}, "advantages": [],
