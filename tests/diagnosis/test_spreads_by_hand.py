@@ -291,7 +291,8 @@ def number(value: float, std: float = math.nan) -> Number:
 def test_a_pooled_number_by_hand() -> None:
     """Values 1, 2, 6 with deviation 1: weights 1, centre 3, surplus 14 - 2 = 12, size 3 - 1 = 2, spread sqrt(6)."""
     found = pooled_number([number(1.0, 1.0), number(2.0, 1.0), number(6.0, 1.0)])
-    assert (found.mean, found.low, found.high, found.robots, found.stated) == (pytest.approx(3.0), 1.0, 6.0, 3, 1.0)
+    assert found.mean == pytest.approx(3.0)
+    assert (found.low, found.high, found.robots, found.stated) == (1.0, 6.0, 3, 1.0)
     assert found.spread == pytest.approx(math.sqrt(6.0))
     assert found.std == pytest.approx(math.sqrt(7.0 / 3.0))
 
@@ -299,7 +300,8 @@ def test_a_pooled_number_by_hand() -> None:
 def test_robots_that_are_surer_count_more_in_what_is_pooled() -> None:
     """Deviations 1 and 2 of 0 and 1: nothing beyond them: weights 1 and 1 / 4, mean 0.2, deviation 1 / sqrt(1.25)."""
     found = pooled_number([number(0.0, 1.0), number(1.0, 2.0)])
-    assert (found.spread, found.mean, found.std) == (0.0, pytest.approx(0.2), pytest.approx(1.25**-0.5))
+    assert found.spread == 0.0
+    assert [found.mean, found.std] == pytest.approx([0.2, 1.25**-0.5])
     again = pooled_number([number(0.0, 1.0), number(1.0, 2.0), number(0.2)])
     assert (again.stated, again.spread) == (1.5, 0.0)
     assert again.std == pytest.approx((1.25 + 1.0 / 2.25) ** -0.5)
