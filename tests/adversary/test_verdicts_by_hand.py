@@ -171,19 +171,15 @@ def test_against_a_grid_an_answer_is_needless_where_some_point_keeps_every_h_abo
     assert found.number == 7
 
 
-def tallied(status: str, action: float, wish: float = 0.9, **known: Any) -> systems.Tally:
+def tallied(status: str, action: float, wish: float = 0.9, lift: float = 0.5) -> systems.Tally:
     """Of a system of one action within -1 and 1, h = 0.5 + a and 0.5 - a after it and 0.5 now, eta 0.5."""
-    lift = known.get("lift", 0.5)
     system: Any = SimpleNamespace(
         heights=lambda states, since=None: np.concatenate([lift + states, lift - states], axis=1),
         after=lambda _state, actions: np.asarray(actions), eta=0.5, low=(-1.0,), high=(1.0,),
     )  # fmt: skip
     tally, grid = systems.Tally(), np.linspace(-1.0, 1.0, 41)[:, None]
-    systems._judge(
-        system, 0.0, grid, np.zeros(1), np.array([wish]), verdict(status, (action, 0.0))
-        if known.get("two") else SimpleNamespace(status=SimpleNamespace(value=status), action=np.array([action])),
-        tally,
-    )  # fmt: skip
+    said: Any = SimpleNamespace(status=SimpleNamespace(value=status), action=np.array([action]))
+    systems._judge(system, 0.0, grid, np.zeros(1), np.array([wish]), said, tally)
     return tally
 
 
@@ -333,7 +329,8 @@ def test_two_answers_are_apart_by_the_root_of_the_weight(
     problem = plane(1.0, 1.0, weights=(1.0, 4.0))
     one, other = verdict(statuses[0], (0.0, 0.0)), verdict(statuses[1], action)
     found = mirrors._beside("a", 1, problem, one, other, lambda value: value)
-    assert (found.apart, found.same) == (pytest.approx(apart), same)
+    assert found.apart == pytest.approx(apart)
+    assert found.same is same
 
 
 def test_a_campaign_counts_what_held_what_did_not_and_what_was_only_told() -> None:
