@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments import car, car_curves, pendulum, point, point_report, point_story
+from safedpa_lab.experiments import car, car_curves, point_report, point_story
 from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_latent import LinearDiscriminant, _accuracy
 from safedpa_lab.experiments.car_methods import METHODS
 from safedpa_lab.experiments.car_sweeps import chosen_sweeps
 from safedpa_lab.experiments.car_table import cell_of, table_markdown
 from safedpa_lab.experiments.pendulum_figure_sweeps import _pooled
-from safedpa_lab.experiments.statistics import ratio_interval, wilson_interval
+from safedpa_lab.experiments.statistics import wilson_interval
 
 
 def outcome(seed: int, **changes: Any) -> Outcome:
@@ -170,41 +170,6 @@ def test_between_two_classes_of_the_same_spread_the_middle_decides(latent: list[
     known = np.concatenate([cross + np.array(middle) for middle in ((1.0, 0.5), (2.0, 1.5))])
     found = LinearDiscriminant.fit(known, ["left"] * 4 + ["right"] * 4)
     assert found.classify(np.array([latent])) == [named]
-
-
-def test_how_much_the_pendulum_has_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two questions of three and four methods, four of the seven with a filter; a table more for these."""
-
-    def methods(*filters: str) -> list[Any]:
-        return [SimpleNamespace(filter=one) for one in filters]
-
-    monkeypatch.setattr(pendulum, "_METHODS", {"a": methods("x", "", "y"), "b": methods("x", "", "", "z")})
-    monkeypatch.setattr(pendulum, "TABLES", ("own", "same"))
-    monkeypatch.setattr(pendulum, "Sweeps", lambda *_: SimpleNamespace(size=100))
-    told: list[tuple[int, int]] = []
-    for episodes, whole in ((0, 7 + 4), (2, 7 + 4 + 100)):
-        asked: Any = SimpleNamespace(models=None, axes=None, sweep_episodes=episodes)
-        count = pendulum._Count(asked, lambda *given: told.append(given))
-        count.more()
-        count.more()
-        assert told[-2:] == [(1, whole), (2, whole)]
-
-
-@pytest.mark.parametrize("ppo", [[0, 3, 0, 5], [2, 2, 1, 1], [0, 0, 0, 0], None])
-def test_goals_over_those_of_ppo_are_told_where_it_reached_any(ppo: list[int] | None) -> None:
-    tables: dict[str, dict[str, Any]] = {
-        "own": {"safedpa": {"goals_each": [2, 3, 4, 5]}}, "same": {"safedpa": {"goals_each": [1, 1, 2, 2]}}
-    }  # fmt: skip
-    if ppo is not None:
-        tables["own"]["ppo"] = {"goals_each": ppo}
-    point._beside_ppo(tables)
-    rows = [tables["own"]["safedpa"], tables["same"]["safedpa"]]
-    if not ppo or sum(ppo) == 0:
-        assert all("of_ppo" not in row for row in rows)
-    else:
-        goals = np.array([[2.0, 3.0, 4.0, 5.0], [1.0, 1.0, 2.0, 2.0]])
-        assert [row["of_ppo"] for row in rows] == [ratio_interval(own, np.array(ppo, dtype=float)) for own in goals]
-        assert [row["of_ppo"][0] for row in rows] == pytest.approx((goals.sum(axis=1) / sum(ppo)).tolist())
 
 
 @pytest.mark.parametrize(("several", "shown"), [((), False), ((1,), True), ((0, 1, 2), True)])
