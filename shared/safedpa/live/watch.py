@@ -131,8 +131,8 @@ def place_in_words(system: System, band: Band, forecasts: Sequence[Forecast], ho
     errors = np.array([channel_errors(system, item) for item in forecasts])[:, worst]
     name, unit = channels(system)[worst]
     size = float(np.median(np.abs(errors)))
-    share = float((errors > 0.0).mean())
-    way = " more" if share >= _ONE_WAY else " less" if share <= 1.0 - _ONE_WAY else ""
+    above, below = float((errors > 0.0).mean()), float((errors < 0.0).mean())
+    way = " more" if above >= _ONE_WAY else " less" if below >= _ONE_WAY else ""
     amount = f"{size:.2g}{'' if unit == '1' else ' ' + unit}"
     measured = f"{amount}{way} than predicted" if way else f"{amount} beside the prediction"
     heading = "" if way else _heading(system, forecasts, errors)
