@@ -99,7 +99,7 @@ def test_what_is_not_there_or_empty_or_a_bag_s_metadata_is_told(tmp_path: Path) 
 
 
 def test_a_name_that_is_not_utf_8_is_told(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="its name is not UTF-8, which readers of tables want; rename it"):
+    with pytest.raises(RunError, match=r"its name is not UTF-8, which readers of tables want; rename it"):
         kind_of(tmp_path / "a\udcff.csv")
-    with pytest.raises(RunError, match="no such file"):
+    with pytest.raises(RunError, match=r"no such file"):
         kind_of(tmp_path / "a\u00e4\uffff.csv")

@@ -137,7 +137,7 @@ def test_what_lies_between_records_that_nobody_reads_is_passed_over(tmp_path: Pa
 def test_what_is_no_bag_of_format_2_0_is_refused(start: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(start)
-    with pytest.raises(RunError, match="is no ROS 1 bag of format 2.0; 'rosbag fix' brings older ones up to it"):
+    with pytest.raises(RunError, match=r"is no ROS 1 bag of format 2.0; 'rosbag fix' brings older ones up to it"):
         read(Ros1Bag(path))
 
 
@@ -147,14 +147,14 @@ def test_a_topic_has_one_type(tmp_path: Path) -> None:
     assert read(log) == [WHOLE, WHOLE]
     log = bag(tmp_path, connection(0), connection(1, kind="std_msgs/Int32"))
     with pytest.raises(
-        RunError, match="topic '/a' has two types, std_msgs/msg/Float32 and std_msgs/msg/Int32; filter the bag"
+        RunError, match=r"topic '/a' has two types, std_msgs/msg/Float32 and std_msgs/msg/Int32; filter the bag"
     ):
         read(log)
     assert read(bag(tmp_path, connection(0), connection(1, "/b", "std_msgs/Int32"), message(1)))[0][0] == "/b"
 
 
 def test_chunks_packed_by_something_else_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="chunks are packed by 'zip'; wanted bz2 or lz4"):
+    with pytest.raises(RunError, match=r"chunks are packed by 'zip'; wanted bz2 or lz4"):
         read(bag(tmp_path, chunk(b"", "zip")))
 
 
@@ -163,7 +163,7 @@ def test_so_many_topics_and_no_more_whatever_their_connections(tmp_path: Path, m
     monkeypatch.setenv("SAFEDPA_LIMITS", "bag_topics=2")
     two = [connection(0), connection(1, "/b")]
     assert read(bag(tmp_path, *two, *two, message())) == [WHOLE]
-    with pytest.raises(LimitError, match="wanted at most 2; .*bag_topics"):
+    with pytest.raises(LimitError, match=r"wanted at most 2; .*bag_topics"):
         read(bag(tmp_path, *two, connection(2, "/c")))
 
 
@@ -175,7 +175,7 @@ def test_a_chunk_has_so_many_bytes_told_and_there(told: bool, tmp_path: Path, mo
     monkeypatch.setenv("SAFEDPA_LIMITS", "bag_chunk_bytes=5000")
     assert read(bag(tmp_path, one)) == []
     monkeypatch.setenv("SAFEDPA_LIMITS", "bag_chunk_bytes=4999")
-    with pytest.raises(LimitError, match="got 5000 bytes, wanted at most 4999; .*bag_chunk_bytes"):
+    with pytest.raises(LimitError, match=r"got 5000 bytes, wanted at most 4999; .*bag_chunk_bytes"):
         read(bag(tmp_path, one))
 
 
@@ -184,7 +184,7 @@ def test_a_record_has_so_many_bytes(more: int, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("SAFEDPA_LIMITS", "bag_chunk_bytes=1000")
     log = bag(tmp_path, record(field("op", b"\x03"), b" " * (1000 + more)), connection(0), message())
     if more:
-        with pytest.raises(LimitError, match="a record of the bag: .*got 1001 bytes, wanted at most 1000"):
+        with pytest.raises(LimitError, match=r"a record of the bag: .*got 1001 bytes, wanted at most 1000"):
             read(log)
     else:
         assert read(log) == [WHOLE]
@@ -199,7 +199,7 @@ def test_all_chunks_together_may_become_so_much(more: int, tmp_path: Path, monke
     log = bag(tmp_path, packed, packed)
     assert log.path.stat().st_size < 2 * len(inside) - 1
     if more:
-        with pytest.raises(LimitError, match="expansion"):
+        with pytest.raises(LimitError, match=r"expansion"):
             read(log)
     else:
         assert len(read(log)) == 2

@@ -102,7 +102,7 @@ def test_a_first_line_is_so_long_at_most(more: int, tmp_path: Path, monkeypatch:
     path = written(tmp_path, f"{head}\n")
     if more:
         with pytest.raises(
-            LimitError, match="more than 100 bytes in the first line, wanted at most 100; .*header_bytes"
+            LimitError, match=r"more than 100 bytes in the first line, wanted at most 100; .*header_bytes"
         ):
             read_csv_table(written(tmp_path, f"{head}y"), ("t", "x"))
     else:
@@ -132,7 +132,7 @@ def test_columns_that_are_wanted_are_there_once() -> None:
     path = Path("a.csv")
     require_columns(path, (), [])
     require_columns(path, ("t",), ["t", "x", "x"])
-    with pytest.raises(RunError, match="column 'x' is there 2 times"):
+    with pytest.raises(RunError, match=r"column 'x' is there 2 times"):
         require_columns(path, ("t", "x"), ["t", "x", "x"])
     with pytest.raises(RunError, match=r"column 'y' is missing; "):
         require_columns(path, ("t", "y"), ["t", "x"])
@@ -161,7 +161,7 @@ def test_a_unit_has_its_factor_and_measures_one_thing(wanted: str, unit: str) ->
 
 
 def test_an_unknown_unit_is_refused() -> None:
-    with pytest.raises(ColumnMapError, match="^columns.x.unit: unknown unit 'metre'; "):
+    with pytest.raises(ColumnMapError, match=r"^columns.x.unit: unknown unit 'metre'; "):
         factor_to_si("metre", "m", "columns.x.unit")
 
 
@@ -203,7 +203,7 @@ def test_a_parquet_file_s_description_has_so_many_bytes(
 def test_a_column_of_a_parquet_file_holds_numbers(values: object, x: list[float] | None, tmp_path: Path) -> None:
     path = parquet_file(tmp_path, t=[0.0, 1.0], x=values)
     if x is None:
-        with pytest.raises(RunError, match="column 'x': got .*, wanted numbers"):
+        with pytest.raises(RunError, match=r"column 'x': got .*, wanted numbers"):
             read_parquet_table(path, ("t", "x"))
         assert read_parquet_table(path, ("t",)).columns["t"].tolist() == [0.0, 1.0]
     else:
@@ -216,5 +216,5 @@ def test_a_parquet_file_may_not_become_far_more_than_it_is(tmp_path: Path, monke
     monkeypatch.setenv("SAFEDPA_LIMITS", "expansion=1,expansion_free_bytes=2000000")
     assert len(read_parquet_table(path, ("t",)).columns["t"]) == 100_000
     monkeypatch.setenv("SAFEDPA_LIMITS", "expansion=1,expansion_free_bytes=700000")
-    with pytest.raises(LimitError, match="expansion"):
+    with pytest.raises(LimitError, match=r"expansion"):
         read_parquet_table(path, ("t",))
