@@ -1,4 +1,4 @@
-"""Settings, calibrations and inputs at the ends of their ranges: just beyond is refused with its key, just within passes."""
+"""Settings, calibrations and inputs at the ends of their ranges: beyond is refused with its key, within passes."""
 
 from __future__ import annotations
 
@@ -229,9 +229,9 @@ def test_every_key_of_a_file_of_margins_is_wanted(key: str) -> None:
 
 def test_a_file_of_margins_has_no_other_key_and_one_format() -> None:
     text = MarginCalibration(**GOOD).write()
-    with pytest.raises(InputError, match="^epsilom: unknown key; .*epsilon"):
+    with pytest.raises(InputError, match=r"^epsilom: unknown key; .*epsilon"):
         MarginCalibration.parse(f"{text}\n[epsilom]\na = 1.0\n")
-    with pytest.raises(InputError, match="^format: wanted 1; this program reads no other"):
+    with pytest.raises(InputError, match=r"^format: wanted 1; this program reads no other"):
         MarginCalibration.parse(text.replace("format = 1", "format = 2"))
 
 
@@ -257,13 +257,13 @@ def test_a_coverage_lies_between_0_and_1(coverage: float) -> None:
         lambda: smallest_sample(coverage),
         lambda: OnlineMargin(0.1, coverage),
     ):
-        with pytest.raises(InputError, match="coverage"):
+        with pytest.raises(InputError, match=r"coverage"):
             asked()
 
 
 @pytest.mark.parametrize("drives", [[[1.0], []], [[1.0], [math.nan]], [[math.inf]], [[[1.0]]], [1.0]])
 def test_errors_of_a_drive_are_one_axis_of_finite_numbers(drives: list[Any]) -> None:
-    with pytest.raises(InputError, match="errors of a drive: got shape .* or NaN, wanted one axis of finite numbers"):
+    with pytest.raises(InputError, match=r"errors of a drive: got shape .* or NaN, wanted one axis of finite numbers"):
         margins_over_drives(drives, 0.5)
 
 
@@ -325,13 +325,13 @@ def test_without_a_barrier_there_is_no_margin() -> None:
     prediction: Any = object.__new__(Prediction)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Prediction, "next_state", Same.next_state)
-        with pytest.raises(InputError, match="^barriers: got none, wanted at least one"):
+        with pytest.raises(InputError, match=r"^barriers: got none, wanted at least one"):
             one_step_errors(prediction, (), np.zeros((2, 4)), np.zeros((2, 2)), np.zeros((2, 4)))
 
 
 def test_what_is_believed_is_no_nan_and_names_are_text() -> None:
     for low, high in ((math.nan, 1.0), (0.0, math.nan)):
-        with pytest.raises(ValueError, match="plausible range: got NaN"):
+        with pytest.raises(ValueError, match=r"plausible range: got NaN"):
             Plausible(np.array([low]), np.array([high]), ("a",))
     assert Plausible(np.array([-np.inf]), np.array([np.inf]), ("a",)).highest == (math.inf,)
     assert checked_names(()) == ()
