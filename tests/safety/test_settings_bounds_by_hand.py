@@ -15,7 +15,7 @@ from safedpa.safety.inputs import Plausible, checked_names
 from safedpa.safety.margin import OnlineMargin, margins_over_drives, smallest_sample, split_conformal_margin
 from safedpa.safety.settings import FilterSettings, parse_settings
 
-OWN = {"system": "", "action_low": (-1.0, 0.0), "action_high": (1.0, 2.0)}
+OWN: dict[str, Any] = {"system": "", "action_low": (-1.0, 0.0), "action_high": (1.0, 2.0)}
 
 REFUSED_SETTINGS: dict[str, tuple[dict[str, Any], str]] = {
     "eta 0": ({"eta": 0.0}, "eta: got 0.0, wanted more than 0.0, at most 1.0"),
@@ -102,8 +102,8 @@ def test_a_setting_at_the_end_of_its_range_is_kept_as_it_is(changes: dict[str, A
 
 
 def test_an_epsilon_of_0_is_one() -> None:
-    assert FilterSettings(**OWN, epsilon=0.0).epsilon == {"default": 0.0}
-    assert FilterSettings(**OWN, epsilon={"obstacle": 0}).epsilon == {"obstacle": 0.0}
+    assert FilterSettings(**{**OWN, "epsilon": 0.0}).epsilon == {"default": 0.0}
+    assert FilterSettings(**{**OWN, "epsilon": {"obstacle": 0}}).epsilon == {"obstacle": 0.0}
 
 
 @pytest.mark.parametrize(
@@ -289,6 +289,7 @@ def test_margins_over_no_drives_and_over_one() -> None:
 def test_a_margin_that_follows_is_refused_beyond_its_ranges(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **changes})
+    within: dict[str, Any]
     for within in ({"calibrated": 0.0}, {"rate": 1.0}, {"rate": 1e-9}, {"window": 1}):
         assert OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **within}).value in (0.0, 0.1)
 
