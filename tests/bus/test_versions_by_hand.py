@@ -14,8 +14,14 @@ OLD, NEW = "0" * 12, "2" * 12
 
 
 def message(step: str, change: int = 7, fingerprint: str = NEW, **more: Any) -> ModelMessage:
-    given = {"document": "new" if step == "offer" else "", "margin": "", "replaces": "", "from_tick": 0, "epoch": EPOCH}
-    stamp = {"tick": 0, "robot_time": 0.0, "publish_time": 0.0}
+    given: dict[str, Any] = {
+        "document": "new" if step == "offer" else "",
+        "margin": "",
+        "replaces": "",
+        "from_tick": 0,
+        "epoch": EPOCH,
+    }
+    stamp: dict[str, Any] = {"tick": 0, "robot_time": 0.0, "publish_time": 0.0}
     return ModelMessage(**{**given, **stamp, **more}, step=step, change=change, fingerprint=fingerprint)
 
 
@@ -211,9 +217,18 @@ class Ticket:
         return self.outcomes.pop(0) if self.outcomes else None
 
 
+def trial(*outcomes: dict[str, object] | None) -> Any:
+    return Ticket(*outcomes)
+
+
 def test_an_offer_is_tried_elsewhere_once_and_loaded_as_the_trial_left_it(story: Story) -> None:
-    ticket, handed = Ticket(None, {"document": "plain"}), list[str]()
-    story.versions.hand_in = lambda robot, offer: (handed.append(f"{robot} {offer.document}"), ticket)[1]  # type: ignore[func-returns-value,return-value]
+    ticket, handed = trial(None, {"document": "plain"}), list[str]()
+
+    def hand_in(robot: str, offer: ModelMessage) -> Any:
+        handed.append(f"{robot} {offer.document}")
+        return ticket
+
+    story.versions.hand_in = hand_in
     story.hear(message("offer"))
     assert story.answers() == []
     assert story.loads == []
@@ -223,7 +238,7 @@ def test_an_offer_is_tried_elsewhere_once_and_loaded_as_the_trial_left_it(story:
 
 @pytest.mark.parametrize("problem", ["it has no weights", "x" * 400])
 def test_what_failed_its_trial_is_refused_and_never_loaded(problem: str, story: Story) -> None:
-    story.versions.hand_in = lambda *_: Ticket({"problem": problem})  # type: ignore[return-value]
+    story.versions.hand_in = lambda *_: trial({"problem": problem})
     assert story.hear(message("offer")).answers() == [("refused", 7, problem[:300])]
     assert story.loads == []
     assert story.versions.prepared("r") is None
@@ -235,8 +250,8 @@ def test_what_is_longer_than_the_limit_is_not_even_tried(
     part: str, longer: int, story: Story, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SAFEDPA_LIMITS", "offer_bytes=10")
-    story.versions.hand_in = lambda *_: Ticket({})  # type: ignore[return-value]
-    (answer,) = story.hear(message("offer", **{part: "x" * (10 + longer)})).answers()
+    story.versions.hand_in = lambda *_: trial({})
+    (answer,) = story.hear(message("offer", 7, NEW, **{part: "x" * (10 + longer)})).answers()
     assert answer[0] == ("refused" if longer else "ready")
     assert ("got 11 letters, wanted at most 10" in answer[2]) == bool(longer)
 
@@ -253,7 +268,7 @@ def test_after_a_load_the_loop_has_as_long_for_others(
     lockstep: bool, after: float, answered: int, story: Story
 ) -> None:
     """A load takes 0.01 s here; in lockstep nobody waits for a moment."""
-    story.versions.hand_in = lambda *_: Ticket({})  # type: ignore[return-value]
+    story.versions.hand_in = lambda *_: trial({})
     story.hear(message("offer")).answers()
     assert story.loads == ["new"]
     story.clock.now += after
@@ -264,11 +279,18 @@ def test_after_a_load_the_loop_has_as_long_for_others(
 
 
 def status(**more: Any) -> Answer:
-    given = {"ok": True, "sentence": "", "fingerprint": "4" * 12, "change": 5, "document": "agreed", "epoch": EPOCH}
+    given: dict[str, Any] = {
+        "ok": True,
+        "sentence": "",
+        "fingerprint": "4" * 12,
+        "change": 5,
+        "document": "agreed",
+        "epoch": EPOCH,
+    }
     return Answer(**{**given, **more})
 
 
-PENDING = {"pending_document": "new", "pending_fingerprint": NEW, "from_tick": 10}
+PENDING: dict[str, Any] = {"pending_document": "new", "pending_fingerprint": NEW, "from_tick": 10}
 
 
 @pytest.mark.parametrize("answer", [None, status(ok=False), status(fingerprint="")], ids=["none", "not ok", "no model"])

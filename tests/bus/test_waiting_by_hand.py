@@ -9,6 +9,7 @@ import ast
 from functools import reduce
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,7 +44,8 @@ CHOSEN: tuple[tuple[str, str, float], ...] = (
 
 @pytest.mark.parametrize(("module", "name", "chosen"), CHOSEN, ids=lambda value: str(value).rpartition(".")[2])
 def test_what_is_waited_for_is_as_long_as_it_was_chosen(module: str, name: str, chosen: float) -> None:
-    assert reduce(getattr, name.split("."), import_module(module)) == chosen
+    found: Any = import_module(module)
+    assert reduce(getattr, name.split("."), found) == chosen
 
 
 def test_links_are_given_up_as_soon_as_it_was_chosen() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from functools import reduce
 from importlib import import_module
+from typing import Any
 
 import pytest
 
@@ -36,4 +37,5 @@ CHOSEN: tuple[tuple[str, str, float], ...] = (
 
 @pytest.mark.parametrize(("module", "name", "chosen"), CHOSEN, ids=lambda value: str(value).rpartition(".")[2])
 def test_what_is_waited_for_is_as_long_as_it_was_chosen(module: str, name: str, chosen: float) -> None:
-    assert reduce(getattr, name.split("."), import_module(module)) == chosen
+    found: Any = import_module(module)
+    assert reduce(getattr, name.split("."), found) == chosen

@@ -291,7 +291,8 @@ def test_a_margin_that_follows_is_refused_beyond_its_ranges(changes: dict[str, A
         OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **changes})
     within: dict[str, Any]
     for within in ({"calibrated": 0.0}, {"rate": 1.0}, {"rate": 1e-9}, {"window": 1}):
-        assert OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **within}).value in (0.0, 0.1)
+        given: dict[str, Any] = {"calibrated": 0.1, "coverage": 0.9, **within}
+        assert OnlineMargin(**given).value in (0.0, 0.1)
 
 
 SHAPES: dict[str, tuple[Any, Any, Any, Any]] = {
