@@ -360,3 +360,21 @@ def test_a_chunk_becomes_so_many_bytes(limit: str, more: int, tmp_path: Path, mo
 def test_times_of_a_recording_are_those_of_the_robot(tmp_path: Path) -> None:
     record(tmp_path / "a.mcap", range(40))
     assert np.allclose(np.diff(load_run(tmp_path / "a.mcap", CAR).t), 0.05)
+
+
+@pytest.mark.parametrize("start", [b"ULoG\x01\x12\x35", b"ULog\x01\x12\x36", b""])
+def test_what_does_not_begin_as_a_flight_log_is_none(start: bytes, tmp_path: Path) -> None:
+    from safedpa.records.bags.ulog_log import UlogLog
+
+    path = tmp_path / "a.ulg"
+    path.write_bytes(start + b"\x01" + bytes(8) + b"".join([*HEAD, *ROWS]))
+    with pytest.raises(RunError, match=r"is no PX4 flight log; wanted a .ulg file"):
+        UlogLog(path).topics()
+
+
+def test_the_filter_s_package_gives_what_it_has_and_nothing_else() -> None:
+    import safedpa.safety
+
+    assert safedpa.safety.FilterSettings.__name__ == "FilterSettings"
+    with pytest.raises(AttributeError, match=r"has no attribute 'FilterSetting'"):
+        _ = safedpa.safety.FilterSetting  # type: ignore[attr-defined]
