@@ -1,0 +1,101 @@
+"""The point robots' filter on a model that is not affine in the action: taken as affine about one action, or anew.
+
+About the wish what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
+own action: decide, take the model anew about what was decided, decide again; then the error goes where the action
+settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_lab.point.action_models import ActionModel
+from safedpa_sim.point.belief import Believed
+from safedpa_sim.point.filtering import ETA, Filtered, PointFilter, around_hazards, least_room
+
+__all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+ABOUT: Final = ("middle", "wish", "own")
+"""What the model is linearised about: no action, the wish, what was decided."""
+_AGAIN: Final = 2
+"""Decisions after the first, of those whose wish was corrected."""
+_TOLERANCE: Final = 1e-6
+"""m; of what is kept by the model itself."""
+
+
+@final
+@dataclass(frozen=True)
+class Decided:
+    """Actions (robots, 2) in [-1, 1], and the least room (robots,) [m] that is predicted with them."""
+
+    action: Floats
+    corrected: NDArray[np.bool_]
+    relaxed: NDArray[np.bool_]
+    predicted: Floats
+    room: Floats
+    """(robots,) [m]: the least one as they are."""
+
+
+@final
+class RelinearisedFilter:
+    """``epsilon`` [m] is the margin; ``about`` one of ``ABOUT``.
+
+    Of the filter's own action the model itself says what it predicts; else what was affine says it.
+    """
+
+    def __init__(self, epsilon: float, about: str) -> None:
+        self._filter, self._epsilon, self._about = PointFilter(epsilon), epsilon, about
+
+    def decide(self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Decided:
+        """Safe actions for states (robots, 5), which the model sees, and wishes (robots, 2) among hazards."""
+        model.see(state)
+        everybody = np.arange(len(state))
+        believed = model.about(np.zeros_like(wish) if self._about == "middle" else wish, everybody)
+        found = self._filter.decide(state, wish, hazards, believed)
+        if self._about == "own":
+            found = self._again(found, state, wish, hazards, model)
+            following = model.following(found.action, everybody)
+        else:
+            following = believed.next_state(found.action)
+        predicted = least_room(following, hazards, believed.motion)
+        room = least_room(state, hazards, believed.motion)
+        return Decided(found.action, found.corrected, found.relaxed, predicted, room)
+
+    def _again(self, found: Filtered, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Filtered:
+        """Decided anew about what was decided; where that could not be solved, about no action.
+
+        About a saturated wish the thrust has no slope, so that nothing solves it; about no action it has its full one.
+        What could not be solved, or falls short by the model itself, replaces only what is worse.
+        """
+        action, relaxed = found.action.copy(), found.relaxed.copy()
+        which = np.flatnonzero(found.corrected)
+        if not len(which):
+            return found
+        first = model.about(action[which], which)
+        kept = self._kept(action[which], which, state, hazards, model, first)
+        for _ in range(_AGAIN):
+            about = np.where(relaxed[which, np.newaxis], 0.0, action[which])
+            believed = model.about(about, which)
+            new = self._filter.decide(state[which], wish[which], hazards[which], believed)
+            now = self._kept(new.action, which, state, hazards, model, believed)
+            good = ~new.relaxed & (now >= -_TOLERANCE)
+            better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
+            action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
+            kept = np.where(better, now, kept)
+        return Filtered(action, np.any(action != wish, axis=1), relaxed)
+
+    def _kept(
+        self, action: Floats, which: Indices, state: Floats, hazards: Floats, model: ActionModel, believed: Believed
+    ) -> Floats:
+        """min over hazards of h(next) - (1 - eta) h - epsilon (n,) [m], by the model itself: below 0 it falls short."""
+        around = around_hazards(hazards[which], believed.motion)
+        following = model.following(action, which)
+        kept: Floats = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
+        return kept - self._epsilon
