@@ -22,17 +22,18 @@ from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, wilson_interval
 from safedpa_lab.point.driven import driven as drive
 from safedpa_lab.point.margin import COVERAGE
-from safedpa_lab.point.relinearised_drives import WISHES, FilteredDriver, model_of, windy, wish_of
+from safedpa_lab.point.relinearised_drives import FilteredDriver, model_of, windy, wish_of
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import EPISODE_STEPS
 
-__all__ = ["FILTERS", "THRUSTS", "Relinearised", "Row", "point_relinearised", "row_of"]
+__all__ = ["FILTERS", "PLACES", "Relinearised", "Row", "point_relinearised", "row_of"]
 
 Tell = Callable[[int, int], None]
 Floats = NDArray[np.float64]
 
-THRUSTS: Final = ("clean", "stock")
+PLACES: Final = (("clean", "policy"), ("stock", "policy"), ("stock", "disturbed"))
+"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range."""
 FILTERS: Final = {
     "affine": ("affine", "wish"),
     "wish": ("free", "wish"),
@@ -41,7 +42,7 @@ FILTERS: Final = {
 }
 """Kind of model, and what it is linearised about."""
 _FIRST_GUESS: Final = 0.002
-"""m; the margin of the first calibrating round, behind the row's own filter."""
+"""m; the margin with which the calibrating drives go, behind the row's own filter."""
 
 
 @final
@@ -62,7 +63,7 @@ class Row:
     seed: int
     """Of what is counted."""
     calibration: int
-    """The first of two."""
+    """The seed of the drives that calibrate."""
 
 
 @final
@@ -88,12 +89,10 @@ class Relinearised:
         seeds_for("evaluation", 1, self.seed)
 
     def rows(self) -> list[Row]:
-        """Thrust by thrust, wish by wish, filter by filter."""
+        """Place by place, filter by filter."""
         plain = str(self.models), self.directions, self.episodes, self.steps, self.drives, self.drive_steps
-        seeds = seeds_for("evaluation", 1, self.seed)[0], seeds_for("calibration", 2, self.seed)[0]
-        return [
-            Row(thrust, name, wish, *plain, *seeds) for thrust in THRUSTS for wish in WISHES for name in FILTERS
-        ]
+        seeds = seeds_for("evaluation", 1, self.seed)[0], seeds_for("calibration", 1, self.seed)[0]
+        return [Row(thrust, name, wish, *plain, *seeds) for thrust, wish in PLACES for name in FILTERS]
 
 
 def point_relinearised(asked: Relinearised, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
@@ -101,16 +100,15 @@ def point_relinearised(asked: Relinearised, tell: Tell = lambda _done, _all: Non
     check_record(asked.record, Row, row_of)
     rows = driven(row_of, asked.rows(), asked.processes, tell, asked.record)
     told = {name: getattr(asked, name) for name in ("directions", "episodes", "steps", "drives", "drive_steps", "seed")}
-    seeds = {"evaluation_seed": rows[0]["seed"], "calibration_seeds": [rows[0]["calibration"] + one for one in (0, 1)]}
+    seeds = {"evaluation_seed": rows[0]["seed"], "calibration_seed": rows[0]["calibration"]}
     plain = [{key: value for key, value in row.items() if key != "models"} for row in rows]
     return {**told, **seeds, "coverage": COVERAGE, "force": LARGEST_FORCE, "rows": plain, "against": _against(rows)}
 
 
 def row_of(row: Row) -> dict[str, Any]:
-    """The row's margin, in two rounds behind its own filter, and its episodes with that margin."""
-    first = _margin(_calibrated(row, 0, _FIRST_GUESS))
-    errors = _calibrated(row, 1, first)
-    epsilon, every = _margin(errors), np.concatenate(errors)
+    """The row's margin, behind its own filter with a first guess, and its episodes with that margin."""
+    errors = _calibrated(row)
+    epsilon, every = max(0.0, margins_over_drives(errors, COVERAGE)[0]), np.concatenate(errors)
     towards = np.repeat(2.0 * np.pi * np.arange(row.directions) / row.directions, row.episodes)
     driver = _driver(row, towards, row.seed, epsilon)
     found = drive(driver, driver.task, row.steps)
@@ -118,7 +116,6 @@ def row_of(row: Row) -> dict[str, Any]:
     return {
         **{item.name: getattr(row, item.name) for item in fields(row)},
         "epsilon": epsilon,
-        "first": first,
         "calibrated_on": len(every),
         "median_error": float(np.median(np.abs(seen))) if len(seen) else None,
         "error_99": float(np.quantile(seen, COVERAGE)) if len(seen) else None,
@@ -137,18 +134,13 @@ def row_of(row: Row) -> dict[str, Any]:
     }
 
 
-def _calibrated(row: Row, number: int, epsilon: float) -> list[Floats]:
-    """The errors [m] along each drive of one round."""
-    seed = row.calibration + number
-    towards = np.random.default_rng([seed, 61]).uniform(0.0, 2.0 * np.pi, row.drives)
-    driver = _driver(row, towards, seed, epsilon)
+def _calibrated(row: Row) -> list[Floats]:
+    """The errors [m] along each drive."""
+    towards = np.random.default_rng([row.calibration, 61]).uniform(0.0, 2.0 * np.pi, row.drives)
+    driver = _driver(row, towards, row.calibration, _FIRST_GUESS)
     for _ in range(row.drive_steps):
         driver.task.advance(driver.act())
     return driver.errors()
-
-
-def _margin(errors: list[Floats]) -> float:
-    return max(0.0, margins_over_drives(errors, COVERAGE)[0])
 
 
 def _driver(row: Row, towards: Floats, seed: int, epsilon: float) -> FilteredDriver:

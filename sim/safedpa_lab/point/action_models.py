@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa.safety.stopping_barrier import Motion
 from safedpa_lab.point.beliefs import PROBES, motion_of
 from safedpa_sim.point.belief import ACTION_SCALE, Believed, TrueBelief
 from safedpa_sim.point.body import POINT_BODY

@@ -13,6 +13,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.action_models import ActionModel
 from safedpa_sim.point.belief import Believed
 from safedpa_sim.point.filtering import ETA, Filtered, PointFilter, around_hazards, least_room
@@ -25,7 +26,7 @@ Indices = NDArray[np.intp]
 ABOUT: Final = ("middle", "wish", "own")
 """What the model is linearised about: no action, the wish, what was decided."""
 _AGAIN: Final = 2
-"""Decisions after the first, of those whose wish was corrected."""
+"""Decisions after the first, of those whose wish does not pass."""
 _TOLERANCE: Final = 1e-6
 """m; of what is kept by the model itself."""
 
@@ -45,12 +46,14 @@ class Decided:
 
 @final
 class RelinearisedFilter:
-    """``epsilon`` [m] is the margin; ``about`` one of ``ABOUT``.
+    """``epsilon`` [m] is the margin; ``about`` one of ``ABOUT``, else InputError.
 
     Of the filter's own action the model itself says what it predicts; else what was affine says it.
     """
 
     def __init__(self, epsilon: float, about: str) -> None:
+        if about not in ABOUT:
+            raise InputError(f"linearised about '{about}': {did_you_mean(about, ABOUT)}")
         self._filter, self._epsilon, self._about = PointFilter(epsilon), epsilon, about
 
     def decide(self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Decided:
@@ -58,37 +61,40 @@ class RelinearisedFilter:
         model.see(state)
         everybody = np.arange(len(state))
         believed = model.about(np.zeros_like(wish) if self._about == "middle" else wish, everybody)
-        found = self._filter.decide(state, wish, hazards, believed)
         if self._about == "own":
-            found = self._again(found, state, wish, hazards, model)
+            found = self._settled(state, wish, hazards, model, believed)
             following = model.following(found.action, everybody)
         else:
+            found = self._filter.decide(state, wish, hazards, believed)
             following = believed.next_state(found.action)
-        predicted = least_room(following, hazards, believed.motion)
-        room = least_room(state, hazards, believed.motion)
+        around = around_hazards(hazards, believed.motion)
+        predicted, room = (around.values(one).min(axis=1) for one in (following, state))
         return Decided(found.action, found.corrected, found.relaxed, predicted, room)
 
-    def _again(self, found: Filtered, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Filtered:
-        """Decided anew about what was decided; where that could not be solved, about no action.
+    def _settled(
+        self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel, believed: Believed
+    ) -> Filtered:
+        """A wish that passes by the model itself passes; others are decided about no action, then about what was
+        decided.
 
-        About a saturated wish the thrust has no slope, so that nothing solves it; about no action it has its full one.
-        What could not be solved, or falls short by the model itself, replaces only what is worse.
+        About no action first: about a saturated wish the thrust has no slope, so that no correction is found. What
+        could not be solved, or falls short by the model itself, replaces only what is worse.
         """
-        action, relaxed = found.action.copy(), found.relaxed.copy()
-        which = np.flatnonzero(found.corrected)
-        if not len(which):
-            return found
-        first = model.about(action[which], which)
-        kept = self._kept(action[which], which, state, hazards, model, first)
-        for _ in range(_AGAIN):
-            about = np.where(relaxed[which, np.newaxis], 0.0, action[which])
-            believed = model.about(about, which)
-            new = self._filter.decide(state[which], wish[which], hazards[which], believed)
-            now = self._kept(new.action, which, state, hazards, model, believed)
+        action, relaxed = wish.copy(), np.zeros(len(wish), bool)
+        everybody = np.arange(len(wish))
+        short = self._kept(wish, everybody, state, hazards, model, believed) < -_TOLERANCE
+        outside = least_room(state, hazards, believed.motion) < 0.0
+        which = np.flatnonzero(short | outside)
+        kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
+        relaxed[which] = True
+        for _ in range(1 + _AGAIN if len(which) else 0):
+            near = model.about(about, which)
+            new = self._filter.decide(state[which], wish[which], hazards[which], near)
+            now = self._kept(new.action, which, state, hazards, model, near)
             good = ~new.relaxed & (now >= -_TOLERANCE)
             better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
             action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
-            kept = np.where(better, now, kept)
+            kept, about = np.where(better, now, kept), action[which]
         return Filtered(action, np.any(action != wish, axis=1), relaxed)
 
     def _kept(

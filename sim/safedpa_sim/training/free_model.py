@@ -68,7 +68,7 @@ class FreeModel:
         return dense_stack(scaled, _doubled(layers_of(self.tensors, "mu")), "relu")
 
     def increment(self, state: Values, latent: Values, action: Values) -> Values:
-        """The change (n, states) of the state's own entries, for (n, states), (n, latents), (n, actions) in SI units."""
+        """The change (n, states) of the state's own entries; (n, states), (n, latents), (n, actions) in SI units."""
         own = self._vector("increment_scale") * dense_stack(self._seen(state, latent, action), self._layers, "relu")
         turned: Values = frame_of(self.description.robot).world_increment(state, own)
         return turned

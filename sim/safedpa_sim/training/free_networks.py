@@ -36,8 +36,8 @@ _TELL_STEPS = 200
 class FreeNetworks(nn.Module):
     """mu and H with their scales, which are buffers:
 
-        n = [(features(x) - feature_middle) / feature_scale, z],  u = (a - action_middle) / action_scale
-        own-frame increment = increment_scale H([n, u]),          z = mu((e - environment_middle) / environment_scale)
+    n = [(features(x) - feature_middle) / feature_scale, z],  u = (a - action_middle) / action_scale
+    own-frame increment = increment_scale H([n, u]),          z = mu((e - environment_middle) / environment_scale)
     """
 
     feature_middle: Tensor
