@@ -52,8 +52,8 @@ def rows_table(result: Mapping[str, Any]) -> str:
     """Each filter with its own margin, by thrust and wish."""
     lines = [
         f"{result['directions']} directions x {result['episodes']} episodes of {result['steps']} steps, evaluation "
-        f"seed {result['evaluation_seed']}; margins of {100 * result['coverage']:g} % over {result['drives']} drives of "
-        f"{result['drive_steps']} steps, calibration seed {result['calibration_seed']}; {result['date']}.\n",
+        f"seed {result['evaluation_seed']}; margins of {100 * result['coverage']:g} % over {result['drives']} drives "
+        f"of {result['drive_steps']} steps, calibration seed {result['calibration_seed']}; {result['date']}.\n",
         "| thrust | wish | filter, told z = mu(e) | error, median / 99 %, mm | margin, mm | episodes without cost, % "
         "| goals | corrected, % | us a decision |",
         "|---|---|---|---|---|---|---|---|---|",
