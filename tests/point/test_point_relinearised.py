@@ -123,9 +123,9 @@ def test_training_learns_and_a_file_brings_back_what_was_written(tmp_path: Path)
     assert len(model.tensors["h.0.bias"]) == free_hidden(asked.phase_1a.hidden)
     save_free(model, tmp_path / "one.safetensors")
     assert load_free(tmp_path / "one.safetensors").digest == model.digest
-    with pytest.raises(InputError, match="no tensor 'h.0.weight'"):
+    with pytest.raises(InputError, match="no tensor 'h"):
         FreeModel({key: one for key, one in model.tensors.items() if key != "h.0.weight"}, model.description)
-    with pytest.raises(InputError, match="nothing.safetensors"):
+    with pytest.raises(InputError, match="nothing"):
         load_free(tmp_path / "nothing.safetensors")
 
 
