@@ -32,8 +32,9 @@ __all__ = ["FILTERS", "PLACES", "Relinearised", "Row", "point_relinearised", "ro
 Tell = Callable[[int, int], None]
 Floats = NDArray[np.float64]
 
-PLACES: Final = (("clean", "policy"), ("stock", "policy"), ("stock", "disturbed"))
-"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range."""
+PLACES: Final = (("clean", "policy"), ("stock", "disturbed"))
+"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range; so would the
+policy alone with the stock one, since its wish stays where that is affine."""
 FILTERS: Final = {
     "affine": ("affine", "wish"),
     "wish": ("free", "wish"),

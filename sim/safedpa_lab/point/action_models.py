@@ -119,11 +119,10 @@ class SimulatedBody:
         self._range = told.scale * self._scale / ACTION_SCALE
 
     def about(self, action: Floats, which: NDArray[np.intp]) -> Believed:  # noqa: D102
-        value, gain = self.following(action, which), np.zeros((len(which), 5, 2))
-        for index in range(2):
-            nudge = _NUDGE * np.eye(2)[index]
-            up, down = (self.following(action + sign * nudge, which) for sign in (1.0, -1.0))
-            gain[:, :, index] = (up - down) / (2.0 * _NUDGE)
+        nudges = _NUDGE * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        around = (action + nudges[:, np.newaxis]).reshape(-1, 2)
+        value, *sides = self.following(around, np.tile(which, len(nudges))).reshape(len(nudges), len(which), 5)
+        gain = np.stack([(sides[at] - sides[at + 1]) / (2.0 * _NUDGE) for at in (0, 2)], axis=-1)
         drift = value - np.einsum("rsa,ra->rs", gain, action)
         return Believed(drift, gain, self._motion.of(which), self._range)
 

@@ -29,6 +29,8 @@ _AGAIN: Final = 2
 """Decisions after the first, of those whose wish does not pass."""
 _TOLERANCE: Final = 1e-6
 """m; of what is kept by the model itself."""
+_SETTLED: Final = 1e-3
+"""Of an action: one that moves less from where the model was taken as affine is not decided anew."""
 
 
 @final
@@ -87,14 +89,17 @@ class RelinearisedFilter:
         which = np.flatnonzero(short | outside)
         kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
         relaxed[which] = True
-        for _ in range(1 + _AGAIN if len(which) else 0):
+        for _ in range(1 + _AGAIN):
+            if not len(which):
+                break
             near = model.about(about, which)
             new = self._filter.decide(state[which], wish[which], hazards[which], near)
             now = self._kept(new.action, which, state, hazards, model, near)
             good = ~new.relaxed & (now >= -_TOLERANCE)
             better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
             action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
-            kept, about = np.where(better, now, kept), action[which]
+            moves = np.abs(action[which] - about).max(axis=1) > _SETTLED
+            which, kept, about = which[moves], np.where(better, now, kept)[moves], action[which[moves]]
         return Filtered(action, np.any(action != wish, axis=1), relaxed)
 
     def _kept(
