@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from safedpa.errors import InputError
 from safedpa_lab.experiments.point_relinearised import Relinearised
 from safedpa_lab.experiments.point_relinearised_report import car_table
-from safedpa_lab.experiments.relinearised_errors import car_errors, thrust_configuration, train_networks
+from safedpa_lab.experiments.relinearised_errors import CarWork, car_errors, thrust_configuration, train_networks
 from safedpa_lab.point.action_models import COMMANDS, SimulatedBody
 from safedpa_lab.point.relinearised_drives import NETWORKS, free_model, model_of, windy
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
@@ -136,7 +136,7 @@ def test_networks_of_ones_own_are_taken_from_their_folder(tmp_path: Path) -> Non
 
 
 def test_the_car_is_told_by_state() -> None:
-    found = car_errors(4096, configuration="car_small")
+    found = car_errors(CarWork(4096, "car_small"))
     assert len(found["affine"]["rms_error"]) == len(found["free"]["rms_error"]) == len(found["states"])
     assert car_table({"car": found}).count("\n") == 3 + len(found["states"])
 

@@ -174,7 +174,7 @@ PARTS: Final = (
     Part("point-heat-map", ("point-heat-map", "--moments", "480"), ("--moments", "2"), 5, "point-heat-map.json"),
     Part(
         "point-relinearised",
-        ("point-relinearised", "--episodes", "1", "--steps", "250", "--drive-steps", "40", "--car", "300000"),
+        ("point-relinearised", "--episodes", "1", "--steps", "250", "--drive-steps", "40", "--car", "600000"),
         ("--quick", "--drives", "99", "--car", "4096"),
         10,
         "relinearised.json",

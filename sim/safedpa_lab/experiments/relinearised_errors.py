@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import draw_transitions
 
-__all__ = ["car_errors", "point_errors", "thrust_configuration", "train_networks"]
+__all__ = ["CarWork", "car_errors", "point_errors", "thrust_configuration", "train_networks"]
 
 Floats = NDArray[np.float64]
 _DRAWN: Final = 20_000
@@ -82,18 +82,28 @@ def point_errors(models: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def car_errors(pairs: int, tell: Tell = silent, configuration: str = "car") -> dict[str, Any]:
-    """Affine and free networks trained on the same ``pairs`` of the car's training simulator, by state: root mean
-    square error (own frame, SI units), share of variance explained, and what nothing affine explains."""
-    plain = load_configuration(configuration)
-    phase = replace(plain.phase_1a, pairs=pairs, hidden=min(_CAR_HIDDEN, plain.phase_1a.hidden))
+@final
+@dataclass(frozen=True)
+class CarWork:
+    """A configuration of the car's training, and so many pairs of it."""
+
+    pairs: int
+    configuration: str = "car"
+
+
+def car_errors(work: CarWork) -> dict[str, Any]:
+    """Affine and free networks trained on the same pairs of the car's training simulator, by state: root mean square
+    error (own frame, SI units), share of variance explained, and what nothing affine explains."""
+    plain = load_configuration(work.configuration)
+    phase = replace(plain.phase_1a, pairs=work.pairs, hidden=min(_CAR_HIDDEN, plain.phase_1a.hidden))
     asked = replace(plain, phase_1a=phase)
     with TemporaryDirectory() as folder:
-        _, affine = train_affine(asked, Path(folder), tell)
-    _, free = train_free(asked, tell)
+        _, affine = train_affine(asked, Path(folder))
+    _, free = train_free(asked)
     names = ("loss", "explained", "rms_error")
     return {
-        "pairs": affine["pairs"],
+        "pairs": work.pairs,
+        "configuration": work.configuration,
         "seed": asked.seed,
         "hidden": phase.hidden,
         "states": affine["states"],
