@@ -86,23 +86,22 @@ def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_doe
     assert off["free"] < 0.01 < off["affine"]
 
 
-def test_about_a_saturated_wish_no_correction_is_found_and_about_the_own_action_one_is() -> None:
-    """Full ahead into the nearest hazard for a second, with the stock thrust, told the body itself."""
-    relaxed = {}
+def test_about_a_saturated_wish_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
+    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the thrust that is wished
+    has no slope, so that by what is affine no other thrust would help."""
+    room = {}
     for about in ("wish", "own"):
         task = windy("stock", np.zeros(12), 0.0, 5)
         apart = task.layout.hazards - task.simulation.pose[:2].T[:, None]
         nearest = apart[np.arange(12), np.linalg.norm(apart, axis=2).argmin(axis=1)]
         task.simulation.pose[2] = np.arctan2(nearest[:, 1], nearest[:, 0])
         model, own = model_of("truth", "stock", task, SHIPPED), RelinearisedFilter(0.001, about)
-        count = 0
         for _ in range(40):
             found = own.decide(centre_state(task.simulation), np.tile([1.0, 0.0], (12, 1)), task.layout.hazards, model)
             task.advance(to_task_action(found.action))
-            count += int(found.relaxed.sum())
-        relaxed[about] = count
-        assert (task.hazard_distance() > 0.0).all()
-    assert relaxed["own"] < 0.5 * relaxed["wish"]
+        room[about] = task.hazard_distance()
+    assert (room["wish"] < 0.0).any()
+    assert (room["own"] > 0.0).all()
 
 
 def test_a_wish_that_the_model_itself_lets_pass_is_not_changed() -> None:
