@@ -87,7 +87,7 @@ def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_doe
 
 
 def test_about_a_saturated_wish_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
-    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the thrust that is wished
+    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the wished thrust
     has no slope, so that by what is affine no other thrust would help."""
     room = {}
     for about in ("wish", "own"):
