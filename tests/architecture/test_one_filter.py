@@ -27,7 +27,7 @@ DECIDERS = {
     "safedpa_lab.experiments.adversary.bent_problem": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.linear_problem": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.mirrors": "asks SafetyFilter",
-    "safedpa_lab.point.relinearised_filter": "asks PointFilter, again about what it decided",
+    "safedpa_lab.point.relinearised_filter": "asks PointFilter",
     "safedpa_sim.pendulum.policy_task": "asks BatchFilter",
     "safedpa_sim.point.filtering": "asks BatchFilter",
     "safedpa_sim.training.car_task": "asks BatchFilter",

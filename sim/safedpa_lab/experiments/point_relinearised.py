@@ -33,8 +33,8 @@ Tell = Callable[[int, int], None]
 Floats = NDArray[np.float64]
 
 PLACES: Final = (("clean", "policy"), ("stock", "disturbed"))
-"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range; so would the
-policy alone with the stock one, since its wish stays where that is affine."""
+"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range; the policy
+alone with the stock one was left out for time alone."""
 FILTERS: Final = {
     "affine": ("affine", "wish"),
     "wish": ("free", "wish"),
