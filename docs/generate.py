@@ -36,7 +36,7 @@ from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
-from safedpa_lab.experiments import pendulum_report, point_report
+from safedpa_lab.experiments import pendulum_report, point_relinearised_report, point_report
 from safedpa_services.command_line.group import COMMANDS, LABORATORY
 from safedpa_services.metrics.exporter import FAMILIES
 
@@ -224,6 +224,10 @@ GENERATED = {
     "point_same": _of_result("point", lambda result: point_report.short_table(result, "same_margin")),
     "point_seeds": _of_result("point", point_report.seeds_table),
     "promises": promises,
+    "relinearised_against": _of_result("relinearised", point_relinearised_report.against_table),
+    "relinearised_car": _of_result("relinearised", point_relinearised_report.car_table),
+    "relinearised_networks": _of_result("relinearised", point_relinearised_report.models_table),
+    "relinearised_rows": _of_result("relinearised", point_relinearised_report.rows_table),
     "roles": roles,
 }
 

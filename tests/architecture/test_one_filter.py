@@ -27,6 +27,7 @@ DECIDERS = {
     "safedpa_lab.experiments.adversary.bent_problem": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.linear_problem": "asks SafetyFilter",
     "safedpa_lab.experiments.adversary.mirrors": "asks SafetyFilter",
+    "safedpa_lab.point.relinearised_filter": "asks PointFilter",
     "safedpa_sim.pendulum.policy_task": "asks BatchFilter",
     "safedpa_sim.point.filtering": "asks BatchFilter",
     "safedpa_sim.training.car_task": "asks BatchFilter",
@@ -44,6 +45,7 @@ CONDITIONS = {
     "safedpa_lab.experiments.adversary.linear_judge": "judges",
     "safedpa_lab.experiments.adversary.peer_filters": "peers",
     "safedpa_lab.experiments.adversary.systems": "judges",
+    "safedpa_lab.point.relinearised_filter": "judges which decision to keep",
     "safedpa_lab.pendulum.invariance": "the largest set in which it can be kept",
 }
 """Modules that write the condition's 1 - eta."""

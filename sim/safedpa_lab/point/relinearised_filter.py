@@ -1,0 +1,112 @@
+"""The point robots' filter on a model that is not affine in the action: taken as affine about one action, or anew.
+
+About the wish what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
+own action: decide, take the model anew about what was decided, decide again; then the error goes where the action
+settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa_lab.point.action_models import ActionModel
+from safedpa_sim.point.belief import Believed
+from safedpa_sim.point.filtering import ETA, Filtered, PointFilter, around_hazards, least_room
+
+__all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+ABOUT: Final = ("middle", "wish", "own")
+"""What the model is linearised about: no action, the wish, what was decided."""
+_AGAIN: Final = 2
+"""Decisions after the first, of those whose wish does not pass."""
+_TOLERANCE: Final = 1e-6
+"""m; of what is kept by the model itself."""
+_SETTLED: Final = 1e-3
+"""Of an action: one that moves less from where the model was taken as affine is not decided anew."""
+
+
+@final
+@dataclass(frozen=True)
+class Decided:
+    """Actions (robots, 2) in [-1, 1], and the least room (robots,) [m] that is predicted with them."""
+
+    action: Floats
+    corrected: NDArray[np.bool_]
+    relaxed: NDArray[np.bool_]
+    predicted: Floats
+    room: Floats
+    """(robots,) [m]: the least one as they are."""
+
+
+@final
+class RelinearisedFilter:
+    """``epsilon`` [m] is the margin; ``about`` one of ``ABOUT``, else InputError.
+
+    Of the filter's own action the model itself says what it predicts; else what was affine says it.
+    """
+
+    def __init__(self, epsilon: float, about: str) -> None:
+        if about not in ABOUT:
+            raise InputError(f"linearised about '{about}': {did_you_mean(about, ABOUT)}")
+        self._filter, self._epsilon, self._about = PointFilter(epsilon), epsilon, about
+
+    def decide(self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Decided:
+        """Safe actions for states (robots, 5), which the model sees, and wishes (robots, 2) among hazards."""
+        model.see(state)
+        everybody = np.arange(len(state))
+        believed = model.about(np.zeros_like(wish) if self._about == "middle" else wish, everybody)
+        if self._about == "own":
+            found = self._settled(state, wish, hazards, model, believed)
+            following = model.following(found.action, everybody)
+        else:
+            found = self._filter.decide(state, wish, hazards, believed)
+            following = believed.next_state(found.action)
+        around = around_hazards(hazards, believed.motion)
+        predicted, room = (around.values(one).min(axis=1) for one in (following, state))
+        return Decided(found.action, found.corrected, found.relaxed, predicted, room)
+
+    def _settled(
+        self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel, believed: Believed
+    ) -> Filtered:
+        """A wish that passes by the model itself passes; others are decided about no action, then about what was
+        decided.
+
+        About no action first: about a saturated wish the thrust has no slope, so that no correction is found. What
+        could not be solved, or falls short by the model itself, replaces only what is worse.
+        """
+        action, relaxed = wish.copy(), np.zeros(len(wish), bool)
+        everybody = np.arange(len(wish))
+        short = self._kept(wish, everybody, state, hazards, model, believed) < -_TOLERANCE
+        outside = least_room(state, hazards, believed.motion) < 0.0
+        which = np.flatnonzero(short | outside)
+        kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
+        relaxed[which] = True
+        for _ in range(1 + _AGAIN):
+            if not len(which):
+                break
+            near = model.about(about, which)
+            new = self._filter.decide(state[which], wish[which], hazards[which], near)
+            now = self._kept(new.action, which, state, hazards, model, near)
+            good = ~new.relaxed & (now >= -_TOLERANCE)
+            better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
+            action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
+            moves = np.abs(action[which] - about).max(axis=1) > _SETTLED
+            which, kept, about = which[moves], np.where(better, now, kept)[moves], action[which[moves]]
+        return Filtered(action, np.any(action != wish, axis=1), relaxed)
+
+    def _kept(
+        self, action: Floats, which: Indices, state: Floats, hazards: Floats, model: ActionModel, believed: Believed
+    ) -> Floats:
+        """min over hazards of h(next) - (1 - eta) h - epsilon (n,) [m], by the model itself: below 0 it falls short."""
+        around = around_hazards(hazards[which], believed.motion)
+        following = model.following(action, which)
+        kept: Floats = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
+        return kept - self._epsilon
