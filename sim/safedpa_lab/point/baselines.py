@@ -122,9 +122,7 @@ def falling(left: float) -> float:
     return 6e-4 * max(left, 0.1)
 
 
-def algorithm_of(
-    name: str, environment: PointEnvironment, plan: Plan, rate: Callable[[float], float] = falling
-) -> Any:
+def algorithm_of(name: str, environment: PointEnvironment, plan: Plan, rate: Callable[[float], float] = falling) -> Any:
     """One of ``BASELINES`` from the plan's seed, with nothing learned yet; ``rate`` is PPO's."""
     common: dict[str, Any] = {
         "env": environment,

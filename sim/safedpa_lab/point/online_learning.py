@@ -13,7 +13,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, final
 
-import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -53,8 +52,9 @@ class Start:
 
 
 STARTS: Final = {
-    "shipped": Start("the shipped policy, told lidar and z", "latent", "ppo_lagrangian_wind_latent_1", -1.0),
+    "shipped": Start("PPO-Lagrangian that ships, told lidar and z", "latent", "ppo_lagrangian_wind_latent_1", -1.0),
     "nothing": Start("a fresh network, told z, way and hazards", "equal"),
+    "careless": Start("PPO that ships, told z, way and hazards", "equal", "ppo_wind_equal", -1.0),
 }
 
 
@@ -79,7 +79,7 @@ class Learning:
     episodes: int
     """Of each direction, in which the policy is judged."""
     force: float
-    """N."""
+    """N, in learning and judging."""
 
 
 def learned(learning: Learning) -> dict[str, Any]:
