@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
 
+import numpy as np
+
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.seeds import seeds_for
@@ -92,7 +94,7 @@ def point_learning(experiment: PointLearning, tell: Tell = lambda _done, _all: N
             }
     return {
         **{name: getattr(experiment, name) for name in names},
-        "evaluation_seeds": list(seeds_for("evaluation", _JUDGED + 1, experiment.seed)[:: _JUDGED]),
+        "evaluation_seeds": list(seeds_for("evaluation", _JUDGED + 1, experiment.seed)[::_JUDGED]),
         "starts": found,
     }
 
@@ -133,12 +135,5 @@ def _account(done: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{name: round(value, 4) for name, value in sums.items()},
         "safe_95": list(wilson_interval(round(sums["safe_episodes"]), whole)) if whole else None,
         "judged": {str(one["training_seed"]): one["judged"] for one in done},
-        "goals_at_the_end": seeds_interval_of(goals),
+        "goals_at_the_end": seeds_interval(np.array(goals, dtype=np.float64)),
     }
-
-
-def seeds_interval_of(values: Sequence[float]) -> list[float]:
-    """``seeds_interval`` of plain numbers."""
-    import numpy as np
-
-    return seeds_interval(np.array(values, dtype=np.float64))
