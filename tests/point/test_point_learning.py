@@ -23,7 +23,7 @@ from safedpa_lab.point.learning_tally import Tally
 from safedpa_lab.point.online_learning import STARTS, Learning, learned, learning_environment
 from safedpa_lab.point.windy_shield import WindyShield
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.task import EPISODE_STEPS, Stepped
+from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
 
 LEARNING = Learning("shipped", MARGIN, 0, 5, 6, 2048, 16, 1, 0.008)
 PAGES = Path(__file__).parents[2] / "docs"
@@ -61,23 +61,22 @@ def test_counts_of_a_drive_that_is_written_down_by_hand() -> None:
     }
 
 
-def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_counted_is_what_the_robots_did(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sums of the rows, against places that are looked at by another road."""
-    within, safe = [], WindyShield.safe
+    within: list[int] = []
+    advance = PointTask.advance
 
-    def watched(self: WindyShield, chosen: NDArray[Any]) -> NDArray[np.float64]:
-        task = self._task
-        if not within or np.all(task.steps):
-            within.append(int((np.linalg.norm(
-                task.layout.hazards - task.simulation.pose[:2].T[:, np.newaxis], axis=2) <= 0.2).any(axis=1).sum()))  # fmt: skip
-        return safe(self, chosen)
+    def watched(self: PointTask, action: NDArray[Any]) -> Stepped:
+        found = advance(self, action)
+        apart = self.layout.hazards - self.simulation.pose[:2].T[:, np.newaxis]
+        within.append(int((np.linalg.norm(apart, axis=2).min(axis=1) <= 0.2).sum()))
+        return found
 
-    monkeypatch.setattr(WindyShield, "safe", watched)
-    found = learned(replace(LEARNING, epsilon=None))
-    assert found["rows"][-1]["steps"] == 2048
-    unsafe = sum(row["unsafe"] for row in found["rows"])
-    assert unsafe > 0, "who learns without a filter meets a hazard"
-    assert abs(sum(within) - unsafe) <= 16, "the last step is not looked at, and beginnings are not"
+    monkeypatch.setattr(PointTask, "advance", watched)
+    monkeypatch.setattr(online_learning, "_judged", lambda *_: {})
+    rows = learned(replace(LEARNING, epsilon=None))["rows"]
+    assert rows[-1]["steps"] == 2048 == 16 * len(within)
+    assert sum(row["unsafe"] for row in rows) == sum(within) > 0, "who learns without a filter meets a hazard"
 
 
 def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(
@@ -161,16 +160,16 @@ def test_who_was_trained_before_drives_on_as_it_is_while_a_critic_is_learned(
 
 
 def test_an_experiment_that_was_cut_off_comes_to_the_same(short: None, tmp_path: Path) -> None:
-    asked = PointLearning(("nothing",), steps=2048, seeds=(0, 1), robots=16, margin=MARGIN)
+    asked = PointLearning(("nothing",), steps=2048, seeds=(0,), robots=16)
     whole = point_learning(asked)
     record = tmp_path / "learnings.jsonl"
     assert point_learning(replace(asked, record=record)) == whole
     lines = record.read_text(encoding="utf-8").splitlines(keepends=True)
-    assert len(lines) == 1 + 4
-    record.write_text("".join(lines[:3]) + lines[3][:40], encoding="utf-8")
+    assert len(lines) == 1 + 2
+    record.write_text("".join(lines[:2]) + lines[2][:40], encoding="utf-8")
     told: list[tuple[int, int]] = []
     assert point_learning(replace(asked, record=record), lambda done, all_: told.append((done, all_))) == whole
-    assert told == [(3, 4), (4, 4)]
+    assert told == [(2, 2)], "the learning behind the filter is not done again"
 
 
 def test_the_small_experiment_from_the_command_line(
@@ -184,7 +183,9 @@ def test_the_small_experiment_from_the_command_line(
     assert told["starts"] == result["starts"]
     row = result["starts"]["careless"]["filter"]
     assert (row["steps"], len(row["rows"]["0"]), row["judged_before"]["episodes"]) == (4096, 2, 24)
-    assert row["corrected"] > 0 == result["starts"]["careless"]["none"]["corrected"]
+    alone = result["starts"]["careless"]["none"]
+    assert row["corrected"] > 0 == alone["corrected"]
+    assert row["unsafe"] == 0 < alone["unsafe"]
     assert "PPO that ships" in (tmp_path / "point-learning.md").read_text(encoding="utf-8")
     assert (tmp_path / "point_learning.png").stat().st_size > 10_000
 

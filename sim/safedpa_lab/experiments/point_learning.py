@@ -135,5 +135,5 @@ def _account(done: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{name: round(value, 4) for name, value in sums.items()},
         "safe_95": list(wilson_interval(round(sums["safe_episodes"]), whole)) if whole else None,
         "judged": {str(one["training_seed"]): one["judged"] for one in done},
-        "goals_at_the_end": seeds_interval(np.array(goals, dtype=np.float64)),
+        "goals_at_the_end": seeds_interval(np.array(goals, dtype=np.float64)) if len(goals) > 1 else None,
     }
