@@ -100,26 +100,28 @@ def point_learning(experiment: PointLearning, tell: Tell = lambda _done, _all: N
 
 
 def _work(experiment: PointLearning) -> list[tuple[str, str, Learning]]:
-    """Start, what is learned behind, and the learning; a policy that was trained before is judged as it is, too."""
+    """Start, what is learned behind, and the learning: with and without filter one after the other, seed by seed.
+
+    A policy that was trained before is judged as it is, too.
+    """
     seeds = seeds_for("evaluation", _JUDGED + 1, experiment.seed)
     work = []
     for start in experiment.starts:
-        for behind in BEHIND:
-            own = Learning(
-                start,
-                experiment.margin if behind == "filter" else None,
-                0,
-                0,
-                seeds[_JUDGED],
-                experiment.steps,
-                experiment.robots,
-                experiment.episodes,
-                experiment.force,
-            )
-            if STARTS[start].key:
-                work.append((start, behind, replace(own, steps=0, layout_seed=seeds[0])))
-            each = (replace(own, training_seed=seed, layout_seed=seeds[seed]) for seed in experiment.seeds)
-            work += [(start, behind, one) for one in each]
+        own = Learning(
+            start,
+            None,
+            0,
+            seeds[0],
+            seeds[_JUDGED],
+            experiment.steps,
+            experiment.robots,
+            experiment.episodes,
+            experiment.force,
+        )
+        each = [replace(own, training_seed=seed, layout_seed=seeds[seed]) for seed in experiment.seeds]
+        each = [replace(own, steps=0), *each] if STARTS[start].key else each
+        epsilon = {"filter": experiment.margin, "none": None}
+        work += [(start, behind, replace(one, epsilon=epsilon[behind])) for one in each for behind in BEHIND]
     return work
 
 
