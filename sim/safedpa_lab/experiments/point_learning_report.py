@@ -41,7 +41,7 @@ def write_learning(result: dict[str, Any], out: Path) -> None:
 def learning_markdown(result: Mapping[str, Any]) -> str:
     """What was run, the steps of learning, and the policies before and after."""
     head = (
-        f"{len(result['seeds'])} training seeds, {result['robots']} robots each, wind {1e3 * result['force']:g} mN, "
+        f"Training seeds {_seeds(result)}, {result['robots']} robots each, wind {1e3 * result['force']:g} mN, "
         f"margin {1e3 * result['margin']:.2f} mm, seed {result['seed']} (evaluation "
         f"{' and '.join(map(str, result['evaluation_seeds']))}), {result['date']}."
     )
@@ -100,6 +100,10 @@ def smoothed(values: Floats, over: int = _SMOOTHED) -> Floats:
     return np.array(means, dtype=np.float64)
 
 
+def _seeds(result: Mapping[str, Any]) -> str:
+    return ", ".join(map(str, result["seeds"]))
+
+
 def _each(result: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, Any]]]:
     return [(start, behind, row) for start, found in result["starts"].items() for behind, row in found.items()]
 
@@ -125,7 +129,7 @@ def _picture(result: Mapping[str, Any], path: Path) -> None:
                     _curves(axes, row["rows"], name, behind)
                 if STARTS[start].key:
                     axes.axvspan(0, WARMING / 1e3, color=GREY, alpha=0.12, linewidth=0)
-                axes.set_ylim(bottom=0)
+                axes.set_ylim(bottom=-0.025 * axes.get_ylim()[1])  # so that a curve of nothing is seen whole
                 bare(axes)
                 if column == 0:
                     axes.set_ylabel(title)
@@ -135,8 +139,8 @@ def _picture(result: Mapping[str, Any], path: Path) -> None:
         heading(
             drawn,
             "Learning goes on while the filter holds",
-            f"thin: {len(result['seeds'])} training seeds, thick: their mean, over {_SMOOTHED} updates; grey: only "
-            "the critic learns",
+            f"training seeds {_seeds(result)} (thin) and their mean, over {_SMOOTHED} updates; grey: only the critic "
+            "learns",
         )
 
 
