@@ -172,7 +172,7 @@ PARTS: Final = (
     Part("pendulum-story", ("pendulum-story",), ("--directions", "1", "--episodes", "1"), 6, "pendulum-story.json"),
     Part("point", ("point", "--seed", "2300"), ("--quick", "--methods", "unfiltered"), 90, "point.json"),
     Part("point-heat-map", ("point-heat-map", "--moments", "480"), ("--moments", "2"), 5, "point-heat-map.json"),
-    Part("point-learning", ("point-learning",), ("--quick", "--starts", "shipped"), 25, "point-learning.json"),
+    Part("point-learning", ("point-learning",), ("--quick", "--starts", "shipped"), 90, "point-learning.json"),
     Part("point-story", ("point-story",), ("--robots", "2", "--seconds", "1"), 5, "point-story.json"),
     Part("hidden-effects", ("hidden-effects", "--seed", "7002"), ("--cases", "1", "--suite", "ordinary"), 240),
     Part("live", ("live",), ("--case", "hitch", "--drives", "1", "--after", "5"), 60),
