@@ -138,7 +138,7 @@ def _picture(result: Mapping[str, Any], path: Path) -> None:
         panels[0, 0].legend(fontsize=8.5, loc="upper left")
         heading(
             drawn,
-            "Learning goes on while the filter holds",
+            "A policy that goes on learning, with the filter and without",
             f"training seeds {_seeds(result)} (thin) and their mean, over {_SMOOTHED} updates; grey: only the critic "
             "learns",
         )
