@@ -36,7 +36,12 @@ from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
-from safedpa_lab.experiments import pendulum_report, point_relinearised_report, point_report
+from safedpa_lab.experiments import (
+    pendulum_report,
+    point_learning_report,
+    point_relinearised_report,
+    point_report,
+)
 from safedpa_services.command_line.group import COMMANDS, LABORATORY
 from safedpa_services.metrics.exporter import FAMILIES
 
@@ -218,6 +223,8 @@ GENERATED = {
     "pendulum_penalties": _of_result("pendulum", pendulum_report.penalties_table),
     "pendulum_same": _pendulum("same"),
     "point_against": _of_result("point", point_report.against_table),
+    "point_judged": _of_result("point-learning", point_learning_report.judged_table),
+    "point_learning": _of_result("point-learning", point_learning_report.driven_table),
     "point_margins": _of_result("point", point_report.margins_table),
     "point_own": _of_result("point", lambda result: point_report.short_table(result, "methods")),
     "point_penalty": _of_result("point", point_report.penalty_table),

@@ -51,7 +51,7 @@ CASES = (  # a command line, and the extra that it must name; None: it runs
         for name in ("bad-data {log} --out {out}", "point-story", "real-logs --data {log}")
     ),
     *((f"experiment {name}", "sim,diagnosis") for name in ("fleet-diagnosis", "hidden-effects", "safety-pays")),
-    *((f"experiment {name}", "train") for name in ("car", "pendulum", "point", "point-heat-map")),
+    *((f"experiment {name}", "train") for name in ("car", "pendulum", "point", "point-heat-map", "point-learning")),
 )
 
 PROGRAM = """

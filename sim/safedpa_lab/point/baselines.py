@@ -8,6 +8,7 @@ episodes of development, the one with the best ``score`` is kept.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic, process_time
@@ -31,7 +32,7 @@ from safedpa_lab.point.vector_environment import PointEnvironment
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.progress import Tell, silent
 
-__all__ = ["evaluate_policy", "train_baseline"]
+__all__ = ["algorithm_of", "evaluate_policy", "falling", "policy_of", "train_baseline"]
 
 _EVALUATED = 256
 """Whole episodes of the last evaluation."""
@@ -58,7 +59,7 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
     started, worked = monotonic(), process_time()
     torch.set_num_threads(1)  # the same weights however many cores there are
     environment = PointEnvironment(_task(plan, plan.seed), plan.seed, plan.inputs)
-    algorithm = _algorithm(name, environment, plan)
+    algorithm = algorithm_of(name, environment, plan)
     algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
     watch = _Watch(name, environment, plan, tell)
     callbacks: list[BaseCallback] = [watch]
@@ -116,7 +117,13 @@ def _task(plan: Plan, seed: int, count: int = 0) -> PointTask:
     return PointTask(count or plan.robots, seed, largest_force=plan.largest_force, stock=plan.stock)
 
 
-def _algorithm(name: str, environment: PointEnvironment, plan: Plan) -> Any:
+def falling(left: float) -> float:
+    """PPO's rate of learning by the share of the steps that is left: 6e-4, falling to a tenth of it."""
+    return 6e-4 * max(left, 0.1)
+
+
+def algorithm_of(name: str, environment: PointEnvironment, plan: Plan, rate: Callable[[float], float] = falling) -> Any:
+    """One of ``BASELINES`` from the plan's seed, with nothing learned yet; ``rate`` is PPO's."""
     common: dict[str, Any] = {
         "env": environment,
         "gamma": 0.99,
@@ -131,14 +138,15 @@ def _algorithm(name: str, environment: PointEnvironment, plan: Plan) -> Any:
     }
     if name.startswith("ppo"):
         options: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 8, "ent_coef": 0.0}
-        return PPO("MlpPolicy", learning_rate=lambda left: 6e-4 * max(left, 0.1), **options, **common)
+        return PPO("MlpPolicy", learning_rate=rate, **options, **common)
     common |= {"n_steps": 128, "batch_size": 2048, "n_critic_updates": 5, "learning_rate": 1e-3}
     if name == "cpo":
         return ConstrainedTRPO("MlpPolicy", limit=plan.limit, **common)
     return FisherTRPO("MlpPolicy", **common)
 
 
-def _policy_of(algorithm: Any, plan: Plan) -> BaselinePolicy:
+def policy_of(algorithm: Any, plan: Plan) -> BaselinePolicy:
+    """The mean of the actor as it is now."""
     actor = algorithm.policy
     layers = [actor.mlp_extractor.policy_net[0], actor.mlp_extractor.policy_net[2], actor.action_net]
     tensors = {}
@@ -187,7 +195,7 @@ class _Watch(BaseCallback):
 
     def look(self) -> None:
         """Drives the policy as it is through the episodes of the choice, and keeps it where none was better."""
-        plan, now = self._plan, _policy_of(self.model, self._plan)
+        plan, now = self._plan, policy_of(self.model, self._plan)
         if plan.filtered and not self._environment.filtered:
             return
         figures = _judged(now, plan, plan.seed + _CHOICE_SEED, _COMPARED)

@@ -1,8 +1,8 @@
-"""What the filter that knows the simulated physics makes of a policy's actions: a stand-in of SafeDPA's in training."""
+"""What stands between a policy that learns and the robots; here the filter that knows the simulated physics."""
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,22 @@ from safedpa_sim.point.filtering import PointFilter
 from safedpa_sim.point.policy_task import EPSILON
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["Shelter"]
+__all__ = ["Shelter", "Sheltering"]
+
+
+class Sheltering(Protocol):
+    """For all robots of a task: what is carried out of what was chosen, and how episodes begin."""
+
+    def safe(self, chosen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Actions (robots, 2) of ``PointTask`` for those that were chosen."""
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New episodes for the robots of those indices."""
 
 
 @final
 class Shelter:
-    """For all robots of a task."""
+    """By the truth: a stand-in of SafeDPA's filter in training."""
 
     def __init__(self, task: PointTask) -> None:
         self._task, self._belief, self._filter = task, TrueBelief(task.simulation), PointFilter(EPSILON)
@@ -31,3 +41,7 @@ class Shelter:
         believed = self._belief.believed(state, np.zeros((task.count, 0)))
         wish = from_task_action(np.asarray(chosen, dtype=np.float64))
         return to_task_action(self._filter.decide(state, wish, task.layout.hazards, believed).action)
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New episodes as the task draws them; nothing is remembered here."""
+        self._task.restart(which)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
-from safedpa_lab.point.sheltered import Shelter
+from safedpa_lab.point.sheltered import Shelter, Sheltering
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
 
 __all__ = ["PointEnvironment"]
@@ -33,7 +33,9 @@ class PointEnvironment(VecEnv):
     begin at different steps, so that they do not all end at once.
     """
 
-    def __init__(self, task: PointTask, seed: int = 0, inputs: str = "lidar") -> None:
+    def __init__(
+        self, task: PointTask, seed: int = 0, inputs: str = "lidar", shelter: Sheltering | None = None
+    ) -> None:
         self.task = task
         self.weight = 0.0
         self.filtered = False
@@ -47,7 +49,8 @@ class PointEnvironment(VecEnv):
         self._chosen: Floats = np.zeros((task.count, 2), np.float32)
         self._way = None if inputs == "lidar" else WayAhead(task)
         self._inputs = inputs_of(inputs, task, way=self._way)
-        self._shelter = Shelter(task)
+        self._shelter = Shelter(task) if shelter is None else shelter
+        self.last: Stepped
         self.begin()
         seen = gymnasium.spaces.Box(-np.inf, np.inf, (entries_of(inputs),), np.float32)
         super().__init__(task.count, seen, gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32))
@@ -72,7 +75,7 @@ class PointEnvironment(VecEnv):
     def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
         """Observations, rewards, which episodes ended, and notes on those that did."""
         stepped = self.task.advance(self._shelter.safe(self._chosen) if self.filtered else self._chosen)
-        self.cost = stepped.cost
+        self.last, self.cost = stepped, stepped.cost
         self._gained += stepped.reward
         self._paid += stepped.cost
         self.paid, self.stepped = self.paid + float(stepped.cost.sum()), self.stepped + self.num_envs
@@ -84,7 +87,7 @@ class PointEnvironment(VecEnv):
             for index in which:
                 infos[index] = {"terminal_observation": observation[index], "TimeLimit.truncated": True}
             self._close(which)
-            self.task.restart(which)
+            self._shelter.restart(which)
             self._inputs.reset(which)
             if self._way is not None:
                 self._way.renew()

@@ -1,0 +1,165 @@
+"""A policy that goes on learning by PPO while it drives in a wind, behind SafeDPA's filter or without one.
+
+    a = F(w, x, z),   w ~ N(pi(o), sigma)
+
+PPO learns on the wish w: its ratio is that of w, and the filter F belongs to the world. The latents z of policy and
+filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every training with
+these inputs; nothing is taken off for a step in a hazard. Nobody is told the wind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final, final
+
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+
+from safedpa_lab.experiments.statistics import mean_interval, wilson_interval
+from safedpa_lab.point.baseline_set import baseline_named
+from safedpa_lab.point.baselines import algorithm_of, policy_of
+from safedpa_lab.point.driven import driven, windy_task
+from safedpa_lab.point.drivers import ShieldedDriver
+from safedpa_lab.point.inputs import inputs_of
+from safedpa_lab.point.learning_tally import Tally
+from safedpa_lab.point.plan import Plan
+from safedpa_lab.point.policy_file import BaselinePolicy
+from safedpa_lab.point.shield import Shield, shield_of
+from safedpa_lab.point.vector_environment import PointEnvironment
+from safedpa_lab.point.windy_shield import DIRECTIONS, WindyShield
+from safedpa_sim.point.task import PointTask
+
+__all__ = ["RATE", "STARTS", "WARMING", "Learning", "Start", "learned", "learning_environment"]
+
+RATE: Final = 3e-4
+"""Of learning; it does not fall, since a policy that goes on adapting has no last step."""
+WARMING: Final = 32_768
+"""Steps in which a policy that was trained before drives on as it is, while a critic of it is learned: none ships."""
+
+
+@final
+@dataclass(frozen=True)
+class Start:
+    """Where the learning begins: inputs of ``INPUTS``, and the key of a baseline; empty: a fresh network."""
+
+    title: str
+    inputs: str
+    key: str = ""
+    deviation: float = -0.5
+    """log of the wishes' deviation at the start."""
+
+
+STARTS: Final = {
+    "shipped": Start("PPO-Lagrangian that ships, told lidar and z", "latent", "ppo_lagrangian_wind_latent_1", -1.0),
+    "nothing": Start("a fresh network, told z, way and hazards", "equal"),
+    "careless": Start("PPO that ships, told z, way and hazards", "equal", "ppo_wind_equal", -1.0),
+}
+
+
+@final
+@dataclass(frozen=True)
+class Learning:
+    """One policy that learns; plain values, so that they can be kept in a file."""
+
+    start: str
+    """Of ``STARTS``."""
+    epsilon: float | None
+    """m, the filter's margin; nothing: no filter."""
+    training_seed: int
+    """Of the network and the noise."""
+    layout_seed: int
+    """Of layouts, goals and winds in which it learns."""
+    judged_seed: int
+    """Of the episodes in which the policy is judged at the end."""
+    steps: int
+    """At least so many; 0: the policy is judged as it is."""
+    robots: int
+    episodes: int
+    """Of each direction, in which the policy is judged."""
+    force: float
+    """N, in learning and judging."""
+
+
+def learned(learning: Learning) -> dict[str, Any]:
+    """``rows`` of ``Tally``, one an update, and ``judged``: the mean of the policy that came of it, without noise."""
+    torch.set_num_threads(1)  # the same weights however many cores there are
+    with torch.random.fork_rng(devices=[]):
+        environment, between = learning_environment(learning)
+        start = STARTS[learning.start]
+        plan = Plan(steps=learning.steps, robots=learning.robots, seed=learning.training_seed, inputs=start.inputs)
+        algorithm = algorithm_of("ppo", environment, plan, lambda _: RATE)
+        algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
+        _begin(algorithm.policy, start)
+        counting = _Counting(environment, between, WARMING if start.key else 0)
+        if learning.steps:
+            algorithm.learn(learning.steps, counting)
+    told = {item.name: getattr(learning, item.name) for item in fields(learning)}
+    return {**told, "rows": counting.tally.rows, "judged": _judged(policy_of(algorithm, plan), learning)}
+
+
+def learning_environment(learning: Learning) -> tuple[PointEnvironment, WindyShield]:
+    """The robots with their goals from sequences of their own, and what stands between them and the policy."""
+    task = PointTask(learning.robots, learning.layout_seed, paired=True)
+    between = WindyShield(task, _shield(task, learning.epsilon), learning.force, learning.layout_seed)
+    environment = PointEnvironment(task, learning.layout_seed, STARTS[learning.start].inputs, between)
+    environment.filtered = True
+    return environment, between
+
+
+def _shield(task: PointTask, epsilon: float | None) -> Shield:
+    return shield_of("none", task, adapts="") if epsilon is None else shield_of("safedpa", task, epsilon=epsilon)
+
+
+def _begin(policy: Any, start: Start) -> None:
+    """The actor of the start's baseline, if it has one, and its deviation."""
+    with torch.no_grad():
+        policy.log_std.fill_(start.deviation)
+        if not start.key:
+            return
+        tensors = baseline_named(start.key, Path()).tensors
+        layers = (policy.mlp_extractor.policy_net[0], policy.mlp_extractor.policy_net[2], policy.action_net)
+        for index, layer in enumerate(layers):
+            layer.weight.copy_(torch.as_tensor(tensors[f"policy.{index}.weight"]))
+            layer.bias.copy_(torch.as_tensor(tensors[f"policy.{index}.bias"]))
+
+
+def _judged(policy: BaselinePolicy, learning: Learning) -> dict[str, Any]:
+    """Whole episodes without noise, behind the same filter or none, in winds from every direction."""
+    task = windy_task(DIRECTIONS, learning.episodes, learning.force, learning.judged_seed)
+    inputs = inputs_of(policy.inputs, task)
+    found = driven(ShieldedDriver(task, _shield(task, learning.epsilon), lambda _: policy.act(inputs.see())), task)
+    safe = int((found.cost == 0.0).sum())
+    return {
+        "episodes": task.count,
+        "safe": safe,
+        "safe_95": list(wilson_interval(safe, task.count)),
+        "unsafe_steps": int(found.cost.sum()),
+        "goals": mean_interval(found.goals),
+        "reward": mean_interval(found.reward),
+        "corrected": round(found.corrected, 5),
+    }
+
+
+@final
+class _Counting(BaseCallback):
+    """Counts every step; holds the actor still for the first ``warming`` steps."""
+
+    def __init__(self, environment: PointEnvironment, between: WindyShield, warming: int) -> None:
+        super().__init__()
+        self.tally = Tally(environment.num_envs)
+        self._environment, self._between, self._warming = environment, between, warming
+
+    def _on_rollout_start(self) -> None:
+        policy: Any = self.model.policy
+        parts = (policy.mlp_extractor.policy_net, policy.action_net)
+        for parameter in (policy.log_std, *(one for part in parts for one in part.parameters())):
+            parameter.requires_grad = self.num_timesteps >= self._warming
+
+    def _on_step(self) -> bool:
+        self.tally.add(self._environment.last, self._between.corrected, self._between.relaxed)
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.tally.close_row()
