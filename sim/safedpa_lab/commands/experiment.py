@@ -14,8 +14,8 @@ EXPERIMENTS = (
     "adversary", "all", "bad-data", "car", "car-curves", "controllers", "demo", "diagnosis-pictures",
     "differential-drive", "faults", "fleet-diagnosis", "hidden-effects", "hostile", "live", "long-logs", "margins",
     "meeting", "pendulum", "pendulum-story", "point", "point-heat-map", "point-learning", "point-relinearised",
-    "point-story", "real-logs", "ros", "safety", "safety-pays", "sensing", "sensing-curves", "sensing-margins", "theory",
-    "tuning",
+    "point-story", "real-logs", "ros", "safety", "safety-pays", "sensing", "sensing-curves", "sensing-margins",
+    "theory", "tuning",
 )  # fmt: skip
 """One file each in the folder ``experiments``, with options of its own; imported when it is called."""
 
