@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.sensed import ENTRIES, GROUPS, decoded, decoding_slopes, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
+from safedpa_sim.training.configuration import Ablations, Phase1a, Phase2, load_configuration
 from safedpa_sim.training.pipeline import run_pipeline
 from safedpa_sim.training.sensed_training import draw_sensed
 from safedpa_sim.training.simulator import BatchedCars
@@ -91,18 +92,19 @@ def test_pairs_are_steps_of_the_body_with_goals_all_over_the_field() -> None:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("sensed")
     small = load_configuration("point_small")
-    steps = Phase1a(pairs=60_000, batch=512, learning_rate=3e-3, last_learning_rate=1e-5, hidden=48)
+    steps = Phase1a(batch=512, learning_rate=3e-3, last_learning_rate=1e-5)
+    ablations = Ablations(pairs=60_000, hidden=48)
     drives = Phase2(rounds=2, cars=60, steps=90, updates=60, batch=256)
-    configuration = dataclasses.replace(small, phase_1a=steps, phase_2=drives)
+    configuration = dataclasses.replace(small, phase_1a=steps, ablations=ablations, phase_2=drives)
     record = run_pipeline(configuration, folder, ["17"])["17"]
     assert run_pipeline(configuration, folder, ["17"])["17"]["skipped"]
     return folder, record
 
 
-def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict]) -> None:
+def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict[str, Any]]) -> None:
     folder, record = trained
     by_entry = dict(zip(record["entries"], record["explained"], strict=True))
     assert by_entry["accelerometer_z"] is None
@@ -115,7 +117,7 @@ def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict]) -
     assert sensed_weights(folder).digest == weights.digest
 
 
-def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Path, dict]) -> None:
+def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Path, dict[str, Any]]) -> None:
     from safedpa.networks import save_weights
     from safedpa_lab.point.weights import weights_named
 

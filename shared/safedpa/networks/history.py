@@ -26,8 +26,8 @@ class HistoryEncoder:
     """Inference of phi: two dense layers for each row, two convolutions over time, one dense layer.
 
     A row is one transition: what the networks see of the state, the change of state in the robot's own frame and the
-    action, all scaled. Rows of zeros stand for transitions before the first one. ``frame`` is that of the weights' robot
-    where it is left out. Raises InputError without phi.
+    action, all scaled. Rows of zeros stand for transitions before the first one. ``frame`` is that of the weights'
+    robot where it is left out. Raises InputError without phi.
     Source: the 1-D CNN of Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, in the sizes of SafeDPA's related code.
     """
 

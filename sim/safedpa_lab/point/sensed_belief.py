@@ -1,7 +1,7 @@
 """What the networks of the sensed state make of many point robots: SafeDPA with 17 numbers for the same filter.
 
-They predict what will be sensed; the filter's barriers live in the world. So the prediction is decoded as what is sensed
-is, and made affine in the action about none:
+They predict what will be sensed; the filter's barriers live in the world. So the prediction is decoded as what is
+sensed is, and made affine in the action about none:
 
     drift = decoded(s + f(s, z)),   gain = d decoded / d s at s + f(s, z) times g(s, z)
 """
@@ -46,7 +46,7 @@ def sensed_weights(folder: Path = Path()) -> Weights:
 
 @final
 class TwoHistories:
-    """``Histories`` of the filter's state, whose latents the policy is told, and beside them those of what is sensed."""
+    """``Histories`` of the filter's state, whose latents the policy is told, and those of what is sensed."""
 
     def __init__(self, policy: Histories, weights: Weights, task: PointTask) -> None:
         self._policy, self._task = policy, task

@@ -34,14 +34,16 @@ METHODS: Final = (
     "physics",
     "none",
 )
-"""Whose model the filter believes: learned with the latent; learned of what is sensed; of one force alone; of all at once; the truth; the truth
-but for the wind; no filter."""
+"""Whose model the filter believes: learned with the latent; learned of what is sensed; of one force alone; of all at
+once; the truth; the truth but for the wind; no filter."""
 
 
 class Adaptation(Protocol):
     """What ``Histories`` does."""
 
-    latent: Floats
+    @property
+    def latent(self) -> Floats:
+        """Of the states that were seen last."""
 
     def see(self, state: Floats) -> Floats:
         """The latents at states (robots, 5)."""

@@ -16,7 +16,16 @@ from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS
 if TYPE_CHECKING:
     from safedpa_sim.point.task import PointTask
 
-__all__ = ["GOAL_ENTRIES", "GOAL_OFFSET", "LIDAR_BINS", "SENSOR_ENTRIES", "entries_seen", "goal_seen", "hazard_lidar", "policy_seen"]
+__all__ = [
+    "GOAL_ENTRIES",
+    "GOAL_OFFSET",
+    "LIDAR_BINS",
+    "SENSOR_ENTRIES",
+    "entries_seen",
+    "goal_seen",
+    "hazard_lidar",
+    "policy_seen",
+]
 
 
 _NEAREST: Final = 4

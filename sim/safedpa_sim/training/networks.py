@@ -70,7 +70,8 @@ class AffineNetworks(nn.Module):
         n = [(features(x) - feature_middle) / feature_scale, z],  u = (a - action_middle) / action_scale
         own-frame increment = increment_scale (F(n) + G(n) u),    z = mu((e - environment_middle) / environment_scale)
 
-    ``vectors`` holds the scales by these names; ``frame`` is the robot's where it is left out. Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024.
+    ``vectors`` holds the scales by these names; ``frame`` is the robot's where it is left out.
+    Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024.
     """
 
     feature_middle: Tensor

@@ -1,8 +1,8 @@
 """mu, f, g and phi for what the point robot's sensors tell: 15 numbers, with z 17.
 
 As phases 1a and 2 do for the state of five entries: single steps of the body itself, every one new, the goal anywhere
-in the field; then phi on drives, so that z = phi(what was sensed, done and sensed next) is mu(e). The goal's entries are
-kept from phi: where it is put elsewhere they jump.
+in the field; then phi on drives, so that z = phi(what was sensed, done and sensed next) is mu(e). The goal's entries
+are kept from phi: where it is put elsewhere they jump.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ _TOLD: Final = 50
 def train_sensed(
     configuration: Configuration, given: Weights | None, out: Path, tell: Tell = silent, device: str = "cpu"
 ) -> tuple[Weights, dict[str, Any]]:
-    """The weights of mu, f, g and phi, by the sections ``phase_1a`` and ``phase_2`` of a point's configuration.
+    """The weights of mu, f, g and phi, by the sections ``phase_1a``, ``ablations`` (pairs, neurons) and ``phase_2``.
 
-    Minimises mean(((change - predicted) / change's deviation)^2) over the 15 entries, then mean(((phi - mu) / spread)^2)
-    over latents. Also returns the share of variance explained by entry, in single steps and by phi on fresh drives; for
-    an entry that never changes it is nothing.
+    Minimises mean(((change - predicted) / deviation of the change)^2) over the 15 entries, then, over latents,
+    mean(((phi - mu) / spread)^2). Also returns the share of variance explained by entry, in single steps and
+    by phi on fresh drives; for an entry that never changes it is nothing.
     """
     del given, out
     training_device(device)
@@ -85,7 +85,7 @@ def train_sensed(
             "configuration": configuration.as_table(),
             "date": datetime.now(UTC).strftime("%Y-%m-%d"),
             "phase": "17",
-            "pairs": configuration.phase_1a.pairs,
+            "pairs": configuration.ablations.pairs,
             "seed": configuration.seed,
             "loss": summary["loss"],
         },
@@ -135,8 +135,8 @@ def _networks(cars: BatchedCars, configuration: Configuration) -> AffineNetworks
     }
     for name, ranges in (("action", cars.action_ranges), ("environment", cars.environment_ranges)):
         vectors[f"{name}_middle"], vectors[f"{name}_scale"] = ranges.mean(1), 0.5 * (ranges[:, 1] - ranges[:, 0])
-    phase, many = configuration.phase_1a, len(ENTRIES)
-    sizes = AffineSizes(many, many, 2, len(cars.entries), configuration.latents, phase.hidden, phase.encoder_hidden)
+    phase, hidden, many = configuration.phase_1a, configuration.ablations.hidden, len(ENTRIES)
+    sizes = AffineSizes(many, many, 2, len(cars.entries), configuration.latents, hidden, phase.encoder_hidden)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.seed)
         return AffineNetworks(configuration.robot, sizes, vectors, SENSED_FRAME)
@@ -152,8 +152,8 @@ def _falling(first: float, last: float, share: float) -> float:
 
 
 def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell) -> None:
-    phase = configuration.phase_1a
-    steps, generator = math.ceil(phase.pairs / phase.batch), cars.generator(_seed(configuration, "training"))
+    phase, pairs = configuration.phase_1a, configuration.ablations.pairs
+    steps, generator = math.ceil(pairs / phase.batch), cars.generator(_seed(configuration, "training"))
     optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
     for step, (environment, seen, action, change) in enumerate(_batches(cars, phase.batch, steps, generator)):
         optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, step / steps)
@@ -163,7 +163,7 @@ def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Con
         loss.backward()
         optimiser.step()
         if step % _TOLD == 0:
-            tell("17", step * phase.batch, phase.pairs, f"loss {float(loss.detach()):.2e}")
+            tell("17", step * phase.batch, pairs, f"loss {float(loss.detach()):.2e}")
 
 
 def _batches(cars: BatchedCars, batch: int, steps: int, generator: torch.Generator) -> Iterator[Transitions]:
@@ -212,7 +212,7 @@ def _drives(
     """Drives side by side, without goals: half under actions at random, half that hold speeds drawn at random."""
     phase = configuration.phase_2
     count, limits = phase.cars, np.array([POINT_BODY.largest_thrust, LARGEST_TURN])
-    along, across = cars.environment_ranges.double().tolist()
+    along, across = ((float(low), float(high)) for low, high in cars.environment_ranges)
     simulation, nowhere = PointSimulation(count), np.ones((count, 2))
     simulation.pose[2] = random.uniform(0.0, 2.0 * np.pi, count)
     wish, wind = random.uniform(-1.0, 1.0, (count, 2)), np.empty((2, count))
@@ -233,8 +233,6 @@ def _drives(
         seen.append(without_goal(sensed(simulation, control, nowhere)))
         done.append(action)
         winds.append(wind.T.copy())
-    states, actions, environments = (
-        torch.from_numpy(np.stack(part, axis=1)).float() for part in (seen, done, winds)
-    )
+    states, actions, environments = (torch.from_numpy(np.stack(part, axis=1)).float() for part in (seen, done, winds))
     with torch.inference_mode():
         return Lived(*(part.clone() for part in lived(networks, states, actions, environments)))
