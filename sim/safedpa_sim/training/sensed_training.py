@@ -41,12 +41,14 @@ Tensor = torch.Tensor
 _SAMPLES: Final = 20_000
 _STREAMS: Final = {"scales": 71, "training": 72, "held_out": 73, "latents": 74, "drives": 75, "histories": 76}
 """Each purpose draws from its own seed: seed * 100 + this."""
-_CHUNK: Final = 16
+_CHUNK: Final = 64
 """Batches that are simulated at a time: the body's arrays are then long enough to be worth a call."""
 _HELD: Final = 0.04
 """Probability per period that a random driver wishes something else."""
 _BRAKING: Final = 8.0
 """m/s2 of wish over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
+_SMALLER: Final = 4
+"""Than the batch of phase 1a: with fewer pairs it is the number of steps that counts."""
 _TOLD: Final = 50
 
 
@@ -153,9 +155,10 @@ def _falling(first: float, last: float, share: float) -> float:
 
 def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell) -> None:
     phase, pairs = configuration.phase_1a, configuration.ablations.pairs
-    steps, generator = math.ceil(pairs / phase.batch), cars.generator(_seed(configuration, "training"))
+    batch = max(1, phase.batch // _SMALLER)
+    steps, generator = math.ceil(pairs / batch), cars.generator(_seed(configuration, "training"))
     optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
-    for step, (environment, seen, action, change) in enumerate(_batches(cars, phase.batch, steps, generator)):
+    for step, (environment, seen, action, change) in enumerate(_batches(cars, batch, steps, generator)):
         optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, step / steps)
         predicted = networks(seen, action, networks.encode(environment))
         loss = (predicted - change / networks.increment_scale).square().mean()
@@ -163,7 +166,7 @@ def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Con
         loss.backward()
         optimiser.step()
         if step % _TOLD == 0:
-            tell("17", step * phase.batch, pairs, f"loss {float(loss.detach()):.2e}")
+            tell("17", step * batch, pairs, f"loss {float(loss.detach()):.2e}")
 
 
 def _batches(cars: BatchedCars, batch: int, steps: int, generator: torch.Generator) -> Iterator[Transitions]:
@@ -187,7 +190,7 @@ def _learn_histories(
         torch.manual_seed(configuration.seed)
         encoder = HistoryNetwork(known.rows.shape[1], history, configuration.latents)
     optimiser = torch.optim.Adam(encoder.parameters(), phase.learning_rate)
-    updates = phase.rounds * phase.updates
+    updates = max(1, phase.rounds * phase.updates // 2)
     for update in range(updates):
         optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, update / updates)
         index = known.draw(max(1, phase.batch // 2), generator)
