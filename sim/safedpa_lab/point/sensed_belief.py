@@ -31,6 +31,8 @@ __all__ = ["SensedBelief", "TwoHistories", "sensed_weights"]
 Floats = NDArray[np.float64]
 
 _FILE: Final = "point_17.safetensors"
+_SETTLING: Final = 3
+"""Times that a probe's accelerometer is asked for."""
 _PROBE_GOAL: Final = 1.0
 """m ahead of a probe: any place would do."""
 
@@ -87,7 +89,8 @@ class TwoHistories:
 class SensedBelief:
     """f and g of what is sensed, decoded; the manoeuvre's motion as for ``LearnedBelief``, at the same probe states.
 
-    A probe's accelerometer reads the gravity alone: what it would read depends on the wind, which z tells.
+    What a probe's accelerometer reads depends on the wind, which z tells: what the networks say that it reads after a
+    period without an action. Reading nothing, it would speak of another wind than z does.
     """
 
     def __init__(self, weights: Weights, histories: TwoHistories, task: PointTask) -> None:
@@ -104,7 +107,10 @@ class SensedBelief:
         return Believed(state + change, gain, motion, scale_of(motion))
 
     def _motion(self, latent: Floats) -> Motion:
-        probes = np.broadcast_to(self._probes, (len(latent), *self._probes.shape))
+        probes = np.broadcast_to(self._probes, (len(latent), *self._probes.shape)).copy()
+        for _ in range(_SETTLING):
+            f, _ = self.networks.increment(probes, latent[:, np.newaxis])
+            probes[..., :2] += f[..., :2]
         return motion_of(*self._decoded(probes, self._probe_goal, latent[:, np.newaxis]))
 
     def _decoded(self, seen: Floats, goal: Floats, latent: Floats) -> tuple[Floats, Floats]:
