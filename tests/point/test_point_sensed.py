@@ -25,7 +25,7 @@ from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.sensed import ENTRIES, GROUPS, decoded, decoding_slopes, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.training.configuration import Ablations, Phase1a, Phase2, load_configuration
+from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
 from safedpa_sim.training.pipeline import run_pipeline
 from safedpa_sim.training.sensed_training import draw_sensed
 from safedpa_sim.training.simulator import BatchedCars
@@ -95,10 +95,9 @@ def test_pairs_are_steps_of_the_body_with_goals_all_over_the_field() -> None:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("sensed")
     small = load_configuration("point_small")
-    steps = Phase1a(batch=1024, learning_rate=3e-3, last_learning_rate=1e-5)
-    ablations = Ablations(pairs=60_000, hidden=48)
+    steps = Phase1a(pairs=60_000, batch=512, learning_rate=3e-3, last_learning_rate=1e-5, hidden=48)
     drives = Phase2(rounds=2, cars=60, steps=90, updates=60, batch=256)
-    configuration = dataclasses.replace(small, phase_1a=steps, ablations=ablations, phase_2=drives)
+    configuration = dataclasses.replace(small, phase_1a=steps, phase_2=drives)
     record = run_pipeline(configuration, folder, ["17"])["17"]
     assert run_pipeline(configuration, folder, ["17"])["17"]["skipped"]
     return folder, record

@@ -41,14 +41,14 @@ Tensor = torch.Tensor
 _SAMPLES: Final = 20_000
 _STREAMS: Final = {"scales": 71, "training": 72, "held_out": 73, "latents": 74, "drives": 75, "histories": 76}
 """Each purpose draws from its own seed: seed * 100 + this."""
-_CHUNK: Final = 64
+_CHUNK: Final = 32
 """Batches that are simulated at a time: the body's arrays are then long enough to be worth a call."""
 _HELD: Final = 0.04
 """Probability per period that a random driver wishes something else."""
 _BRAKING: Final = 8.0
 """m/s2 of wish over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
-_SMALLER: Final = 4
-"""Than the batch of phase 1a: with fewer pairs it is the number of steps that counts."""
+_SMALLER: Final = 2
+"""Than the batch of phase 1a: there is more to learn, in more steps."""
 _FELT: Final = 0.03
 """Weight of the accelerometer's entries: half of what it reads to the side is no f + g a, and drowns the rest."""
 _TOLD: Final = 50
@@ -57,10 +57,10 @@ _TOLD: Final = 50
 def train_sensed(
     configuration: Configuration, given: Weights | None, out: Path, tell: Tell = silent, device: str = "cpu"
 ) -> tuple[Weights, dict[str, Any]]:
-    """The weights of mu, f, g and phi, by the sections ``phase_1a``, ``ablations`` (pairs, neurons) and ``phase_2``.
+    """The weights of mu, f, g and phi, by the sections ``phase_1a`` and ``phase_2`` of a configuration.
 
-    Minimises the weighted mean of ((change - predicted) / deviation of the change)^2 over the 15 entries, then, over latents,
-    mean(((phi - mu) / spread)^2). Also returns the share of variance explained by entry, in single steps and
+    Minimises the weighted mean of ((change - predicted) / deviation of the change)^2 over the 15 entries, then,
+    over latents, mean(((phi - mu) / spread)^2). Also returns the share of variance explained by entry, in single steps and
     by phi on fresh drives; for an entry that never changes it is nothing.
     """
     del given, out
@@ -89,7 +89,7 @@ def train_sensed(
             "configuration": configuration.as_table(),
             "date": datetime.now(UTC).strftime("%Y-%m-%d"),
             "phase": "17",
-            "pairs": configuration.ablations.pairs,
+            "pairs": configuration.phase_1a.pairs,
             "seed": configuration.seed,
             "loss": summary["loss"],
         },
@@ -139,7 +139,7 @@ def _networks(cars: BatchedCars, configuration: Configuration) -> AffineNetworks
     }
     for name, ranges in (("action", cars.action_ranges), ("environment", cars.environment_ranges)):
         vectors[f"{name}_middle"], vectors[f"{name}_scale"] = ranges.mean(1), 0.5 * (ranges[:, 1] - ranges[:, 0])
-    phase, hidden, many = configuration.phase_1a, configuration.ablations.hidden, len(ENTRIES)
+    phase, hidden, many = configuration.phase_1a, configuration.phase_1a.hidden, len(ENTRIES)
     sizes = AffineSizes(many, many, 2, len(cars.entries), configuration.latents, hidden, phase.encoder_hidden)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.seed)
@@ -156,7 +156,7 @@ def _falling(first: float, last: float, share: float) -> float:
 
 
 def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell) -> None:
-    phase, pairs = configuration.phase_1a, configuration.ablations.pairs
+    phase, pairs = configuration.phase_1a, configuration.phase_1a.pairs
     batch = max(1, phase.batch // _SMALLER)
     weights = torch.ones(len(ENTRIES))
     weights[GROUPS["accelerometer"]] = _FELT

@@ -173,7 +173,7 @@ _PPO = Stage(
 """A policy that knows no latent, in all environments."""
 _SENSED = Stage(
     "17",
-    (*_ALONE, "phase_2"),
+    ("phase_1a", "phase_2"),
     "",
     "{robot}_17",
     ("mu", "f", "g", "phi"),
