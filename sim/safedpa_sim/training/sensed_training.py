@@ -59,8 +59,8 @@ def train_sensed(
 ) -> tuple[Weights, dict[str, Any]]:
     """The weights of mu, f, g and phi, by the sections ``phase_1a`` and ``phase_2`` of a configuration.
 
-    Minimises the weighted mean of ((change - predicted) / deviation of the change)^2 over the 15 entries, then,
-    over latents, mean(((phi - mu) / spread)^2). Also returns the share of variance explained by entry, in single steps and
+    Minimises the weighted mean of ((change - predicted) / deviation of the change)^2 over the 15 entries, then the mean
+    of ((phi - mu) / spread)^2 over latents. Also returns the share of variance explained by entry, in single steps and
     by phi on fresh drives; for an entry that never changes it is nothing.
     """
     del given, out
