@@ -95,7 +95,7 @@ def test_pairs_are_steps_of_the_body_with_goals_all_over_the_field() -> None:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("sensed")
     small = load_configuration("point_small")
-    steps = Phase1a(pairs=60_000, batch=512, learning_rate=3e-3, last_learning_rate=1e-5, hidden=48)
+    steps = Phase1a(pairs=60_000, batch=512, learning_rate=1e-3, last_learning_rate=1e-5, hidden=48)
     drives = Phase2(rounds=2, cars=60, steps=90, updates=60, batch=256)
     configuration = dataclasses.replace(small, phase_1a=steps, phase_2=drives)
     record = run_pipeline(configuration, folder, ["17"])["17"]

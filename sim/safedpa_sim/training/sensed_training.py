@@ -49,6 +49,8 @@ _BRAKING: Final = 8.0
 """m/s2 of wish over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
 _SMALLER: Final = 2
 """Than the batch of phase 1a: there is more to learn, in more steps."""
+_FASTER: Final = 5.0
+"""Than phase 1a: at its rate the wind along the heading, a product of z and magnetometer, is not found in time."""
 _FELT: Final = 0.03
 """Weight of the accelerometer's entries: half of what it reads to the side is no f + g a, and drowns the rest."""
 _TOLD: Final = 50
@@ -160,10 +162,11 @@ def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Con
     batch = max(1, phase.batch // _SMALLER)
     weights = torch.ones(len(ENTRIES))
     weights[GROUPS["accelerometer"]] = _FELT
+    rate = _FASTER * phase.learning_rate
     steps, generator = math.ceil(pairs / batch), cars.generator(_seed(configuration, "training"))
-    optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
+    optimiser = torch.optim.Adam(networks.parameters(), rate, fused=True)
     for step, (environment, seen, action, change) in enumerate(_batches(cars, batch, steps, generator)):
-        optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, step / steps)
+        optimiser.param_groups[0]["lr"] = _falling(rate, phase.last_learning_rate, step / steps)
         predicted = networks(seen, action, networks.encode(environment))
         loss = ((predicted - change / networks.increment_scale).square() * weights).mean()
         optimiser.zero_grad(set_to_none=True)
