@@ -155,9 +155,9 @@ def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> Non
     predicted = believed.next_state(action)
     task.advance(to_task_action(action))
     error = np.abs(predicted - centre_state(task.simulation))
-    assert np.median(error[:, :2].max(axis=1)) < 0.006
+    assert np.median(error[:, :2].max(axis=1)) < 0.003
     assert np.median(error[:, 2]) < 0.01
-    assert np.median(error[:, 3:].max(axis=1)) < 0.03
+    assert np.median(error[:, 3:].max(axis=1)) < 0.01
     wind = task.simulation.force / POINT_BODY.mass
     assert np.median(np.abs(believed.motion.wind - wind)) < 0.1
     strongest = POINT_BODY.largest_thrust / POINT_BODY.mass

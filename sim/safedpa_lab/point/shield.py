@@ -134,7 +134,7 @@ def shield_of(
     adaptation = Histories(weights_named(adapts, folder), task.count) if adapts else None
     if method in ("safedpa", "safedpa_17") and adaptation is None:
         raise InputError(f"method '{method}': got no model to adapt with, wanted adapts='learned' or another with phi")
-    if method == "safedpa_17":
+    if method == "safedpa_17" and adaptation is not None:
         return _sensed(adaptation, task, epsilon, folder)
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
 
