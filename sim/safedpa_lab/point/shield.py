@@ -18,7 +18,7 @@ from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import Filtered, PointFilter
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of"]
+__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "shield_of"]
 
 Floats = NDArray[np.float64]
 
