@@ -168,7 +168,7 @@ def test_the_method_drives_safer_than_without_a_filter() -> None:
     found = {}
     for name in ("unfiltered", "safedpa_17"):
         task = windy_task(8, 1, 0.008, 2)
-        found[name] = driven(driver_of(METHODS[name], task, Wheel(NOWHERE, margins={"safedpa_17": 0.02})), task, 200)
+        found[name] = driven(driver_of(METHODS[name], task, Wheel(NOWHERE, margins={"safedpa_17": 0.005})), task, 200)
     assert found["safedpa_17"].cost.sum() < found["unfiltered"].cost.sum()
     assert found["safedpa_17"].corrected > 0.0
     assert found["safedpa_17"].goals.sum() >= 4.0
