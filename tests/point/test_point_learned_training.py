@@ -27,7 +27,7 @@ def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 60)  # what it does, no figure, is looked at here
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
-    assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", *PUNISHED]
+    assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", *PUNISHED, "17"]
     assert min(records["1a"]["explained"]) > 0.5
     assert records["fix_45"]["loss"] < records["mix"]["loss"]
     weights = load_weights(tmp_path / "point_learned.safetensors")

@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.networks import HistoryEncoder, HistoryStreams, Weights
+from safedpa.networks import Frame, HistoryEncoder, HistoryStreams, Weights
 
 __all__ = ["Histories"]
 
@@ -19,11 +19,12 @@ Values = NDArray[np.float64]
 class Histories:
     """z (robots, latents) = phi(last k states and actions): ``HistoryEstimator`` for many.
 
-    Each period ``see`` the states, then tell by ``acted`` what was done. Raises InputError for weights without phi.
+    Each period ``see`` the states, then tell by ``acted`` what was done. ``frame`` as for
+    ``HistoryEncoder``. Raises InputError for weights without phi.
     """
 
-    def __init__(self, weights: Weights, robots: int) -> None:
-        self._encoder = HistoryEncoder(weights)
+    def __init__(self, weights: Weights, robots: int, frame: Frame | None = None) -> None:
+        self._encoder = HistoryEncoder(weights, frame)
         self._streams = HistoryStreams(self._encoder, robots)
         self._before = np.zeros((robots, len(weights.description.states)))
         self._action = np.zeros((robots, len(weights.description.actions)))

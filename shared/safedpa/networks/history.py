@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.networks.frame import frame_of
+from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.layers import Layer, convolution_stack, dense_stack, layers_of
 from safedpa.networks.weights import STRIDE, Weights
 
@@ -26,16 +26,17 @@ class HistoryEncoder:
     """Inference of phi: two dense layers for each row, two convolutions over time, one dense layer.
 
     A row is one transition: what the networks see of the state, the change of state in the robot's own frame and the
-    action, all scaled. Rows of zeros stand for transitions before the first one. Raises InputError without phi.
+    action, all scaled. Rows of zeros stand for transitions before the first one. ``frame`` is that of the weights'
+    robot where it is left out. Raises InputError without phi.
     Source: the 1-D CNN of Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, in the sizes of SafeDPA's related code.
     """
 
-    def __init__(self, weights: Weights) -> None:
+    def __init__(self, weights: Weights, frame: Frame | None = None) -> None:
         if not weights.has("phi"):
             raise InputError("weights: no history encoder (phi) in them; train phase 2 first")
         self.length = weights.description.history
         self.latents = weights.description.latents
-        self._frame = frame_of(weights.description.robot)
+        self._frame = frame or frame_of(weights.description.robot)
         self._scales = [
             weights[name].astype(np.float64)
             for name in ("feature_middle", "feature_scale", "increment_scale", "action_middle", "action_scale")

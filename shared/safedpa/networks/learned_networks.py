@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.networks.frame import frame_of
+from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.layers import Layer, dense_stack, layers_of
 from safedpa.networks.plain_rows import world_row
 from safedpa.networks.weights import Weights
@@ -33,22 +33,25 @@ class LearnedNetworks:
 
         increment in the robot's own frame = increment_scale (F(n) + G(n) u)
 
+    ``frame`` is that of the weights' robot where it is left out: those of another state have one of their own.
+
     Source: Xiao, He, Dolan, Shi, Safe Deep Policy Adaptation, ICRA 2024, section III; own frame and scales are ours.
     """
 
-    def __init__(self, weights: Weights) -> None:
+    def __init__(self, weights: Weights, frame: Frame | None = None) -> None:
         self.weights = weights
         self.description = weights.description
-        self._frame = frame_of(weights.description.robot)
+        self._given = frame
+        self._frame = frame or frame_of(weights.description.robot)
         self._mu = layers_of(weights.tensors, "mu")
         self._increments = self._paired(weights)
 
     def __getstate__(self) -> dict[str, Any]:
         """Buffers do not travel, nor are they shared by copies."""
-        return {"weights": self.weights}
+        return {"weights": self.weights, "frame": self._given}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["weights"])
+        self.__init__(state["weights"], state["frame"])
 
     def own_increment(self, state: Values, latent: Values) -> tuple[Values, Values]:
         """(f, g) of the own-frame increment f + g a: f (..., states), g (..., states, actions).

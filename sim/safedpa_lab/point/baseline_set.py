@@ -16,6 +16,7 @@ from safedpa_sim.training.progress import Tell, silent
 __all__ = [
     "LARGEST_FORCE",
     "PUBLISHED",
+    "SHIPPED",
     "TASKS",
     "baseline_named",
     "baselines_in",
@@ -40,7 +41,7 @@ PUBLISHED: Final = {
 """Reward and cost of an episode after ten million steps. Source: OmniSafe, JMLR 25 (2024), point, goal, level 1."""
 
 
-_SHIPPED: Final = Path(str(files("safedpa_sim.point"))) / "weights"
+SHIPPED: Final = Path(str(files("safedpa_sim.point"))) / "weights"
 
 
 def train_baselines(
@@ -78,7 +79,7 @@ def folder_of(seed: int) -> str:
 def baselines_in(folder: Path, seed: int = 0) -> dict[str, dict[str, Any]]:
     """The accounts of one seed's policies in a folder, or else those that ship, by NAME_TASK and what follows it."""
     found = {}
-    for place in (_SHIPPED, folder):
+    for place in (SHIPPED, folder):
         for path in sorted((place / folder_of(seed)).glob("*.safetensors")):
             found[path.stem] = load_policy(path).told
     return found
@@ -86,7 +87,7 @@ def baselines_in(folder: Path, seed: int = 0) -> dict[str, dict[str, Any]]:
 
 def baseline_named(key: str, folder: Path, seed: int = 0) -> BaselinePolicy:
     """KEY of a training seed from the folder, or else the one that ships. Raises InputError when there is none."""
-    own, shipped = (place / folder_of(seed) / f"{key}.safetensors" for place in (folder, _SHIPPED))
+    own, shipped = (place / folder_of(seed) / f"{key}.safetensors" for place in (folder, SHIPPED))
     for path in (own, shipped):
         if path.exists():
             return load_policy(path)
@@ -95,7 +96,7 @@ def baseline_named(key: str, folder: Path, seed: int = 0) -> BaselinePolicy:
 
 def seeds_of(key: str, folder: Path) -> tuple[int, ...]:
     """The training seeds of which there is a policy of that KEY, in the folder or shipped."""
-    paths = [path for place in (folder, _SHIPPED) for path in place.glob(f"seed_*/{key}.safetensors")]
+    paths = [path for place in (folder, SHIPPED) for path in place.glob(f"seed_*/{key}.safetensors")]
     return tuple(sorted({int(path.parent.name.removeprefix("seed_")) for path in paths}))
 
 

@@ -17,7 +17,7 @@ from safedpa_sim.point.belief import ACTION_SCALE, TASK_TURN, Believed
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN
 
-__all__ = ["PROBES", "LearnedBelief", "ModelBelief", "from_task_action", "motion_of"]
+__all__ = ["PROBES", "LearnedBelief", "ModelBelief", "from_task_action", "motion_of", "scale_of"]
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class LearnedBelief:
         latent = latent if self._latents else np.zeros((len(state), 0))
         f, g = self.networks.increment(state, latent)
         motion = self._motion(latent) if self._alone is None else self._alone
-        return Believed(state + f, g * ACTION_SCALE, motion, _scale(motion))
+        return Believed(state + f, g * ACTION_SCALE, motion, scale_of(motion))
 
     def _motion(self, latent: Floats) -> Motion:
         f, g = self.networks.increment(np.broadcast_to(PROBES, (len(latent), *PROBES.shape)), latent[:, np.newaxis])
@@ -68,7 +68,7 @@ class ModelBelief:
     def believed(self, state: Floats, latent: Floats) -> Believed:  # noqa: D102
         del latent
         f, g = self._increment(state)
-        return Believed(state + f, g, self._motion, _scale(self._motion))
+        return Believed(state + f, g, self._motion, scale_of(self._motion))
 
     def _increment(self, state: Floats) -> tuple[Floats, Floats]:
         """Increments without action (robots, 5), and their slopes over actions in [-1, 1] (robots, 5, 2)."""
@@ -103,5 +103,6 @@ def motion_of(f: Floats, g: Floats) -> Motion:
     return Motion(wind, drag, strongest, LARGEST_TURN, POINT_BODY.centre_ahead)
 
 
-def _scale(motion: Motion) -> Floats:
+def scale_of(motion: Motion) -> Floats:
+    """(2,) thrust acceleration [m/s2] and turn [rad/s] of the action 1."""
     return np.array([float(np.mean(motion.strongest)), LARGEST_TURN])

@@ -19,6 +19,7 @@ BASELINE_TITLES: Final = {
 }
 FILTERS: Final = {
     "safedpa": "SafeDPA",
+    "safedpa_17": "SafeDPA, 17 states",
     **{f"fix_{direction}": f"Fix-{direction}" for direction in FIXED_DIRECTIONS},
     "mix": "Mix",
     "physics": "all but the wind",
@@ -71,6 +72,7 @@ _LIDAR: Final = "ppo_lagrangian_wind_latent_1"
 """It heeds the cost, so that the filter has less to change."""
 _ALL: Final = (
     Method("safedpa", "SafeDPA", filter="safedpa"),
+    Method("safedpa_17", FILTERS["safedpa_17"], filter="safedpa_17"),
     *(Method(name, FILTERS[name], filter=name) for name in FILTERS if name.startswith("fix_")),
     Method("mix", "Mix", filter="mix"),
     Method("physics", "knows all but the wind", filter="physics"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final, final
+from typing import Final, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from safedpa.adaptation.histories import Histories
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
+from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
 from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.belief import ACTION_SCALE, Belief, Believed, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import Filtered, PointFilter
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of"]
+__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "shield_of"]
 
 Floats = NDArray[np.float64]
 
@@ -26,14 +27,32 @@ EPSILON: Final = 0.005
 FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
 METHODS: Final = (
     "safedpa",
+    "safedpa_17",
     *(f"fix_{direction}" for direction in FIXED_DIRECTIONS),
     "mix",
     "oracle",
     "physics",
     "none",
 )
-"""Whose model the filter believes: learned with the latent; of one force alone; of all at once; the truth; the truth
-but for the wind; no filter."""
+"""Whose model the filter believes: learned with the latent; learned of what is sensed; of one force alone; of all at
+once; the truth; the truth but for the wind; no filter."""
+
+
+class Adaptation(Protocol):
+    """What ``Histories`` does."""
+
+    @property
+    def latent(self) -> Floats:
+        """Of the states that were seen last."""
+
+    def see(self, state: Floats) -> Floats:
+        """The latents at states (robots, 5)."""
+
+    def acted(self, action: Floats) -> None:
+        """Actions (robots, 2) in N and rad/s act from now on."""
+
+    def reset(self, which: NDArray[np.intp]) -> None:
+        """The robots of those indices begin anew."""
 
 
 @final
@@ -44,7 +63,7 @@ class Shield:
     """
 
     def __init__(
-        self, count: int, belief: Belief | None, adaptation: Histories | None, epsilon: float = EPSILON
+        self, count: int, belief: Belief | None, adaptation: Adaptation | None, epsilon: float = EPSILON
     ) -> None:
         self._belief, self._adaptation, self._filter = belief, adaptation, PointFilter(epsilon)
         self._nothing = np.zeros((count, 0))
@@ -113,9 +132,17 @@ def shield_of(
     if method not in METHODS:
         raise InputError(f"method '{method}': {did_you_mean(method, METHODS)}")
     adaptation = Histories(weights_named(adapts, folder), task.count) if adapts else None
-    if method == "safedpa" and adaptation is None:
-        raise InputError("method 'safedpa': got no model to adapt with, wanted adapts='learned' or another with phi")
+    if method in ("safedpa", "safedpa_17") and adaptation is None:
+        raise InputError(f"method '{method}': got no model to adapt with, wanted adapts='learned' or another with phi")
+    if method == "safedpa_17" and adaptation is not None:
+        return _sensed(adaptation, task, epsilon, folder)
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
+
+
+def _sensed(policy: Histories, task: PointTask, epsilon: float, folder: Path) -> Shield:
+    weights = sensed_weights(folder)
+    histories = TwoHistories(policy, weights, task)
+    return Shield(task.count, SensedBelief(weights, histories, task), histories, epsilon)
 
 
 def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> Belief | None:

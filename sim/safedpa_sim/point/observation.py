@@ -16,7 +16,16 @@ from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS
 if TYPE_CHECKING:
     from safedpa_sim.point.task import PointTask
 
-__all__ = ["GOAL_ENTRIES", "LIDAR_BINS", "SENSOR_ENTRIES", "entries_seen", "goal_seen", "hazard_lidar", "policy_seen"]
+__all__ = [
+    "GOAL_ENTRIES",
+    "GOAL_OFFSET",
+    "LIDAR_BINS",
+    "SENSOR_ENTRIES",
+    "entries_seen",
+    "goal_seen",
+    "hazard_lidar",
+    "policy_seen",
+]
 
 
 _NEAREST: Final = 4
@@ -60,7 +69,7 @@ def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: Floats
 def _towards(place: Floats, pose: Floats) -> Floats:
     seen = _own_frame(place[:, np.newaxis], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
-    parts = (seen / (distance + _NOT_TO_DIVIDE_BY_ZERO), np.minimum(distance, _FARTHEST))
+    parts = (seen / (distance + GOAL_OFFSET), np.minimum(distance, _FARTHEST))
     return np.concatenate(parts, axis=1)
 
 
@@ -69,7 +78,7 @@ def _nearest(hazards: Floats, pose: Floats) -> Floats:
     distance = np.linalg.norm(seen, axis=2)
     order = np.argsort(distance, axis=1)[:, :_NEAREST]
     distance = np.take_along_axis(distance, order, axis=1)[..., np.newaxis]
-    direction = np.take_along_axis(seen, order[..., np.newaxis], axis=1) / (distance + _NOT_TO_DIVIDE_BY_ZERO)
+    direction = np.take_along_axis(seen, order[..., np.newaxis], axis=1) / (distance + GOAL_OFFSET)
     nearness = np.exp((HAZARD_RADIUS - distance) / _FADING)
     return np.concatenate((direction, nearness), axis=2).reshape(len(seen), -1)
 
@@ -81,7 +90,8 @@ GOAL_ENTRIES: Final = 3
 LIDAR_BINS: Final = 16
 _LIDAR_REACH = 2.0 * FIELD
 """m; further hazards read 0."""
-_NOT_TO_DIVIDE_BY_ZERO = 0.001
+GOAL_OFFSET: Final = 0.001
+"""m on top of a distance, not to divide by zero."""
 
 
 def _own_frame(points: Floats, pose: Floats) -> Floats:
@@ -97,7 +107,7 @@ def goal_seen(pose: Floats, goal: Floats) -> Floats:
     """(robots, 3): direction of the goal in the own frame (2 entries of a unit vector), distance [m]."""
     seen = _own_frame(goal[:, None], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
-    return np.concatenate((seen / (distance + _NOT_TO_DIVIDE_BY_ZERO), distance), axis=1)
+    return np.concatenate((seen / (distance + GOAL_OFFSET), distance), axis=1)
 
 
 def hazard_lidar(pose: Floats, hazards: Floats) -> Floats:

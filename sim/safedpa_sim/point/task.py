@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, draw_layouts
-from safedpa_sim.point.observation import goal_seen, hazard_lidar
+from safedpa_sim.point.observation import hazard_lidar
+from safedpa_sim.point.sensed import sensed
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "Stepped", "control_of"]
@@ -121,13 +122,8 @@ class PointTask:
 
     def observation(self) -> Floats:
         """(count, 31): 12 of the sensors, 3 of the goal, 16 of the lidar; the wind or a latent is not among them."""
-        pose = self.simulation.pose
-        seen = (
-            self.simulation.sensors(self.control).T,
-            goal_seen(pose, self.layout.goal),
-            hazard_lidar(pose, self.layout.hazards),
-        )
-        return np.concatenate(seen, axis=1)
+        seen = sensed(self.simulation, self.control, self.layout.goal)
+        return np.concatenate((seen, hazard_lidar(self.simulation.pose, self.layout.hazards)), axis=1)
 
     def _goal_distance(self) -> Floats:
         apart: Floats = np.linalg.norm(self.layout.goal - self.simulation.pose[:2].T, axis=1)

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from safedpa.errors import InputError
-from safedpa.networks import Weights, frame_of
+from safedpa.networks import Frame, Weights, frame_of
 from safedpa.networks.weights import STRIDE
 
 __all__ = [
@@ -70,7 +70,8 @@ class AffineNetworks(nn.Module):
         n = [(features(x) - feature_middle) / feature_scale, z],  u = (a - action_middle) / action_scale
         own-frame increment = increment_scale (F(n) + G(n) u),    z = mu((e - environment_middle) / environment_scale)
 
-    ``vectors`` holds the scales by these names. Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024.
+    ``vectors`` holds the scales by these names; ``frame`` is the robot's where it is left out.
+    Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024.
     """
 
     feature_middle: Tensor
@@ -84,10 +85,12 @@ class AffineNetworks(nn.Module):
     latent_high: Tensor
     latent_nominal: Tensor
 
-    def __init__(self, robot: str, sizes: AffineSizes, vectors: Mapping[str, Tensor]) -> None:
+    def __init__(
+        self, robot: str, sizes: AffineSizes, vectors: Mapping[str, Tensor], frame: Frame | None = None
+    ) -> None:
         super().__init__()
         self.sizes = sizes
-        self.frame = frame_of(robot)
+        self.frame = frame or frame_of(robot)
         seen, hidden = sizes.features + sizes.latents, sizes.hidden
         self.f = Dense((seen, hidden, hidden, sizes.states))
         self.g = Dense((seen, hidden, hidden, sizes.states * sizes.actions))

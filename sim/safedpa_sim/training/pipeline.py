@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.networks import Weights, load_weights
+from safedpa.networks import Weights, load_weights, save_weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.progress import Tell, read_record, silent, write_record
@@ -77,7 +77,10 @@ def _run(stage: Stage, configuration: Configuration, out: Path, tell: Tell, devi
         return {**known, "skipped": True}
     started, used = monotonic(), process_time()
     made, summary = stage.train(configuration, given, out, tell, device)  # type: ignore[arg-type]  # none wants none
-    export_model(made, configuration.simulator, target)
+    if stage.modelled:
+        export_model(made, configuration.simulator, target)
+    else:
+        save_weights(made, target.with_suffix(".safetensors"))
     record = {
         "digest": digest,
         "from": made_from,
@@ -113,4 +116,5 @@ def _given(stage: Stage, configuration: Configuration, out: Path) -> Weights | N
 
 def _is_there(model_file: Path, stage: Stage) -> bool:
     weights = model_file.with_suffix(".safetensors")
-    return model_file.exists() and weights.exists() and all(load_weights(weights).has(name) for name in stage.adds)
+    there = weights.exists() and (model_file.exists() or not stage.modelled)
+    return there and all(load_weights(weights).has(name) for name in stage.adds)

@@ -42,6 +42,8 @@ class Stage:
     """Networks that must be there before it begins."""
     drops: tuple[str, ...] = ()
     """Beginnings of the names of tensors that it makes itself, or that were made from those: it must not see them."""
+    modelled: bool = True
+    """Whether the weights are of the robot's own state, so that a model file stands beside them."""
 
 
 def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[Stage, ...]]:
@@ -169,6 +171,16 @@ _PPO = Stage(
     _later("phase_1b", "train_policy", name="ppo", sheltered=False),
 )
 """A policy that knows no latent, in all environments."""
+_SENSED = Stage(
+    "17",
+    ("phase_1a", "phase_2"),
+    "",
+    "{robot}_17",
+    ("mu", "f", "g", "phi"),
+    _later("sensed_training", "train_sensed"),
+    modelled=False,
+)
+"""The point's 15 sensed numbers and z, in place of its state of five."""
 _STAGES: Final = {
     "car": {
         **_common(_SIMULATED),
@@ -201,6 +213,7 @@ _STAGES: Final = {
             _alone("mix"),
             *(_punished(penalty) for penalty in (0.0, 0.1, 0.3, 1.0, 3.0)),
         ),
+        "17": (_SENSED,),
     },
 }
 """Pendulum and point have no phase 3: their simulator is the robot."""

@@ -1,0 +1,248 @@
+"""mu, f, g and phi for what the point robot's sensors tell: 15 numbers, with z 17.
+
+As phases 1a and 2 do for the state of five entries: single steps of the body itself, every one new, the goal anywhere
+in the field; then phi on drives, so that z = phi(what was sensed, done and sensed next) is mu(e). The goal's entries
+are kept from phi: where it is put elsewhere they jump.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from safedpa.networks import Description, Weights
+from safedpa_sim.point.body import POINT_BODY
+from safedpa_sim.point.body_steps import LARGEST_TURN, controls_of, put_state
+from safedpa_sim.point.layout import FIELD, GOAL_RADIUS
+from safedpa_sim.point.sensed import ENTRIES, GROUPS, SENSED_FRAME, sensed, without_goal
+from safedpa_sim.point.simulation import PointSimulation
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.explained_motion import evaluate, explained
+from safedpa_sim.training.histories import Lived, joined, lived
+from safedpa_sim.training.networks import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
+from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.transitions import Transitions
+from safedpa_sim.training.weights_export import normalise_latent
+
+__all__ = ["draw_sensed", "train_sensed"]
+
+Floats = NDArray[np.float64]
+Tensor = torch.Tensor
+
+_SAMPLES: Final = 20_000
+_STREAMS: Final = {"scales": 71, "training": 72, "held_out": 73, "latents": 74, "drives": 75, "histories": 76}
+"""Each purpose draws from its own seed: seed * 100 + this."""
+_CHUNK: Final = 32
+"""Batches that are simulated at a time: the body's arrays are then long enough to be worth a call."""
+_HELD: Final = 0.04
+"""Probability per period that a random driver wishes something else."""
+_BRAKING: Final = 8.0
+"""m/s2 of wish over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
+_SMALLER: Final = 2
+"""Than the batch of phase 1a: there is more to learn, in more steps."""
+_FASTER: Final = 5.0
+"""Than phase 1a: at its rate the wind along the heading, a product of z and magnetometer, is not found in time."""
+_FELT: Final = 0.03
+"""Weight of the accelerometer's entries: half of what it reads to the side is no f + g a, and drowns the rest."""
+_TOLD: Final = 50
+
+
+def train_sensed(
+    configuration: Configuration, given: Weights | None, out: Path, tell: Tell = silent, device: str = "cpu"
+) -> tuple[Weights, dict[str, Any]]:
+    """The weights of mu, f, g and phi, by the sections ``phase_1a`` and ``phase_2`` of a configuration.
+
+    Minimises the weighted mean of ((change - predicted) / deviation of the change)^2 over the 15 entries, then the mean
+    of ((phi - mu) / spread)^2 over latents. Also returns the share of variance explained by entry, in single steps and
+    by phi on fresh drives; for an entry that never changes it is nothing.
+    """
+    del given, out
+    training_device(device)
+    cars = BatchedCars(configuration)
+    networks = _networks(cars, configuration)
+    _learn_steps(networks, cars, configuration, tell)
+    normalise_latent(networks, cars, _seed(configuration, "latents"))
+    networks.requires_grad_(False)
+    encoder, told = _learn_histories(networks, cars, configuration, tell)
+    held_out = draw_sensed(cars, _SAMPLES, cars.generator(_seed(configuration, "held_out")))
+    summary: dict[str, Any] = {"entries": list(ENTRIES), **evaluate(networks, held_out), **told}
+    moved = held_out.increment.var(0) > 0.0
+    summary["explained"] = [
+        share if moves else None for share, moves in zip(summary["explained"], moved.tolist(), strict=True)
+    ]
+    described = Description(
+        robot=configuration.robot,
+        period=cars.model.period,
+        states=ENTRIES,
+        actions=cars.model.system.action_names,
+        latents=configuration.latents,
+        history=configuration.history,
+        environment=cars.entries,
+        trained_on={
+            "configuration": configuration.as_table(),
+            "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+            "phase": "17",
+            "pairs": configuration.phase_1a.pairs,
+            "seed": configuration.seed,
+            "loss": summary["loss"],
+        },
+    )
+    return Weights({**tensors_of(networks), **tensors_of(encoder)}, described), summary
+
+
+def draw_sensed(cars: BatchedCars, count: int, generator: torch.Generator) -> Transitions:
+    """Steps of the body as they are sensed: environments, what is sensed (n, 15), actions, its change (n, 15).
+
+    One period under an action of its own comes before each, so that accelerometer and gyro read what they would.
+    """
+    environment, state = cars.draw_environments(count, generator), cars.draw_states(count, generator)
+    before, action, earlier = (cars.draw_actions(count, generator) for _ in range(3))
+    places = (2.0 * FIELD * (torch.rand(2, count, 2, generator=generator) - 0.5)).double().numpy()
+    simulation = PointSimulation(count)
+    put_state(simulation, state.double().numpy(), earlier[:, 1].double().numpy())
+    simulation.force[:] = POINT_BODY.mass * environment.double().numpy().T
+    control = controls_of(before.double().numpy())
+    simulation.advance(control)
+    apart = places[0] - places[1]
+    apart *= np.maximum(1.0, GOAL_RADIUS / np.linalg.norm(apart, axis=1, keepdims=True))
+    goal = simulation.pose[:2].T + apart
+    now = sensed(simulation, control, goal)
+    control = controls_of(action.double().numpy())
+    simulation.advance(control)
+    change = sensed(simulation, control, goal) - now
+    return Transitions(environment, torch.from_numpy(now).float(), action, torch.from_numpy(change).float())
+
+
+def _seed(configuration: Configuration, purpose: str) -> int:
+    return configuration.seed * 100 + _STREAMS[purpose]
+
+
+def _networks(cars: BatchedCars, configuration: Configuration) -> AffineNetworks:
+    """At the start of training; an entry that never changes has scale 1."""
+    drawn = draw_sensed(cars, _SAMPLES, cars.generator(_seed(configuration, "scales")))
+    low, high = drawn.state.amin(0), drawn.state.amax(0)
+    zeros = torch.zeros(configuration.latents)
+    vectors = {
+        "feature_middle": 0.5 * (low + high),
+        "feature_scale": _or_one(0.5 * (high - low)),
+        "increment_scale": _or_one(drawn.increment.std(0)),
+        "latent_low": zeros - 1.0,
+        "latent_high": zeros + 1.0,
+        "latent_nominal": zeros,
+    }
+    for name, ranges in (("action", cars.action_ranges), ("environment", cars.environment_ranges)):
+        vectors[f"{name}_middle"], vectors[f"{name}_scale"] = ranges.mean(1), 0.5 * (ranges[:, 1] - ranges[:, 0])
+    phase, hidden, many = configuration.phase_1a, configuration.phase_1a.hidden, len(ENTRIES)
+    sizes = AffineSizes(many, many, 2, len(cars.entries), configuration.latents, hidden, phase.encoder_hidden)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.seed)
+        return AffineNetworks(configuration.robot, sizes, vectors, SENSED_FRAME)
+
+
+def _or_one(scale: Tensor) -> Tensor:
+    return torch.where(scale > 0.0, scale, torch.ones_like(scale))
+
+
+def _falling(first: float, last: float, share: float) -> float:
+    """The learning rate after a share of all steps, along half a cosine."""
+    return last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * share))
+
+
+def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell) -> None:
+    phase, pairs = configuration.phase_1a, configuration.phase_1a.pairs
+    batch = max(1, phase.batch // _SMALLER)
+    weights = torch.ones(len(ENTRIES))
+    weights[GROUPS["accelerometer"]] = _FELT
+    rate = _FASTER * phase.learning_rate
+    steps, generator = math.ceil(pairs / batch), cars.generator(_seed(configuration, "training"))
+    optimiser = torch.optim.Adam(networks.parameters(), rate, fused=True)
+    for step, (environment, seen, action, change) in enumerate(_batches(cars, batch, steps, generator)):
+        optimiser.param_groups[0]["lr"] = _falling(rate, phase.last_learning_rate, step / steps)
+        predicted = networks(seen, action, networks.encode(environment))
+        loss = ((predicted - change / networks.increment_scale).square() * weights).mean()
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        if step % _TOLD == 0:
+            tell("17", step * batch, pairs, f"loss {float(loss.detach()):.2e}")
+
+
+def _batches(cars: BatchedCars, batch: int, steps: int, generator: torch.Generator) -> Iterator[Transitions]:
+    for start in range(0, steps, _CHUNK):
+        wanted = min(_CHUNK, steps - start)
+        drawn = draw_sensed(cars, wanted * batch, generator)
+        for index in range(wanted):
+            yield Transitions(*(part[index * batch : (index + 1) * batch] for part in drawn))
+
+
+def _learn_histories(
+    networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell
+) -> tuple[HistoryNetwork, dict[str, Any]]:
+    """phi, and the share of mu's variance that it explains on fresh drives, where the history is full."""
+    phase, history = configuration.phase_2, configuration.history
+    random = np.random.default_rng(_seed(configuration, "drives"))
+    generator = cars.generator(_seed(configuration, "histories"))
+    known = joined([_drives(networks, cars, configuration, random) for _ in range(min(phase.rounds, phase.kept))])
+    spread = known.latents.std(0).clamp_min(1e-3)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.seed)
+        encoder = HistoryNetwork(known.rows.shape[1], history, configuration.latents)
+    optimiser = torch.optim.Adam(encoder.parameters(), phase.learning_rate)
+    updates = max(1, phase.rounds * phase.updates // 2)
+    for update in range(updates):
+        optimiser.param_groups[0]["lr"] = _falling(phase.learning_rate, phase.last_learning_rate, update / updates)
+        index = known.draw(max(1, phase.batch // 2), generator)
+        rows = known.histories(index, history)
+        rows = rows + phase.noise * torch.randn(rows.shape, generator=generator) * rows.abs().amax(-1, True).gt(0.0)
+        loss = ((encoder(rows) - known.latents[index]) / spread).square().mean()
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        if update % _TOLD == 0:
+            tell("17 phi", update, updates, f"loss {float(loss.detach()):.3f}")
+    fresh = _drives(networks, cars, configuration, random)
+    index = fresh.draw(min(_SAMPLES, len(fresh.rows)), generator, before=history)
+    with torch.inference_mode():
+        seen = encoder(fresh.histories(index, history))
+    return encoder, {"explained_latents": explained(seen, fresh.latents[index]).tolist()}
+
+
+def _drives(
+    networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, random: np.random.Generator
+) -> Lived:
+    """Drives side by side, without goals: half under actions at random, half that hold speeds drawn at random."""
+    phase = configuration.phase_2
+    count, limits = phase.cars, np.array([POINT_BODY.largest_thrust, LARGEST_TURN])
+    along, across = ((float(low), float(high)) for low, high in cars.environment_ranges)
+    simulation, nowhere = PointSimulation(count), np.ones((count, 2))
+    simulation.pose[2] = random.uniform(0.0, 2.0 * np.pi, count)
+    wish, wind = random.uniform(-1.0, 1.0, (count, 2)), np.empty((2, count))
+    wind[0], wind[1] = random.uniform(*along, count), random.uniform(*across, count)
+    steered, control = np.arange(count) < count // 2, np.zeros((2, count))
+    seen, done, winds = [without_goal(sensed(simulation, control, nowhere))], [], []
+    for _ in range(phase.steps):
+        anew = random.random(count) < _HELD
+        wish[anew] = random.uniform(-1.0, 1.0, (int(anew.sum()), 2)) * random.choice((0.0, 0.3, 1.0), (1, 2))
+        turned = random.random(count) < phase.change
+        wind[:, turned] = random.uniform(*along, int(turned.sum())), random.uniform(*across, int(turned.sum()))
+        simulation.force[:] = POINT_BODY.mass * wind
+        action = wish * limits
+        slow = POINT_BODY.mass * _BRAKING * (wish[:, 0] - seen[-1][:, 3])
+        action[steered, 0] = np.clip(slow, -limits[0], limits[0])[steered]
+        control = controls_of(action)
+        simulation.advance(control)
+        seen.append(without_goal(sensed(simulation, control, nowhere)))
+        done.append(action)
+        winds.append(wind.T.copy())
+    states, actions, environments = (torch.from_numpy(np.stack(part, axis=1)).float() for part in (seen, done, winds))
+    with torch.inference_mode():
+        return Lived(*(part.clone() for part in lived(networks, states, actions, environments)))
