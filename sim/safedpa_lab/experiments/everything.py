@@ -170,7 +170,7 @@ PARTS: Final = (
         "pendulum.json",
     ),
     Part("pendulum-story", ("pendulum-story",), ("--directions", "1", "--episodes", "1"), 6, "pendulum-story.json"),
-    Part("point", ("point", "--seed", "2300"), ("--quick", "--methods", "unfiltered"), 90, "point.json"),
+    Part("point", ("point", "--seed", "2300", "--episodes", "8"), ("--quick", "--methods", "unfiltered"), 90, "point.json"),
     Part("point-heat-map", ("point-heat-map", "--moments", "480"), ("--moments", "2"), 5, "point-heat-map.json"),
     Part("point-learning", ("point-learning",), ("--quick", "--starts", "shipped"), 90, "point-learning.json"),
     Part(
