@@ -57,7 +57,7 @@ def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
     ):
         chosen(("car-paper",), None)
     left_out = {part.name for part in PARTS} - {part.name for part in chosen((), None)}
-    assert left_out == {"real-logs", "car-paper", "car-curves-paper", "tuning-real"}
+    assert left_out == {"real-logs", "car-paper", "car-planner", "car-curves-paper", "tuning-real"}
     (tmp_path / "learned" / "car_paper").mkdir(parents=True)
     assert chosen((), tmp_path) == list(PARTS)
 

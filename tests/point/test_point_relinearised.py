@@ -15,13 +15,13 @@ from safedpa_lab.experiments.point_relinearised import Relinearised
 from safedpa_lab.experiments.point_relinearised_report import car_table
 from safedpa_lab.experiments.relinearised_errors import CarWork, car_errors, thrust_configuration, train_networks
 from safedpa_lab.point.action_models import COMMANDS, SimulatedBody
+from safedpa_lab.point.free_model import FreeModel, load_free, save_free
+from safedpa_lab.point.free_training import free_hidden, train_free
 from safedpa_lab.point.relinearised_drives import NETWORKS, free_model, model_of, windy
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.belief import to_task_action
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.training.free_model import FreeModel, load_free, save_free
-from safedpa_sim.training.free_networks import free_hidden, train_free
 
 SHIPPED = Path("no networks here")
 EVERYBODY = np.arange(6)

@@ -147,6 +147,15 @@ PARTS: Final = (
         training=FAMILIES["paper"].training,
     ),
     Part(
+        "car-planner",
+        ("car", "--family", "paper", "--method", "safedpa", "--method", "planner", "--part", "table"),
+        ("--episodes", "1", "--load", "none"),
+        10,
+        "car.json",
+        models=str(FAMILIES["paper"].models),
+        training=FAMILIES["paper"].training,
+    ),
+    Part(
         "car-curves",
         ("car-curves",),
         ("--episodes", "1", "--drives", "1", "--sweep", "friction", "--method", "safedpa"),
@@ -170,7 +179,13 @@ PARTS: Final = (
         "pendulum.json",
     ),
     Part("pendulum-story", ("pendulum-story",), ("--directions", "1", "--episodes", "1"), 6, "pendulum-story.json"),
-    Part("point", ("point", "--seed", "2300", "--episodes", "8"), ("--quick", "--methods", "unfiltered"), 90, "point.json"),
+    Part(
+        "point",
+        ("point", "--seed", "2300", "--episodes", "8"),
+        ("--quick", "--methods", "unfiltered"),
+        60,
+        "point.json",
+    ),
     Part("point-heat-map", ("point-heat-map", "--moments", "480"), ("--moments", "2"), 5, "point-heat-map.json"),
     Part("point-learning", ("point-learning",), ("--quick", "--starts", "shipped"), 90, "point-learning.json"),
     Part(

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, frame_of, save_weights
 from safedpa_lab.point.action_models import COMMANDS
+from safedpa_lab.point.free_model import save_free
+from safedpa_lab.point.free_training import train_free
 from safedpa_lab.point.relinearised_drives import affine_weights, free_model
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.explained_motion import affine_floor
-from safedpa_sim.training.free_model import save_free
-from safedpa_sim.training.free_networks import train_free
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars

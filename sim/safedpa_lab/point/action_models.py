@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa_lab.point.beliefs import PROBES, motion_of
+from safedpa_lab.point.free_model import FreeModel
 from safedpa_sim.point.belief import ACTION_SCALE, Believed, TrueBelief
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, after_one_period
 from safedpa_sim.point.simulation import PointSimulation
-from safedpa_sim.training.free_model import FreeModel
 
 __all__ = ["COMMANDS", "ActionModel", "AffineModel", "FreeAction", "SimulatedBody"]
 

@@ -15,6 +15,7 @@ from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa_lab.point.action_models import COMMANDS, ActionModel, AffineModel, FreeAction, SimulatedBody
 from safedpa_lab.point.beliefs import from_task_action
+from safedpa_lab.point.free_model import FreeModel, load_free
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.belief import ACTION_SCALE, to_task_action
@@ -22,7 +23,6 @@ from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.way import Ways
-from safedpa_sim.training.free_model import FreeModel, load_free
 
 __all__ = ["NETWORKS", "WISHES", "FilteredDriver", "affine_weights", "free_model", "model_of", "windy", "wish_of"]
 

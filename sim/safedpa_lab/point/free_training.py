@@ -15,9 +15,9 @@ import torch
 from torch import nn
 
 from safedpa.networks import Description, frame_of
+from safedpa_lab.point.free_model import FreeModel
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.explained_motion import explained
-from safedpa_sim.training.free_model import FreeModel
 from safedpa_sim.training.networks import ENVIRONMENT, VECTORS, Dense, tensors_of
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars

@@ -65,7 +65,7 @@ class FreeModel:
     def encode(self, environment: Values) -> Values:
         """z = mu((e - middle) / scale), shape (..., latents), for environments e (..., entries) in SI units."""
         scaled = (environment - self._vector("environment_middle")) / self._vector("environment_scale")
-        return dense_stack(scaled, _doubled(layers_of(self.tensors, "mu")), "relu")
+        return dense_stack(scaled, _doubled(layers_of(self.tensors, "mu")), "relu").astype(np.float64)
 
     def increment(self, state: Values, latent: Values, action: Values) -> Values:
         """The change (n, states) of the state's own entries; (n, states), (n, latents), (n, actions) in SI units."""
