@@ -16,7 +16,7 @@ from safedpa.errors import InputError
 from safedpa_lab.experiments.point_baselines import markdown_of
 from safedpa_lab.point import baselines, fisher
 from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
-from safedpa_lab.point.baselines import _algorithm, _task
+from safedpa_lab.point.baselines import _task, algorithm_of
 from safedpa_lab.point.constrained import constrained_step
 from safedpa_lab.point.plan import Plan, score
 from safedpa_lab.point.policy_file import BaselinePolicy
@@ -25,7 +25,7 @@ from safedpa_lab.point.vector_environment import PointEnvironment
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fisher, "EVERY", 1)
-    algorithm = _algorithm("trpo", PointEnvironment(_task(Plan(robots=16), 0), 0), Plan(robots=16))
+    algorithm = algorithm_of("trpo", PointEnvironment(_task(Plan(robots=16), 0), 0), Plan(robots=16))
     buffer = algorithm.rollout_buffer
     buffer.observations[:] = np.random.default_rng(0).normal(size=buffer.observations.shape)
     algorithm._take_fisher()
@@ -108,7 +108,7 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
 @pytest.mark.parametrize(("limit", "sign"), [(-1.0, 1.0), (1000.0, -1.0)])
 def test_the_excess_is_the_cost_over_its_limit(limit: float, sign: float) -> None:
     environment = PointEnvironment(_task(Plan(robots=16), 0), 0)
-    algorithm = _algorithm("cpo", environment, Plan(robots=16))
+    algorithm = algorithm_of("cpo", environment, Plan(robots=16))
     algorithm.limit = limit
     assert np.sign(algorithm._excess(0.01)) == sign
     environment.costs.extend([30.0, 40.0])

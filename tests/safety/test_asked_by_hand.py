@@ -104,7 +104,8 @@ def test_real_numbers_are_believed_and_copied(value: Any, numbers: Any) -> None:
     "value",
     [
         True, np.True_, [True], [1.0, True], [[1.0], [False]], (1.0, np.False_), "1", ["1"], b"1", None, [None],
-        1j, [1.0, 2j], object(), [[1.0], [1.0, 2.0]], {"a": 1.0}, {1.0}, np.array([True]), np.array(["1"]),
+        1j, [1.0, 2j], [[1.0], [1.0, 2.0]], {"a": 1.0}, {1.0}, np.array([True]), np.array(["1"]),
+        pytest.param(object(), id="an object"),
         np.array([1.0, None]), np.ma.masked_array([1.0, 2.0], [False, True]), np.array(["2026"], dtype="datetime64"),
         [np.ma.masked_array(1.0, True), 1.0],
     ],
