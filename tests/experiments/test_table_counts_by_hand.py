@@ -176,7 +176,7 @@ def test_between_two_classes_of_the_same_spread_the_middle_decides(latent: list[
 def test_several_training_seeds_are_told_where_any_method_has_them(
     several: tuple[int, ...], shown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("_safety", "_seeds", "_gained"):
+    for name in ("_safety", "seeds_table", "_gained"):
         monkeypatch.setattr(point_report, name, lambda _, name=name: f"({name})")
     own: dict[str, Any] = {f"method {n}": {"over_seeds": {}} if n in several else {} for n in range(3)}
     result = {
@@ -184,7 +184,7 @@ def test_several_training_seeds_are_told_where_any_method_has_them(
         "methods": own, "same_margin": {}, "margins": {}, "penalty": {}, "advantages": [],
     }  # fmt: skip
     page = point_report.markdown_of(result)
-    assert ("## Several training seeds\n\n(_seeds)" in page) is shown
+    assert ("## Several training seeds\n\n(seeds_table)" in page) is shown
     assert page.startswith("2 directions of a force of 50 mN x 3 episodes of 10 steps, seed 1 (evaluation 2).")
 
 

@@ -13,6 +13,7 @@ from safedpa.errors import InputError
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors, one_step_errors
 from safedpa.safety.inputs import Plausible, checked_names
 from safedpa.safety.margin import OnlineMargin, margins_over_drives, smallest_sample, split_conformal_margin
+from safedpa.safety.prediction import Prediction
 from safedpa.safety.settings import FilterSettings, parse_settings
 
 OWN: dict[str, Any] = {"system": "", "action_low": (-1.0, 0.0), "action_high": (1.0, 2.0)}
@@ -306,29 +307,22 @@ SHAPES: dict[str, tuple[Any, Any, Any, Any]] = {
 }
 
 
+def standing() -> Prediction:
+    """Of a robot that stays where it is."""
+    return Prediction(lambda x: (x, np.zeros((4, 2))))
+
+
 @pytest.mark.parametrize("case", SHAPES)
 def test_transitions_that_do_not_fit_each_other_are_refused(case: str) -> None:
     states, actions, following, latents = SHAPES[case]
     said = "latents: got shape" if latents is not None else "transitions: got shapes"
-    from safedpa.safety.prediction import Prediction
-
-    prediction = object.__new__(Prediction)
     with pytest.raises(InputError, match=f"^{said} .*, wanted "):
-        one_step_errors(prediction, (), states, actions, following, latents)
+        one_step_errors(standing(), (), states, actions, following, latents)
 
 
 def test_without_a_barrier_there_is_no_margin() -> None:
-    from safedpa.safety.prediction import Prediction
-
-    class Same:
-        def next_state(self, state: Any, *_: Any) -> Any:
-            return state
-
-    prediction: Any = object.__new__(Prediction)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Prediction, "next_state", Same.next_state)
-        with pytest.raises(InputError, match=r"^barriers: got none, wanted at least one"):
-            one_step_errors(prediction, (), np.zeros((2, 4)), np.zeros((2, 2)), np.zeros((2, 4)))
+    with pytest.raises(InputError, match=r"^barriers: got none, wanted at least one"):
+        one_step_errors(standing(), (), np.zeros((2, 4)), np.zeros((2, 2)), np.zeros((2, 4)))
 
 
 def test_what_is_believed_is_no_nan_and_names_are_text() -> None:
