@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder
 
 __all__ = ["command"]
 
@@ -52,6 +53,7 @@ def command(**options: Any) -> None:
 
     out, as_json = options.pop("out"), options.pop("as_json")
     experiment = PendulumExperiment(**options, date=time.strftime("%Y-%m-%d"))
+    made_folder(out)
     with progress("experiment pendulum") as tell:
         result = pendulum_experiment(experiment, tell)
     if out is not None:

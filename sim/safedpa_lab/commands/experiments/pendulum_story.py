@@ -11,6 +11,7 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder
 from safedpa_lab.commands.positive import check_positive
 
 __all__ = ["command"]
@@ -51,6 +52,7 @@ def command(**options: Any) -> None:
     out, as_json, data = options.pop("out"), options.pop("as_json"), options.pop("data")
     story = PendulumStory(**{**options, "hidden": options["hidden"] or tuple(HIDDEN)})
     cases = None if data is None else PayloadCases(data, processes=options["processes"])
+    made_folder(out)
     with progress("experiment pendulum-story") as tell:
         result = {"date": time.strftime("%Y-%m-%d"), **pendulum_story(story, tell)}
     if cases is not None:

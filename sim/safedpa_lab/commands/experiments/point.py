@@ -11,16 +11,18 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder, named_folder
 
 __all__ = ["command"]
 
+_MODELS, _BASELINES = Path("learned/point"), Path("learned/point_baselines")
 _FOLDER = click.Path(path_type=Path)
 _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 
 
 @click.command(name="point")
-@click.option("--models", type=_FOLDER, default=Path("learned/point"), show_default=True, help="of the learned models")
-@click.option("--baselines", type=_FOLDER, default=Path("learned/point_baselines"), show_default=True)
+@click.option("--models", type=_FOLDER, default=_MODELS, show_default=True, help="of the learned models")
+@click.option("--baselines", type=_FOLDER, default=_BASELINES, show_default=True)
 @click.option("--methods", metavar="NAME,NAME,...", help="which ones; all when left out")
 @click.option("--directions", type=int, default=24, show_default=True, help="of the force, evenly around")
 @click.option("--episodes", type=int, default=20, show_default=True, help="of each method and direction")
@@ -45,6 +47,9 @@ def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, *
     from safedpa_lab.experiments.point_report import markdown_of, write_report
     from safedpa_services.progress import progress
 
+    named_folder("--models", options["models"], _MODELS)
+    named_folder("--baselines", options["baselines"], _BASELINES)
+    made_folder(out)
     if methods is not None:
         options["methods"] = _named(methods)
     else:

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder, named_folder
 
 __all__ = ["command"]
 
@@ -35,6 +36,8 @@ def command(out: Path | None, as_json: bool, **options: Any) -> None:
     from safedpa_lab.point.heat_map import HeatMap, heat_map
 
     asked = HeatMap(**options, shown=min(3, options["moments"]))
+    named_folder("--models", options["folder"])
+    made_folder(out)
     result = {"date": time.strftime("%Y-%m-%d"), **heat_map(asked)}
     if out is not None:
         write_heat_map(result, out)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder, named_folder
 from safedpa_lab.commands.positive import check_positive
 
 __all__ = ["command"]
@@ -50,6 +51,9 @@ def command(
     if car_pairs is not None:
         check_positive({"car": car_pairs}, "car")
     asked = Relinearised(models=models, **{**options, **(_QUICK if quick else {})})
+    if not train:
+        named_folder("--models", models)
+    made_folder(out)
     if train:
         train_networks(models)
     with progress("experiment point-relinearised") as tell:

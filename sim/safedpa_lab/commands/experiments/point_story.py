@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder
 from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
@@ -36,10 +37,10 @@ def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options:
 
     check_positive(options, "robots", "seconds")
     story = PointStory(hidden=hidden or tuple(HIDDEN), **options)
+    made_folder(out)
     with progress("experiment point-story") as tell:
         result = {"date": time.strftime("%Y-%m-%d"), **point_story(story, tell)}
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         write_result(out / "point-story.json", result)
         (out / "point-story.md").write_text(point_story_markdown(result), encoding="utf-8")
     click.echo(json.dumps(result) if as_json else point_story_markdown(result))
