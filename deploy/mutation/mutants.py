@@ -7,7 +7,7 @@ import copy
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-__all__ = ["Mutant", "assigned", "mutants"]
+__all__ = ["Mutant", "assigned", "home_of", "mutants"]
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -108,6 +108,22 @@ def _constant(tree: ast.Module, path: Path) -> tuple[Collection[int], str, Colle
         for line in range(node.body[0].lineno, (node.end_lineno or node.lineno) + 1)
     }
     return frozenset(lines), "", (), name
+
+
+def home_of(tree: ast.Module, source: str, first: int, end: int) -> tuple[Collection[int], str, Collection[int], str]:
+    """What a ``Mutant`` wants to know of the place between two bytes: lines, function, what makes it, constant."""
+    starts = [0]
+    for line in source.encode().splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+
+    def is_there(node: ast.AST) -> bool:
+        if not isinstance(node, (ast.stmt, ast.expr, ast.keyword, ast.ExceptHandler, ast.arg)):
+            return False
+        last = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
+        return (starts[node.lineno - 1] + node.col_offset, last) == (first, end)
+
+    path = next(path for path in _paths(tree) if is_there(_at(tree, path)))
+    return _constant(tree, path) or (*_home(tree, path), _making(tree, path), "")
 
 
 def assigned(statement: ast.AST) -> str:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import hashlib
-import importlib
+import importlib.util
 import json
 import os
 import subprocess
@@ -45,7 +45,8 @@ TOOLS = ("cryptography.x509", "gymnasium", "hypothesis", "msgspec", "numpy", "pi
 def import_what_is_not_mutated() -> None:
     """So that a forked process has it at once."""
     for name in (*TOOLS, "scipy.optimize", "scipy.stats"):
-        importlib.import_module(name)
+        if importlib.util.find_spec(name.partition(".")[0]):  # some come with an extra alone
+            importlib.import_module(name)
     if early := [name for name in sys.modules if name.partition(".")[0] in ("safedpa", LABORATORY)]:
         raise RuntimeError(f"{early[0]} is imported already: no fault planted there would be seen")
 

@@ -18,6 +18,7 @@ import os
 import resource
 import signal
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +31,7 @@ from typing import Any
 from kept import KILLED, LATER, SURVIVED, Kept, Outcome
 from mutants import Mutant, assigned
 
-__all__ = ["Trial", "judged"]
+__all__ = ["Judge", "Trial", "in_fork", "judged", "run_pytest", "traced_from_here"]
 
 PATIENCE, ROOM = 3.0, 3.0
 """A test that computes for so many times what it took with the sound module, and so many s, hangs: it noticed."""
@@ -197,11 +198,16 @@ def limit_memory() -> None:
 
 def collected(trial: Trial) -> int:
     """In a forked process: collects the tests once, and judges what can be judged there."""
-    traced = Traced(str(trial.path))
-    sys.settrace(traced)
-    judge = Judge(trial, traced.lines)
+    judge = Judge(trial, traced_from_here(trial).lines)
     run_pytest(trial.arguments, judge)
     return 0 if judge.sound else 1
+
+
+def traced_from_here(trial: Trial) -> Traced:
+    """In a forked process: which lines of the module run from now on."""
+    traced = Traced(str(trial.path))
+    sys.settrace(traced)
+    return traced
 
 
 class Judge:
@@ -239,30 +245,40 @@ class Judge:
                     self._trial.kept.keep(mutant.name, outcome, by)
         return True
 
-    def _traced_once(self, items: Sequence[Any]) -> bool:
-        """Runs the tests soundly in a fork: which lines each runs, and how long it takes [s]. False where one fails."""
+    def _traced_once(self, items: Sequence[Any], seconds: int = 0) -> bool:
+        """Runs the tests soundly in a fork: which lines each runs, and how long it takes [s]; those that pass count.
+
+        :param seconds: for all of them, until the rest is left out; 0: as long as it takes.
+        :return: whether each ran and passed.
+        """
         into, out = os.pipe()
         child = os.fork()
         if child == 0:
             os.close(into)
-            with os.fdopen(out, "w", encoding="utf-8") as pipe:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(seconds)
+            with os.fdopen(out, "w", encoding="utf-8", buffering=1) as pipe:
                 for row in self._rows(items):
                     pipe.write(json.dumps(row) + "\n")
             os._exit(0)
         os.close(out)
         with os.fdopen(into, encoding="utf-8") as pipe:
-            rows = [json.loads(line) for line in pipe]
+            rows = [json.loads(line) for line in pipe if line.endswith("\n")]
         os.waitpid(child, 0)
-        self._took = {row["test"]: row["seconds"] for row in rows}
-        self._runs = {row["test"]: frozenset(row["lines"]) for row in rows}
+        passed = [row for row in rows if not row["failed"]]
+        self._took = {row["test"]: row["seconds"] for row in passed}
+        self._runs = {row["test"]: frozenset(row["lines"]) for row in passed}
         self._prepares = set(rows[-1]["prepares"]) if rows else set()
-        return len(rows) == len(items) and not any(row["failed"] for row in rows)
+        return len(passed) == len(items)
 
     def _rows(self, items: Sequence[Any]) -> Iterator[dict[str, Any]]:
         for item, following in zip(items, [*items[1:], None], strict=True):
             self._traced, before = Traced(str(self._trial.path)), time.process_time()
+            self._failed = False
             sys.settrace(self._traced)
+            threading.settrace(self._traced)
             self._run(item, following)
+            threading.settrace(None)  # type: ignore[arg-type]
             sys.settrace(None)
             yield {
                 "test": item.nodeid,
