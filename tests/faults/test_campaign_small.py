@@ -23,6 +23,7 @@ def test_whatever_fails_the_robot_is_safe_and_drives_again(tmp_path: Path) -> No
     assert campaign.recorded >= campaign.acknowledged > 0
     assert by_name["kill safety_filter"].watchdog > 0, "the robot braked by itself while there was no filter"
     assert by_name["stop robot"].periods > 0
+    assert by_name["hang safety_filter"].watchdog >= 20, "1.5 s in which the filter lives and does not answer"
     assert by_name["disconnect robot"].watchdog >= 25, "1.5 s without a network"
     assert by_name["change-take adaptation"].fallbacks > 0, "no latent of another model is taken"
     assert sum(outcome.collisions + outcome.stale_actions for outcome in campaign.outcomes) == 0

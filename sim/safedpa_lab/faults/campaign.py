@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import math
 import random
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recover
 from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.outcome import Campaign, Outcome, joined
 from safedpa_lab.faults.recorded import Recorded, read_recorded
-from safedpa_lab.faults.world import ROBOT, World, WorldSettings
+from safedpa_lab.faults.world import DISK_BYTES, ROBOT, World, WorldSettings
 from safedpa_sim.robots.trace import LivedPeriod, read_trace
 
 __all__ = ["DEFAULT_SEED", "run_faults"]
@@ -32,6 +34,7 @@ _AFTERWARDS_SECONDS = 1.0
 _HASTE_SECONDS = 1.5
 _FLUSH_SECONDS = 0.7
 """The recorder writes within half a second."""
+_FAULTS_OF_A_DISK = 100
 _LARGEST_DISTURBED_SHARE = 0.1
 """Of periods, where the loop must not notice: a busy machine costs one now and then."""
 _LEAST_DRIVEN_SHARE = 0.3
@@ -58,22 +61,30 @@ def run_faults(
     tell: Callable[[str, int, int], None] = lambda _name, _done, _all: None,
     *,
     is_hasty: bool = False,
+    seconds: float = math.inf,
+    beside: Callable[[World], AbstractContextManager[object]] = nullcontext,
 ) -> Campaign:
     """Every fault in turn, on one fleet as long as it drives on; a fleet that does not recover is replaced.
 
     ``folder`` keeps what the processes wrote. ``is_hasty``: faults last at most 1.5 s and hardly wait for the car to be
-    fast. Raises SafedpaError when a fleet does not come up at all.
+    fast. After so many ``seconds`` no other fault begins. ``beside`` is entered with each fleet. Raises SafedpaError
+    when a fleet does not come up at all.
     """
+    end = time.monotonic() + seconds
     parts: list[Campaign] = []
     waiting = [_hastened(fault) for fault in faults] if is_hasty else list(faults)
     with tempfile.TemporaryDirectory(prefix="safedpa-faults-") as own:
-        while waiting:
+        while waiting and (not parts or time.monotonic() < end):
             done = len(faults) - len(waiting)
-            settings = WorldSettings(seed=seed + len(parts), diagnosis=waiting[0].diagnosis)
+            settings = WorldSettings(
+                seed=seed + len(parts), diagnosis=waiting[0].diagnosis, disk_bytes=_disk_bytes(len(waiting))
+            )
             world = World((folder or Path(own)) / f"world-{len(parts)}", settings)
             lived: list[_Lived] = []
-            with world:
+            with world, beside(world):
                 for fault in _of_one_world(waiting):
+                    if lived and time.monotonic() >= end:
+                        break
                     tell(fault.name, done + len(lived), len(faults))
                     lived.append(_run(fault, world, is_hasty=is_hasty))
                     if not world.drives():
@@ -81,6 +92,11 @@ def run_faults(
             waiting = waiting[len(lived) :]
             parts.append(_judged(world, lived))
     return joined(parts)
+
+
+def _disk_bytes(faults: int) -> int:
+    """Of the recorder's disk; a hundred faults are about a quarter of an hour of messages."""
+    return DISK_BYTES * max(1, -(-faults // _FAULTS_OF_A_DISK))
 
 
 def _hastened(fault: Fault) -> Fault:

@@ -95,6 +95,7 @@ def hung() -> list[Fault]:
             seconds=_PAUSE_SECONDS,
             look=_shows(name, alive=True),
             meanwhile="undisturbed" if name in _BESIDE else "anything",
+            small=name == "safety_filter",
         )
         for name in SERVICES
     ]

@@ -49,13 +49,32 @@ def markdown_of(result: Mapping[str, Any]) -> str:
         "",
         "Times count from the recovery. 0.00: the loop had not stopped, but for at most two periods in a row.",
         "",
-        _HEAD,
-        "|" + "---|" * _HEAD.count(" | ") + "---|",
-        *(_line(row) for row in rows),
+        *(_resources(result["resources"]) if result.get("resources") else _each(rows)),
         "",
     ]
     broken = [f"- {row['name']}: {'; '.join(row['broken'])}" for row in rows if not row["held"]]
     return "\n".join([*lines, *(["What did not hold:", "", *broken, ""] if broken else [])])
+
+
+def _each(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One row a fault."""
+    return [_HEAD, "|" + "---|" * _HEAD.count(" | ") + "---|", *(_line(row) for row in rows)]
+
+
+def _resources(resources: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of a long run, in which each fault comes again and again: one row a process instead."""
+    lines = [
+        "What its processes held in the first and in the last quarter of the time, older than half a minute:",
+        "",
+        "| process | lives | the longest, s | resident MiB, median | open files, most | threads, most | |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in resources:
+        cells = [f"{row[name][0]} to {row[name][1]}" for name in ("mib", "handles", "threads")]
+        told = "flat" if row["flat"] else "**grew**"
+        life = f"{row['processes']} | {row['longest_life_seconds']:.0f}"
+        lines.append(f"| {row['name']} | {life} | {' | '.join(cells)} | {told} |")
+    return lines
 
 
 def _kinds(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -1,9 +1,11 @@
 """``python -m safedpa_lab.faults.sabotaged MODULE ...``: a process of the fleet whose loop can be made to hang.
 
 Nothing of the process itself is changed: it runs as it would by ``python -m MODULE ...``. Four signals are taken
-beforehand, and a signal is served on the main thread, where every service's loop runs:
+beforehand, and served on the main thread:
 
-- SIGUSR1: the loop hangs, other threads run on. What the network library does by itself goes on, signs of life too;
+- SIGUSR1: the loop hangs, other threads run on. What the network library does by itself goes on, signs of life too. A
+  thread that brings a message turns the loop as well, so the lock of those that turn is taken: as in a step that does
+  not return;
 - SIGUSR2: the loop hangs inside a C call that keeps the interpreter's lock: no thread of Python runs;
 - SIGRTMIN + 1: the wall clock, as Python tells it, jumps back by an hour, and forth again at the next such signal;
 - SIGRTMIN: what hangs goes on. (A lock that is held can only be waited for: that hang ends by itself after
@@ -13,9 +15,11 @@ beforehand, and a signal is served on the main thread, where every service's loo
 from __future__ import annotations
 
 import ctypes
+import gc
 import runpy
 import signal
 import sys
+import threading
 import time
 from types import FrameType
 
@@ -45,14 +49,26 @@ class _Saboteur:
     def hang(self, _number: int, _frame: FrameType | None) -> None:
         self._hanging = True
         end = time.monotonic() + _LONGEST_HANG_SECONDS
+        taken, free = list[threading.Lock](), _turns()
         while self._hanging and time.monotonic() < end:
+            # What this very thread held when the signal came stays as it is: nobody else turns then.
+            taken += [lock for lock in free if lock not in taken and lock.acquire(blocking=False)]
             time.sleep(_LOOK_SECONDS)
+        for lock in taken:
+            lock.release()
 
     def grip(self, _number: int, _frame: FrameType | None) -> None:
         ctypes.PyDLL(None).sleep(GRIPPED_SECONDS)  # unlike CDLL, PyDLL does not let go of the interpreter's lock
 
     def go_on(self, _number: int, _frame: FrameType | None) -> None:
         self._hanging = False
+
+
+def _turns() -> list[threading.Lock]:
+    """The locks of those who turn the loops of this process; none where it has another kind of loop."""
+    turning = sys.modules.get("safedpa.bus.loop.turning")
+    kinds = (turning.Turning,) if turning else ()
+    return [one._turns for one in gc.get_objects() if isinstance(one, kinds)]
 
 
 def _main() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.model_changes import partitioned_changes
@@ -9,7 +11,10 @@ from safedpa_lab.faults.network import bent, cut, disconnected
 from safedpa_lab.faults.processes import hung, killed, paused, twins
 from safedpa_lab.faults.resources import clocks, disks, overload
 
-__all__ = ["all_faults", "faults_named", "small_faults"]
+__all__ = ["all_faults", "faults_for", "faults_named", "small_faults"]
+
+_SHORTEST_SECONDS = 2.5
+"""That a fault takes, with the second that is waited for afterwards."""
 
 
 def all_faults() -> list[Fault]:
@@ -23,6 +28,18 @@ def all_faults() -> list[Fault]:
 def small_faults() -> list[Fault]:
     """At least one of every kind that a machine can bring about within seconds."""
     return [fault for fault in all_faults() if fault.small]
+
+
+def faults_for(seconds: float, seed: int) -> list[Fault]:
+    """Enough for so long, in rounds of all that one fleet can suffer, each in an order of its own by the seed.
+
+    Those that need the stand-in for the diagnosis would ask for another fleet, and are left out.
+    """
+    once = [fault for fault in all_faults() if fault.diagnosis == "real"]
+    chance, faults = random.Random(seed), list[Fault]()
+    while len(faults) < seconds / _SHORTEST_SECONDS:
+        faults += chance.sample(once, len(once))
+    return faults
 
 
 def faults_named(name: str) -> list[Fault]:

@@ -19,14 +19,14 @@ from safedpa_lab.faults.member import Member
 from safedpa_lab.faults.observer import Observer
 from safedpa_lab.faults.proxy import Proxy
 
-__all__ = ["FLEET", "LOOP", "ROBOT", "SERVICES", "World", "WorldSettings"]
+__all__ = ["DISK_BYTES", "FLEET", "LOOP", "ROBOT", "SERVICES", "World", "WorldSettings"]
 
 FLEET = "faults"
 ROBOT = "r1"
 LOOP = ("adaptation", "policy", "safety_filter")
 """Without one of these the robot does not drive."""
 SERVICES = (*LOOP, "diagnosis", "recorder")
-_DISK_BYTES = 96 * 1024 * 1024
+DISK_BYTES = 96 * 1024 * 1024
 _START_SECONDS = 40.0
 _TURN_SECONDS = 0.02
 _DRIVING_TICKS = 10
@@ -42,6 +42,8 @@ class WorldSettings:
     seed: int = 1
     load: str = "box"
     diagnosis: Literal["real", "ready"] = "real"
+    disk_bytes: int = DISK_BYTES
+    """Of the recorder's own disk."""
 
 
 @final
@@ -52,7 +54,7 @@ class World:
         self.folder, self.settings = folder, settings
         folder.mkdir(parents=True, exist_ok=True)
         self.disk.mkdir(exist_ok=True)
-        self.has_own_disk = _mounted(self.disk)
+        self.has_own_disk = _mounted(self.disk, settings.disk_bytes)
         port = free_port()
         self.router_endpoint = f"tcp/127.0.0.1:{port}"
         self.proxy = Proxy(("127.0.0.1", port), (*SERVICES, "robot"), settings.seed)
@@ -201,9 +203,9 @@ class World:
         return Member(name, module, (*arguments, "--fleet", FLEET), self.folder / f"{name}.log")
 
 
-def _mounted(folder: Path) -> bool:
+def _mounted(folder: Path, size: int) -> bool:
     """Whether a small file system in memory could be put there; only the superuser may."""
     if shutil.which("mount") is None:
         return False
-    command = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_BYTES}", "safedpa-faults", str(folder)]
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "safedpa-faults", str(folder)]
     return subprocess.run(command, capture_output=True, check=False).returncode == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import sys
 import time
@@ -23,6 +24,12 @@ _PIPE_COLUMNS = 120
 @click.command(name="faults")
 @click.option("--only", metavar="NAME", help="one fault by its name, or all of a kind, such as kill")
 @click.option("--small", is_flag=True, help="a few of them, half a minute")
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="M",
+    help="so long, on one fleet, in an order of the seed; memory and open files of its processes are told",
+)
 @click.option("--list", "listed", is_flag=True, help="print the table of faults and run none")
 @click.option("--seed", type=int, default=9, show_default=True, help="of scenes and of lost messages")
 @click.option("--keep", type=click.Path(path_type=Path), metavar="DIR", help="keep logs, traces and recordings there")
@@ -34,11 +41,15 @@ def command(**options: Any) -> None:
 
     A car with a box drives behind router and filter. Processes are killed, paused and made to hang, networks are cut,
     delayed and made to lose messages, clocks set, the disk filled. Exit code 1 when an invariant did not hold: no
-    collision, no stale action, and the loop drives again.
+    collision, no stale action, and the loop drives again; with --minutes also when a process grew.
     """
-    from safedpa_lab.faults.table import all_faults, faults_named, small_faults
+    from safedpa_lab.faults.table import all_faults, faults_for, faults_named, small_faults
 
+    if options["minutes"] and (options["only"] or options["small"]):
+        raise InputError("--minutes: takes all faults that one fleet can suffer; leave --only and --small out")
     faults = faults_named(options["only"]) if options["only"] else all_faults()
+    if options["minutes"]:
+        faults = faults_for(60.0 * options["minutes"], options["seed"])
     if options["small"]:
         faults = [fault for fault in faults if fault in small_faults()] if options["only"] else small_faults()
     if not faults:
@@ -58,15 +69,18 @@ def command(**options: Any) -> None:
         _tell(result)
     if not result["held"]:
         between = "something between the faults, or the recorder's acknowledgement"
-        broken = [row["name"] for row in result["rows"] if not row["held"]] or [between]
+        broken = [row["name"] for row in result["rows"] if not row["held"]]
+        broken += [f"{row['name']} grew" for row in result["resources"] if not row["flat"]]
+        broken = broken or [between]
         raise SafedpaError(f"faults: did not hold: {', '.join(broken)}")
 
 
 def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
     from safedpa_lab.faults.campaign import run_faults
+    from safedpa_lab.faults.endurance import Resources, kept_by
     from safedpa_services.progress import progress
 
-    began, load = time.monotonic(), os.getloadavg()[0]
+    began, load, resources = time.monotonic(), os.getloadavg()[0], Resources()
     with progress("experiment faults") as tell:
         campaign = run_faults(
             faults,
@@ -74,7 +88,10 @@ def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
             options["keep"],
             lambda _, done, count: tell(done, count),
             is_hasty=options["small"],
+            seconds=60.0 * (options["minutes"] or math.inf),
+            beside=resources.beside,
         )
+    kept = kept_by(resources.samples) if options["minutes"] else []
     return {
         "experiment": "faults",
         "command": _command(options),
@@ -84,19 +101,21 @@ def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
         "cores": os.cpu_count(),
         "load_before": load,
         "load_after": os.getloadavg()[0],
-        "held": campaign.held,
+        "held": campaign.held and all(one.flat for one in kept),
         "periods": campaign.periods,
         "collisions": campaign.collisions,
         "stale_actions": campaign.stale_actions,
         "acknowledged": campaign.acknowledged,
         "recorded": campaign.recorded,
+        "resources": [dataclasses.asdict(one) | {"flat": one.flat} for one in kept],
         "rows": [dataclasses.asdict(outcome) for outcome in campaign.outcomes],
     }
 
 
 def _command(options: dict[str, Any]) -> str:
-    only = f" --only '{options['only']}'" if options["only"] else ""
-    return f"safedpa experiment faults{only}{' --small' if options['small'] else ''} --seed {options['seed']}"
+    said = f" --only '{options['only']}'" if options["only"] else ""
+    said += f" --minutes {options['minutes']:g}" if options["minutes"] else ""
+    return f"safedpa experiment faults{said}{' --small' if options['small'] else ''} --seed {options['seed']}"
 
 
 def _tell(result: dict[str, Any]) -> None:
@@ -113,6 +132,10 @@ def _tell(result: dict[str, Any]) -> None:
         f"{result['periods']} periods in all: {result['collisions']} collisions, {result['stale_actions']} stale "
         f"actions; recordings hold {result['recorded']} messages, {result['acknowledged']} were acknowledged"
     )
+    for row in result["resources"]:
+        grew = "" if row["flat"] else ": it grew"
+        (first, last), (few, many) = row["mib"], row["handles"]
+        click.echo(f"{row['name']}: {first:.0f} to {last:.0f} MiB, {few} to {many} open files{grew}")
     for row in result["rows"]:
         if not row["held"]:
             click.echo(f"{row['name']}: {'; '.join(row['broken'])}")
