@@ -297,3 +297,29 @@ def test_who_says_why_nothing_can_notice_a_fault_has_closed_it_and_the_page_tell
     record = {"seed": 1, "date": "2026-01-01", "commit": "c", "faults": [row | {"why": "y is x"}]}
     assert "of 1 faults at first 1 unnoticed; now 1 unnoticed." in page(record)
     assert page(record).endswith("\n- a.py:3: y is x\n")
+
+
+@pytest.mark.slow
+def test_a_sweep_plants_every_fault_and_keeps_what_came_out(tree: Path, tmp_path: Path) -> None:
+    import shutil
+
+    root = tmp_path / "swept"
+    shutil.copytree(tree, root)
+    (root / "deploy/mutation").mkdir(parents=True)
+    for path in Path(MUTATION).glob("*.py"):
+        shutil.copy(path, root / "deploy/mutation" / path.name)
+    who = ["-c", "user.name=tester", "-c", "user.email=tester"]
+    subprocess.run(["git", *who, "commit", "-q", "--allow-empty", "-m", "first"], cwd=root, check=True)
+    words = [sys.executable, "deploy/mutation/swept.py", "--paths", "shared/safedpa/safety/margin.py"]
+    for more in ([], ["--report"]):
+        done = subprocess.run([*words, *more], cwd=root, capture_output=True, text=True, check=False)
+        lines = done.stdout.splitlines()
+        noticed = {cells[1].strip(): cells[2:4] for cells in (line.split("|") for line in lines) if len(cells) > 3}
+        assert [int(cell) for cell in noticed["a factor of units"]] == [2, 2], done.stderr
+        assert [int(cell) for cell in noticed["sign of an error over the margin"]] == [2, 0], "no error is negative"
+        opened = [line for line in lines if line.startswith("shared/safedpa/safety/margin.py:")]
+        assert any("margin: abs(error - predicted)  ->  error - predicted" in line for line in opened)
+        assert not any("1000.0" in line for line in opened)
+        assert done.returncode == 1
+    (kept,) = (root / "build/mutation/swept").glob("*.jsonl")
+    assert kept.name == "shared.safedpa.safety.margin.py.jsonl"
