@@ -318,7 +318,7 @@ def test_a_sweep_plants_every_fault_and_keeps_what_came_out(tree: Path, tmp_path
         assert [int(cell) for cell in noticed["a factor of units"]] == [2, 2], done.stderr
         assert [int(cell) for cell in noticed["sign of an error over the margin"]] == [2, 0], "no error is negative"
         opened = [line for line in lines if line.startswith("shared/safedpa/safety/margin.py:")]
-        assert any("margin: abs(error - predicted)  ->  error - predicted" in line for line in opened)
+        assert any("margin: abs(error - predicted)  ->  (error - predicted)" in line for line in opened), opened
         assert not any("1000.0" in line for line in opened)
         assert done.returncode == 1
     (kept,) = (root / "build/mutation/swept").glob("*.jsonl")
