@@ -8,7 +8,7 @@ COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run test test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
+.PHONY: help demo run search test test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -35,6 +35,14 @@ TESTERS ?= 3
 # Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
 test: environment  ## runs all tests
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile
+
+# Every day another seed; what it finds is kept as an @example of its test.
+SEED ?= $(shell date +%Y%m%d)
+PROPERTIES ?= tests
+
+search: environment  ## property tests with ten times the examples, from today's seed or SEED=N, of PROPERTIES=tests/...
+	@echo "seed $(SEED)"
+	@HYPOTHESIS_PROFILE=search $(BIN)/pytest -q --numprocesses 2 --dist load -m hypothesis --hypothesis-seed $(SEED) $(PROPERTIES)
 
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet

@@ -41,7 +41,7 @@ LIGHT += ("policy", "replay", "robots", "safety", "sensing")
 viewers; everybody else ends with them, since they are short."""
 
 settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("search", deadline=None, max_examples=500)
+settings.register_profile("search", deadline=None, max_examples=500, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
@@ -104,6 +104,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that all cores end at about the same time."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+    if os.environ.get("HYPOTHESIS_PROFILE") == "search":
+        for item in items:
+            search_longer(item)
+
+
+_TIMES = 10
+"""Examples of a search, for each of those that a test of its own number has with every change."""
+
+
+def search_longer(item: Any) -> None:
+    """Where a test states its own number of examples, or the same ones each time, a search goes on all the same."""
+    test = getattr(item, "obj", None)
+    stated = getattr(test, "_hypothesis_internal_use_settings", None)
+    if stated is not None:
+        more = max(_TIMES * stated.max_examples, settings().max_examples)
+        test._hypothesis_internal_use_settings = settings(stated, max_examples=more, derandomize=False)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
