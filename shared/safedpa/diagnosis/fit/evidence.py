@@ -74,18 +74,10 @@ def evidence_seconds(model: PhysicsModel, runs: Sequence[Run]) -> float:
     period = float(np.median([run.period for run in runs]))
     longest = max(LONGEST, _ROWS * period)
     ladder = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _FEWEST_ROWS * period]
-    counted = [(seconds, _count(runs, seconds)) for seconds in ladder]
-    usable = [seconds for seconds, count in counted if count >= _ENOUGH]
-    if not usable:
-        usable = [seconds for seconds, count in counted if count >= _FEWEST][-1:]
-    if not any(count for _, count in counted):
+    if not _count(runs, ladder[-1]):
         raise RunError(_too_short(runs, ladder[-1]))
-    if not usable:
-        return ladder[-1]
-    for seconds in usable:
-        if seconds == usable[-1] or _growth(model, runs, seconds) <= _GROWTH:
-            return seconds
-    return usable[-1]
+    enough = [seconds for seconds in ladder[:-1] if _count(runs, seconds) >= _ENOUGH]
+    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _GROWTH), ladder[-1])
 
 
 def _too_short(runs: Sequence[Run], seconds: float) -> str:
