@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class Run:
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...] = ()
 
-    @property
+    @cached_property  # asked for stretch by stretch, of which a log may have thousands
     def period(self) -> float:
         """Median time between rows [s]."""
         steps = [np.diff(self.t[part.start : part.stop]) for part in self.stretches if len(part) > 1]
