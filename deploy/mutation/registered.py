@@ -264,10 +264,21 @@ MODULES = {
         "../diagnosis/test_statistics_by_hand.py::test_the_error_over_folds_is_that_of_a_mean",
     ),
     "diagnosis.fit.readiness": ("../diagnosis/test_readiness_by_hand.py",),
+    "diagnosis.fit.evidence": ("../diagnosis/test_evidence_by_hand.py",),
+    "diagnosis.search.closest": (
+        "../diagnosis/test_closest_by_hand.py",
+        "../diagnosis/test_sizes_not_told.py::test_an_effect_within_one_deviation_of_nothing_is_doubtful",
+    ),
     "diagnosis.unexplained": ("../diagnosis/test_coverage.py",),
     "diagnosis.coverage": ("../diagnosis/test_coverage.py",),
     "compare.rollout_error": ("../diagnosis/test_rollout_error.py",),
     "compare.bins": ("../diagnosis/test_bins_by_hand.py", EDGES),
+    "compare.windows": ("../diagnosis/test_windows_by_hand.py",),
+    "compare.where": (
+        "../diagnosis/test_where_by_hand.py",
+        "../diagnosis/test_where.py::test_explained_is_the_adjusted_share_of_variance",
+        "../diagnosis/test_where.py::test_one_glitch_does_not_own_the_squared_error",
+    ),
     "replay.comparison": ("../replay/test_comparison_by_hand.py", "../replay/test_judging.py"),
     "replay.gaps": ("../replay/test_gaps_by_hand.py",),
     "safedpa_lab.experiments.statistics": (

@@ -17,6 +17,7 @@ WHOLE = {"bus/security": set[str](), "bus/wire": {"messages", "setup"}}
 JUDGES = {
     "records.units", "diagnosis.search.acceptance", "diagnosis.search.judgement", "diagnosis.search.stages",
     "diagnosis.search.second_opinion", "diagnosis.fit.heldout", "diagnosis.fit.readiness", "diagnosis.coverage",
+    "diagnosis.fit.evidence", "diagnosis.search.closest", "compare.windows", "compare.where",
     "compare.rollout_error", "compare.bins", "replay.comparison", "replay.gaps",
     f"{LABORATORY}.experiments.statistics", f"{LABORATORY}.experiments.paired",
 }  # fmt: skip

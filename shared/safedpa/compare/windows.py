@@ -178,8 +178,8 @@ def _no_window(runs: Sequence[Run], horizon: float) -> InputError:
         return InputError(f"horizon: got {horizon} s, the rows are {period:.4g} s apart; choose at least that")
     if horizon <= longest:  # windows begin at some rows only: here in shorter stretches, or before a long step
         return InputError(
-            f"horizon: got {horizon} s, after no row that begins a window do rows go on for so long, though the longest "
-            f"stretch without a gap lasts {longest:.4g} s; choose another horizon, or begin more windows"
+            f"horizon: got {horizon} s, after no row that begins a window do rows go on for so long, though the "
+            f"longest stretch without a gap lasts {longest:.4g} s; choose another horizon, or begin more windows"
         )
     return InputError(
         f"horizon: got {horizon} s, the longest stretch without a gap lasts {longest:.4g} s; choose a shorter horizon"

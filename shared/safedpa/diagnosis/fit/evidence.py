@@ -22,7 +22,10 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import RunError
 from safedpa.records.run import Run
 
-__all__ = ["LONGEST", "Evidence", "evidence_at", "evidence_beside", "evidence_seconds", "shown_of"]
+__all__ = [
+    "FEWEST_SECONDS", "FEWEST_WINDOWS", "LONGEST", "Evidence", "evidence_at", "evidence_beside", "evidence_seconds",
+    "shown_of", "worth_recording",
+]  # fmt: skip
 
 LONGEST = 1.0
 """s, or so many rows:"""
@@ -31,8 +34,11 @@ _SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12)
 """Of the longest horizon: the ladder."""
 _FEWEST_ROWS = 6
 """In a window."""
-_ENOUGH, _FEWEST = 20, 10
-"""Windows one after the other: wanted, and without which nothing can be judged."""
+_ENOUGH = 20
+"""Windows one after the other that are wanted."""
+FEWEST_WINDOWS = 10
+FEWEST_SECONDS = 5.0
+"""Without which nothing can be judged."""
 _GROWTH = 8.0
 """Times that an error of the start may grow, in units of each state's usual change: a pendulum near upright grows by
 exp(4.4 t), so 0.4 s."""
@@ -59,15 +65,15 @@ def evidence_beside(runs: Sequence[Run], seconds: float) -> Iterator[Evidence]:
     """The same question at half the horizon, a fifth of it and twice as much, as far as the recordings allow."""
     period = float(np.median([run.period for run in runs]))
     for share in (0.5, 0.2, 2.0):
-        if share * seconds >= _FEWEST_ROWS * period and _count(runs, share * seconds) >= _FEWEST:
+        if share * seconds >= _FEWEST_ROWS * period and _count(runs, share * seconds) >= FEWEST_WINDOWS:
             yield evidence_at(runs, share * seconds)
 
 
 def evidence_seconds(model: PhysicsModel, runs: Sequence[Run]) -> float:
     """The horizon [s] on which the search decides for these runs, whatever is shown.
 
-    Where no step of the ladder holds enough windows, the one with the most that still has rows to compare. Raises
-    InputError for a model of another robot, RunError for unusable runs.
+    Where of no step of the ladder there are enough windows, the shortest, of which there are most. Raises InputError
+    for a model of another robot, RunError for unusable runs.
     """
     check_runs(runs)
     check_system(model.system, runs[0].system, runs[0].name)
@@ -84,8 +90,14 @@ def _too_short(runs: Sequence[Run], seconds: float) -> str:
     lasts = max(float(t[-1] - t[0]) for run in runs for t, _, _ in run.parts() if len(t))
     return (
         f"{runs[0].name}: the longest stretch without a gap lasts {lasts:.4g} s, and effects are judged over "
-        f"{seconds:g} s at least; record 5 s, better a minute"
+        f"{seconds:g} s at least; record {worth_recording(seconds)}"
     )
+
+
+def worth_recording(seconds: float) -> str:
+    """How long to record for windows of ``seconds``, in words: the fewest windows and seconds, better more."""
+    least = max(FEWEST_SECONDS, FEWEST_WINDOWS * seconds)
+    return f"{least:.3g} s, better " + ("a minute" if least <= 30.0 else f"{2.0 * least:.3g} s")
 
 
 def shown_of(runs: Sequence[Run], horizon: float, evidence: Evidence) -> Heldout:

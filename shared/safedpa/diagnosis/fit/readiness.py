@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.compare.excerpt import excerpt, without_repeated
-from safedpa.diagnosis.fit.evidence import evidence_seconds
+from safedpa.diagnosis.fit.evidence import FEWEST_SECONDS, FEWEST_WINDOWS, evidence_seconds, worth_recording
 from safedpa.diagnosis.fit.shooting import Shooting
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Finding, Run
@@ -18,8 +18,6 @@ __all__ = ["MOST_ROWS", "Judgeable", "Prepared", "judgeable", "prepared", "row_o
 
 MOST_ROWS = 40_000
 """Of longer logs evenly spread pieces are used."""
-_FEWEST_WINDOWS = 10
-_FEWEST_SECONDS = 5.0
 _SEVERE = (
     "swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent", "time_offset",
 )  # fmt: skip
@@ -95,10 +93,10 @@ def judgeable(shooting: Shooting, used: Sequence[Run], runs: Sequence[Run]) -> J
 def _too_few(shooting: Shooting, runs: Sequence[Run]) -> str:
     """Why there is too little to judge anything; empty where there is enough."""
     seconds, each = sum(run.duration for run in runs), shooting.windows.horizon
-    if len(shooting.windows) < _FEWEST_WINDOWS or seconds < _FEWEST_SECONDS:
+    if len(shooting.windows) < FEWEST_WINDOWS or seconds < FEWEST_SECONDS:
         return (
             f"{seconds:.1f} s in {len(shooting.windows)} independent windows of {each:.3g} s are too little to judge "
-            f"an effect; record at least {max(_FEWEST_SECONDS, _FEWEST_WINDOWS * each):.3g} s, better a minute"
+            f"an effect; record at least {worth_recording(each)}"
         )
     actions = np.concatenate([part for run in runs for _, _, part in run.parts()])
     if actions.shape[1] and (np.ptp(actions, axis=0) < 1e-9).all():
