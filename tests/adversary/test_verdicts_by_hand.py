@@ -171,7 +171,7 @@ def test_against_a_grid_an_answer_is_needless_where_some_point_keeps_every_h_abo
     assert found.number == 7
 
 
-def tallied(status: str, action: float, wish: float = 0.9, lift: float = 0.5) -> systems.Tally:
+def tallied(status: str, action: float, wish: Any = 0.9, lift: float = 0.5) -> systems.Tally:
     """Of a system of one action within -1 and 1, h = 0.5 + a and 0.5 - a after it and 0.5 now, eta 0.5."""
     system: Any = SimpleNamespace(
         heights=lambda states, since=None: np.concatenate([lift + states, lift - states], axis=1),
