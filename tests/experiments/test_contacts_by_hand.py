@@ -1,0 +1,192 @@
+"""Who touches whom in a drive, and how often, from robots that have touched what is written down by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from safedpa_lab.experiments import (
+    live_drive,
+    long_drives,
+    margin_drives,
+    meeting,
+    reversing_drives,
+    sensing,
+    wheels,
+)
+from safedpa_lab.experiments.adversary import drives as hostile
+from safedpa_sim.robots.contacts import Collision
+from safedpa_sim.robots.shared_field import Touch
+from safedpa_sim.sensing import StepsOut
+from safedpa_sim.sensing.people import Person
+from safedpa_sim.sensing.shapes import Outline, Point
+
+STORY = [("passed", 0.5), ("corrected", 0.25), ("passed", -0.125), ("fallback", 0.75)]
+NODES = ("AdaptationNode", "PolicyNode", "SafetyFilterNode", "margin_for", "ReversingNode")
+Touched = tuple[int, int, dict[str, int]]
+"""Contacts, goals, and how many of each status."""
+
+
+def ticks() -> Iterator[Any]:
+    """Four periods, backwards at 1 m/s."""
+    for number, (status, h) in enumerate(STORY):
+        state = SimpleNamespace(robot_time=0.05 * number, values=(0.1 * number, 0.0, 0.0, -1.0), tick=number)
+        yield SimpleNamespace(verdict=SimpleNamespace(status=status, h_now=h, microseconds=100.0), state=state)
+
+
+def put_in(module: Any, robot: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In place of the nodes and of the drive."""
+    for name in (*NODES, "StandInRobot", "CarRobot", "_car", "settings_named"):
+        if hasattr(module, name):
+            monkeypatch.setattr(module, name, lambda *_, **__: robot)
+    if hasattr(module, "load_model"):
+        monkeypatch.setattr(module, "load_model", lambda _: SimpleNamespace(period=0.05))
+    monkeypatch.setattr(module, "drive", lambda *_, **__: ticks(), raising=False)
+
+
+def on_wheels(robot: Any, monkeypatch: pytest.MonkeyPatch) -> Touched:
+    put_in(wheels, robot, monkeypatch)
+    monkeypatch.setattr(wheels.dataclasses, "replace", lambda *_, **__: None)
+    found = wheels.run_drive(wheels.WheelsDrive(next(iter(wheels.WORLDS)), 1, "straight", True, 0.2))
+    assert (found["least_h"], found["microseconds"]) == (-0.125, 100.0)
+    assert found["way"] == pytest.approx(0.2)
+    return found["collisions"], found["goals"], found["statuses"]
+
+
+def for_long(robot: Any, monkeypatch: pytest.MonkeyPatch) -> Touched:
+    put_in(long_drives, robot, monkeypatch)
+    monkeypatch.setattr(long_drives, "note_standstill", lambda *_: None)
+    found = long_drives.run_long_drive(long_drives.LongDrive("none", 1, 0.2))
+    return found.collisions, found.goals, found.statuses
+
+
+def against_a_hostile_wish(robot: Any, _: pytest.MonkeyPatch) -> Touched:
+    found = hostile._driven("car", "none", 1, robot, ticks())
+    assert found.least_h == -0.125
+    return found.collisions, robot.goals_reached, found.statuses
+
+
+def backwards(robot: Any, monkeypatch: pytest.MonkeyPatch) -> Touched:
+    put_in(reversing_drives, robot, monkeypatch)
+    found = reversing_drives.run_reversing_drive(reversing_drives.ReversingDrive("none", 1, 0.2))
+    assert found.least_h == -0.125
+    return found.collisions, robot.goals_reached, found.statuses
+
+
+def for_a_margin(robot: Any, monkeypatch: pytest.MonkeyPatch) -> Touched:
+    put_in(margin_drives, robot, monkeypatch)
+    monkeypatch.setattr(margin_drives, "replace", lambda *_, **__: None)
+    monkeypatch.setattr(margin_drives, "drive_heights", lambda _model, _settings, along: {"steps": len(along)})
+    driver = margin_drives.Driver("car", "car", lambda _: robot, 20.0)
+    monkeypatch.setattr(margin_drives, "DRIVERS", {"car": driver})
+    found = margin_drives.driven(margin_drives.DriveOrder("car", 9, None))
+    assert (found.seed, found.ticks, found.heights, found.least_h) == (9, 4, {"steps": 4}, -0.125)
+    return found.collisions, found.goals, found.statuses
+
+
+@pytest.mark.parametrize(
+    "driven", [on_wheels, for_long, against_a_hostile_wish, backwards, for_a_margin], ids=lambda one: one.__name__
+)
+@pytest.mark.parametrize("touched", [0, 1, 3])
+def test_every_contact_of_a_drive_is_counted(
+    driven: Callable[[Any, pytest.MonkeyPatch], Touched], touched: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = SimpleNamespace(collisions=["a wall"] * touched, goals_reached=5, values=(0.0, 0.0, 0.0, 0.0))
+    assert driven(robot, monkeypatch) == (touched, 5, {"passed": 2, "corrected": 1, "fallback": 1})
+
+
+@pytest.mark.parametrize("touched", [0, 1, 3])
+def test_every_contact_of_a_drive_that_is_diagnosed_is_counted(touched: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = SimpleNamespace(collisions=["a wall"] * touched, goals_reached=5, changed_at=40, tick=60)
+    put_in(live_drive, robot, monkeypatch)
+    monkeypatch.setattr(live_drive, "_nodes", lambda _: (None, []))
+    found = live_drive.drive_live("nothing", 1, 0.2)
+    assert (found.collisions, found.goals, found.least_h) == (touched, 5, -0.125)
+    assert (found.changed, found.driven) == (pytest.approx(2.0), pytest.approx(3.0))
+
+
+class Stands(Person):
+    def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
+        del time, robot, outline
+        return 0.0, 0.0
+
+
+def hit(speed: float, towards: float) -> Collision:
+    return Collision(time=1.0, part="car", what="a person", x=0.0, y=0.0, speed=speed, towards=towards)
+
+
+def among_people(hits: list[Collision], people: list[Person], monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    robot = SimpleNamespace(collisions=hits, goals_reached=0, trajectory_hash="t")
+    monkeypatch.setattr(sensing, "CarRobot", lambda *_, **__: robot)
+    monkeypatch.setattr(sensing, "scene_and_people", lambda *_: (None, people))
+    monkeypatch.setattr(sensing, "_nodes", lambda *_: [])
+    verdict = SimpleNamespace(wish=(), action=(0.0, 0.0), microseconds=1.0)
+    state = SimpleNamespace(values=(0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(sensing, "drive", lambda *_: iter([SimpleNamespace(verdict=verdict, state=state)]))
+    return sensing.run_drive(sensing.Drive("pillars", 1000, 0.05, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("hits", "run_into"),
+    [
+        ([(0.5, 0.5)], 0),
+        ([(0.5, 0.0)], 1),
+        ([(0.5, 0.0), (0.5, 0.5), (0.4, -0.4), (0.9, 0.01)], 3),  # from aside, from behind, and nearly from aside
+        ([(0.0, 0.0), (0.01, 0.0)], 0),  # while it stood: they are counted elsewhere
+        ([], 0),
+    ],
+)
+def test_of_contacts_while_the_car_moved_those_are_told_that_it_did_not_drive_towards(
+    hits: list[tuple[float, float]], run_into: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert among_people([hit(*one) for one in hits], [], monkeypatch)["run_into"] == run_into
+
+
+@pytest.mark.parametrize(
+    ("stepped", "told"), [([True], True), ([False], False), ([False, True, False], True), ([None], False), ([], False),
+                          ([None, True], True), ([None, False], False)],
+)  # fmt: skip
+def test_somebody_stepped_out_where_any_of_those_who_may_has(
+    stepped: list[bool | None], told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None: somebody who stands there from the beginning."""
+    people: list[Person] = []
+    for one in stepped:
+        people.append(Stands((0.0, 0.0)) if one is None else StepsOut((0.0, 0.0), (1.0, 0.0), 1.0, 2.0))
+        if one is not None:
+            people[-1].stepped = one  # type: ignore[attr-defined]
+    assert among_people([], people, monkeypatch)["stepped_out"] is told
+
+
+def test_contacts_of_a_meeting_are_told_by_who_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six contacts of two cars: one of them moved in three, both in one, neither in two; and three with walls."""
+    speeds = [(0.5, 0.0), (0.0, 0.5), (0.02, 0.7), (0.5, 0.5), (0.0, 0.0), (0.02, 0.01)]
+    touches = [Touch(1.0 + k, (0, 1), ("car", "car"), pair) for k, pair in enumerate(speeds)]
+    walls = [[hit(0.5, 0.5), hit(0.0, 0.0)], [hit(0.3, 0.3), hit(0.4, 0.4)]]
+    robots = [SimpleNamespace(goals_reached=goals, trajectory_hash=str(goals)) for goals in (2, 3)]
+    field = SimpleNamespace(touches=touches, robots=robots, collisions=walls.__getitem__)
+    moved = [[(0.0, 0.0, 0.0, 1.5), (9.0, 0.0, 0.0, 0.0)], [(0.1, 0.0, 0.0, -1.75), (9.0, 0.0, 0.0, 0.01)]]
+    path = [[SimpleNamespace(state=SimpleNamespace(values=values)) for values in tick] for tick in moved]
+    monkeypatch.setattr(meeting, "load_model", lambda _: None)
+    monkeypatch.setattr(meeting, "meeting_field", lambda *_: field)
+    monkeypatch.setattr(meeting, "_nodes", lambda *_: [])
+    monkeypatch.setattr(meeting, "drive_together", lambda *_: iter(path))
+    told = meeting.run_meeting(meeting.Meeting(4690, 2, 0.1, 2.0))
+    assert (len(told["moving"]), told["into_standing"], told["both_standing"]) == (4, 3, 2)
+    assert (len(told["solid"]), told["goals"], told["fastest_driven"]) == (3, [2, 3], 1.75)
+    assert (told["standing_share"], told["stuck"]) == (0.5, [])
+
+
+def test_contacts_of_several_meetings_are_added_up() -> None:
+    usual: dict[str, Any] = {
+        "seed": 1, "load": "none", "moving": ["a", "b"], "solid": ["w"], "into_standing": 2, "both_standing": 3,
+        "goals": [0, 0], "standing_share": 0.5, "stuck": [{"face": True}] * 2, "fastest_driven": 1.0,
+    }  # fmt: skip
+    row = meeting._row(2, "told", [usual, usual, usual], 60.0)
+    assert row["contacts_in_which_a_car_moved"] == 6
+    assert (row["of_them_with_a_standing_car"], row["contacts_of_standing_cars"]) == (6, 9)
+    assert (row["moved_into_what_is_at_rest"], row["stuck_pairs"], row["stuck_face_to_face"]) == (3, 6, 6)
+    assert row["robots_without_a_goal"] == 6
