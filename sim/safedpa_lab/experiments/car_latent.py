@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, final
 
 import numpy as np
@@ -124,7 +125,7 @@ def _changes(
     sizes = _error_sizes(model, drive, scale)
     ticks = [tick for tick in range(1, len(drive.loads)) if drive.loads[tick] != drive.loads[tick - 1]]
     rows = []
-    for start, end in zip(ticks, [*ticks[1:], len(drive.loads)], strict=True):
+    for start, end in pairwise([*ticks, len(drive.loads)]):
         load = drive.loads[start]
         right = np.array([name == load for name in said[start:end]])
         before = [name == load for name in said[max(0, start - _LASTING[1]) : start]]
