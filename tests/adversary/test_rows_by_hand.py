@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -14,13 +15,46 @@ from safedpa_lab.experiments.adversary.bends import Bends, BentAnswer
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, _Answer
 from safedpa_lab.experiments.adversary.drives import Driven, Drives
 from safedpa_lab.experiments.adversary.late_drives import LateDrives
+from safedpa_lab.experiments.adversary.linear_verdict import Judged
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors, Reflected
+from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.delayed_drives import DelayedDrives, Lateness
 
 
 def figures(rows: Sequence[Row]) -> dict[str, tuple[float, int | None]]:
     """Each figure and out of how many, by its words."""
     return {row.what: (row.measured, row.of) for row in rows}
+
+
+def test_programs() -> None:
+    """Of each wrong two, and one in which nothing is."""
+    wrong = Judged("fallback", True, True, None, True, True, None, True, 0.5, True)
+    raised = replace(wrong, status="raised ValueError", shortfall=None, missed=False)
+    broken = Judged("corrected", False, False, 1.0, True, False, None, False, None, False)
+    right = Judged("corrected", False, False, 0.0, False, False, 0.0, False, None, False)
+    far, unheard = replace(right, excess=1.0), replace(right, excess=None)
+    items = [wrong, wrong, raised, raised, broken, broken, far, far, unheard, unheard, right]
+    rows = Programs().told([[(1, number, item) for number, item in enumerate(items)]]).rows
+    assert figures(rows) == {
+        "answers corrected": (7, None),
+        "answers fallback": (2, None),
+        "answers raised ValueError": (2, None),
+        "raised an exception": (2, 11),
+        "action out of bounds": (4, 11),
+        "passed, but not the wish": (4, 11),
+        "passed or corrected, condition broken": (2, 7),
+        "largest break, in scales": (1.0, 7),
+        "passed or corrected, predicted h < 0": (6, 7),
+        "h < 0 now, and not told (or told wrongly)": (4, 11),
+        "no decision computed": (2, 11),
+        "corrected further than needed": (2, 3),
+        "largest excess, in ranges": (1.0, 3),
+        "corrected, and the reference found nothing": (2, 5),
+        "not corrected, though an action keeps all": (2, 4),
+        "within 1 % of the least unsafe": (0.0, 2),
+        "largest shortfall, in scales": (0.5, 2),
+        "h < 0 predicted, though h >= 0 attainable": (4, 4),
+    }
 
 
 def test_bad_inputs() -> None:

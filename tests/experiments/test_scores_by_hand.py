@@ -14,7 +14,7 @@ from safedpa_lab.experiments.ros_report import page_of as ros_page
 from safedpa_lab.experiments.sensing_page import page_of as sensing_page
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, TimeToCollision
 from safedpa_lab.experiments.sensing_scenes import _outside
-from safedpa_lab.experiments.sensing_scores import Score, _least, _to
+from safedpa_lab.experiments.sensing_scores import Score, _least, _nearest, _to
 from safedpa_sim.sensing.shapes import Outline
 
 
@@ -90,6 +90,14 @@ def test_the_nearest_disc(discs: list[list[float]], place: tuple[float, float], 
 @pytest.mark.parametrize(("h", "least"), [([0.5, -0.25, 2.0], -0.25), ([1.0], 1.0), ([], 1e3)])
 def test_where_nothing_is_there_it_is_far(h: list[float], least: float) -> None:
     assert _least(np.array(h)) == least
+
+
+@pytest.mark.parametrize(
+    ("wanted", "who"), [("111", 1), ("101", 2), ("100", 0), ("001", 2), ("000", None), ("", None), ("11", 1)]
+)
+def test_of_those_who_are_wanted_the_one_nearest_to_the_boundary_is_told(wanted: str, who: int | None) -> None:
+    h = np.array([0.75, -0.25, 0.5])[: len(wanted)]
+    assert _nearest(h, np.array([letter == "1" for letter in wanted], dtype=bool)) == who
 
 
 def scored(seed: int, *errors: tuple[str, float, float]) -> dict[str, Any]:

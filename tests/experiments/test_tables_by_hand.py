@@ -89,7 +89,10 @@ def test_where_nothing_is_hidden_nothing_is_named() -> None:
 
 
 GROUP = {"robots": ["r1"], "kind": "missing"}
-DRAG, TOW = ({"effect": name, "indistinguishable_from": alike} for name, alike in (("drag", ["slope"]), ("tow", [])))
+DRAG, TOW, LAG, SLOPE = (
+    {"effect": name, "indistinguishable_from": alike}
+    for name, alike in (("drag", ["slope"]), ("tow", []), ("lag", []), ("slope", ["drag"]))
+)
 
 
 @pytest.mark.parametrize(
@@ -101,6 +104,10 @@ DRAG, TOW = ({"effect": name, "indistinguishable_from": alike} for name, alike i
         (["drag"], [DRAG, TOW], "missing", set(), False),
         (["drag"], [DRAG, TOW], "missing", {"tow"}, True),
         (["drag", "tow"], [DRAG], "missing", set(), False),
+        (["drag", "tow"], [DRAG, LAG], "missing", set(), False),
+        (["lag", "tow"], [DRAG, LAG], "missing", set(), False),
+        (["drag", "slope"], [DRAG, TOW], "missing", set(), False),  # one name stands for either, tow for neither
+        (["drag", "slope"], [DRAG, SLOPE], "missing", set(), True),
         (["lag"], [DRAG], "missing", set(), False),
         (["drag"], [DRAG], "unexplained", set(), False),
         ([], [], "nothing", set(), True),

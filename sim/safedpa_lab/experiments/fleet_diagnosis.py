@@ -117,7 +117,8 @@ def _robot(
     named = [each for each in named if not each & shared]
     missing = group["kind"] == "missing"
     nothing = group["kind"] == "nothing" or (missing and not named)
-    right = all(any(effect in each for each in named) for effect in hidden) and len(hidden) == len(named)
+    told = all(any(effect in each for each in named) for effect in hidden)
+    right = told and len(hidden) == len(named) and not any(each.isdisjoint(hidden) for each in named)
     return {
         "robot": name,
         "hidden": list(hidden),

@@ -215,8 +215,7 @@ class Scores:
             h[who] = self._around(bodies, people[who], then.people[who], came.values, float(h[who]))
         stood = self._seen & ~self._walked & (state.robot_time - self._since >= self._still_after)
         for kind, wanted in (("mover", self._seen & ~stood), ("hidden", ~self._seen), ("stood", stood)):
-            if wanted.any():
-                who = int(np.argmin(np.where(wanted, h, inf)))
+            if (who := _nearest(h, wanted)) is not None:
                 here = _facing((*people[who, :2], self._radii[who]), came.values)
                 apart = tuple(_to(table, here) for table in (points, movers, places))
                 self._add(kind, told_h, float(h[who]), came, who, apart, float(grown[who] - self._radii[who]))
@@ -291,6 +290,11 @@ def _table(rows: Any, width: int) -> Values:
 
 def _least(h: Values) -> float:
     return float(h.min()) if len(h) else _FAR
+
+
+def _nearest(h: Values, wanted: Flags) -> int | None:
+    """Who of those ``wanted`` (n,) has the least h (n,); None where nobody is."""
+    return int(np.argmin(np.where(wanted, h, inf))) if wanted.any() else None
 
 
 def _facing(disc: Sequence[float], state: Sequence[float]) -> Values:
