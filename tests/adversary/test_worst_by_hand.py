@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -137,3 +138,45 @@ def test_the_best_least_h_is_that_of_the_rows_that_actions_move(way: float, low:
     height, action = judge.best_least_height()
     assert height == pytest.approx(0.75)
     assert action[1] == pytest.approx(way)
+
+
+@pytest.mark.parametrize(
+    ("status", "kept", "missed", "excess", "shortfall"),
+    [
+        ("corrected", (1, 2), False, 0.25, None),  # the nearest of those that keep both is 0.5 away
+        ("corrected", (2,), False, -0.25, None),
+        ("corrected", (), False, None, None),
+        ("relaxed", (1, 2), True, None, 0.125),
+        ("fallback", (0,), True, None, 0.125),
+        ("relaxed", (), False, None, 0.0),
+        ("violated", (0, 1, 2), False, None, 0.125),
+        ("passed", (0, 1, 2), False, None, None),
+    ],
+)
+def test_one_answer_of_the_car_beside_three_points_of_the_grid(
+    status: str,
+    kept: tuple[int, ...],
+    missed: bool,
+    excess: float | None,
+    shortfall: float | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two conditions ask for 0.5; the points keep both with 0.75 and otherwise the first alone; the answer 0.625."""
+    h = np.array([[0.75, 0.75 if point in kept else 0.25] for point in range(3)])
+    own = np.array([[0.625, 0.625 if kept else 0.25]])
+    away = np.array([0.25, 0.5, 1.0, 0.75])
+    judge = SimpleNamespace(
+        h=h, required=np.array([0.5, 0.5]), scale=np.ones(2), grid=np.arange(3.0)[:, None], now=np.ones(2),
+        heights=lambda _: own, distance=lambda actions: away[actions[:, 0].astype(int)],
+    )  # fmt: skip
+    answer = SimpleNamespace(status=SimpleNamespace(value=status), action=np.array([3.0]))
+    monkeypatch.setattr(car_grid, "CarJudge", lambda *_: judge)
+    monkeypatch.setattr(car_grid, "car_barriers", lambda *_: [])
+    safe: Any = SimpleNamespace(decide=lambda *_, **__: answer)
+    model: Any = SimpleNamespace(latent=None)
+    question: Any = SimpleNamespace(state=None, wish=None, obstacles=None)
+    settings: Any = None
+    found = car_grid._answered(safe, model, settings, question, 7)
+    assert (found.number, found.status, found.missed, found.excess) == (7, status, missed, excess)
+    assert found.shortfall == (None if shortfall is None else pytest.approx(shortfall))
+    assert found.untold is (status == "violated"), "no h is below 0 now"

@@ -14,6 +14,7 @@ from safedpa_lab.experiments.statistics import (
     coverage_row,
     mean_interval,
     ratio_interval,
+    seeds_interval,
     wilson_interval,
 )
 
@@ -39,6 +40,27 @@ def test_what_has_no_pairs_or_no_ratio_is_refused() -> None:
 
 def test_one_value_says_nothing_of_its_error() -> None:
     assert mean_interval(np.array([3.0])) == [3.0, -math.inf, math.inf]
+
+
+@pytest.mark.parametrize(
+    ("values", "mean", "half"),
+    [
+        ([0.0, 2.0], 1.0, 12.7062),  # deviation sqrt(2) of two: 1
+        ([1.0, 2.0, 3.0], 2.0, 4.30265 / np.sqrt(3.0)),
+        ([1.0, 1.0, 4.0, 4.0], 2.5, 3.18245 * np.sqrt(3.0) / 2.0),
+        ([5.0] * 5, 5.0, 0.0),
+        ([0.0, 0.0, 0.0, 0.0, 5.0], 1.0, 2.77645),  # deviation sqrt(5) of five
+    ],
+)
+def test_means_over_training_seeds_have_students_interval(values: list[float], mean: float, half: float) -> None:
+    """The 97.5 % points of Student's t from its table: 12.706, 4.303, 3.182 and 2.776 for 1, 2, 3 and 4 degrees."""
+    assert seeds_interval(np.array(values)) == pytest.approx([mean, mean - half, mean + half], abs=1e-4)
+
+
+def test_one_training_seed_says_nothing_of_others_and_none_is_refused() -> None:
+    assert seeds_interval(np.array([3.0])) == [3.0, -math.inf, math.inf]
+    with pytest.raises(ValueError, match="got no value, wanted one at least"):
+        seeds_interval(np.array([]))
 
 
 SHARES = [(0, 1), (1, 1), (0, 7), (3, 7), (7, 7), (1, 40), (39, 40), (200, 1000), (11, 11)]

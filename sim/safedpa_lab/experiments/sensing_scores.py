@@ -215,10 +215,10 @@ class Scores:
             h[who] = self._around(bodies, people[who], then.people[who], came.values, float(h[who]))
         stood = self._seen & ~self._walked & (state.robot_time - self._since >= self._still_after)
         for kind, wanted in (("mover", self._seen & ~stood), ("hidden", ~self._seen), ("stood", stood)):
-            if (who := _nearest(h, wanted)) is not None:
-                here = _facing((*people[who, :2], self._radii[who]), came.values)
+            if (one := _nearest(h, wanted)) is not None:
+                here = _facing((*people[one, :2], self._radii[one]), came.values)
                 apart = tuple(_to(table, here) for table in (points, movers, places))
-                self._add(kind, told_h, float(h[who]), came, who, apart, float(grown[who] - self._radii[who]))
+                self._add(kind, told_h, float(h[one]), came, one, apart, float(grown[one] - self._radii[one]))
 
     def _around(
         self, bodies: _Bodies, person: Values, place: Values, values: tuple[float, ...], straight: float
