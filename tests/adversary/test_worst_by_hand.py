@@ -89,6 +89,16 @@ def test_a_correction_where_no_point_of_the_grid_keeps_both_is_no_distance_too_f
     assert bends._judged(problem, 1, "corrected", np.array([0.0])).excess is None
 
 
+@pytest.mark.parametrize(
+    ("lift", "missed"),
+    [(0.5, True), (0.006, True), (0.002, True), (-0.5, False)],  # from -0.25 to 0.25, three points, one, and none
+)
+def test_against_a_grid_an_answer_is_missed_where_a_single_point_keeps_both(lift: float, missed: bool) -> None:
+    """From -lift / 2 to lift / 2; points are 0.002 apart."""
+    problem: Any = Bent(1.0, lift)
+    assert bends._judged(problem, 1, "relaxed", np.array([0.9])).missed is missed
+
+
 @pytest.mark.parametrize("status", ["corrected", "relaxed"])
 def test_of_a_wish_with_one_number_missing_no_distance_is_told(status: str) -> None:
     """Of two actions: what the grid would keep nearest to half a wish is not known."""

@@ -108,6 +108,7 @@ DRAG, TOW, LAG, SLOPE = (
         (["lag", "tow"], [DRAG, LAG], "missing", set(), False),
         (["drag", "slope"], [DRAG, TOW], "missing", set(), False),  # one name stands for either, tow for neither
         (["drag", "slope"], [DRAG, SLOPE], "missing", set(), True),
+        (["drag", "tow"], [DRAG, SLOPE], "missing", set(), False),  # two names for one of them
         (["lag"], [DRAG], "missing", set(), False),
         (["drag"], [DRAG], "unexplained", set(), False),
         ([], [], "nothing", set(), True),
