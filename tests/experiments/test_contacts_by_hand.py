@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from safedpa.dynamics import load_model
 from safedpa_lab.experiments import (
     live_drive,
     long_drives,
@@ -18,6 +19,7 @@ from safedpa_lab.experiments import (
     wheels,
 )
 from safedpa_lab.experiments.adversary import drives as hostile
+from safedpa_lab.experiments.meeting_scenes import meeting_field
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.shared_field import Touch
 from safedpa_sim.sensing import StepsOut
@@ -159,6 +161,91 @@ def test_somebody_stepped_out_where_any_of_those_who_may_has(
         if one is not None:
             people[-1].stepped = one  # type: ignore[attr-defined]
     assert among_people([], people, monkeypatch)["stepped_out"] is told
+
+
+@pytest.mark.parametrize(
+    ("wishes", "kept"),
+    [
+        ([(1.0, 0.5), (-1.0, -0.5)], 0.5),
+        ([(-2.0, -2.0), (2.0, 0.0)], 0.5),
+        ([(1.0, -1.0), (-1.0, 1.0)], 0.0),  # the other way
+        ([(-0.5, -2.0), (0.5, 2.0)], 1.0),  # faster than it was wished counts as all of it
+        ([(0.0, 1.0), (-1.0, -0.25)], 0.25),
+        ([(0.0, 0.0)], 0.0),
+    ],
+)
+def test_of_wishes_to_drive_either_way_a_share_is_kept(
+    wishes: list[tuple[float, float]], kept: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wished and driven, m/s; in as many periods of 50 ms as the seconds have."""
+    robot = SimpleNamespace(collisions=[], goals_reached=0, trajectory_hash="t")
+    monkeypatch.setattr(sensing, "CarRobot", lambda *_, **__: robot)
+    monkeypatch.setattr(sensing, "scene_and_people", lambda *_: (None, []))
+    monkeypatch.setattr(sensing, "_nodes", lambda *_: [])
+
+    def driven(_robot: Any, _nodes: Any, periods: int) -> Iterator[Any]:
+        assert periods == len(wishes)
+        for wish, action in wishes:
+            verdict = SimpleNamespace(wish=(wish, 0.0), action=(action, 0.0), microseconds=1.0)
+            yield SimpleNamespace(verdict=verdict, state=SimpleNamespace(values=(0.0, 0.0, 0.0, 0.0)))
+
+    monkeypatch.setattr(sensing, "drive", driven)
+    told = sensing.run_drive(sensing.Drive("pillars", 1000, 0.05 * len(wishes), 1.5))
+    assert told["kept"] == pytest.approx(kept)
+
+
+def test_drives_are_told_by_scene_and_guard_beside_those_that_are_told_everything() -> None:
+    """Four kinds with two drives each; of 6, 2, 5 and 1 goals each."""
+    kinds = [(scene, guard) for scene in ("pillars", "people") for guard in ("told", "nothing")]
+    usual: dict[str, Any] = {
+        "load": "none", "moving": [], "run_into": 0, "standing": 0, "stepped_out": False, "way": 1.0, "kept": 1.0,
+        "microseconds": 1.0,
+    }  # fmt: skip
+    drives = [
+        {"scene": scene, "guard": guard, "seed": seed, "goals": goals, **usual}
+        for (scene, guard), goals in zip(kinds, (6, 2, 5, 1), strict=True)
+        for seed in (1, 2)
+    ]
+    told = sensing._result([1, 2], 60.0, 1.5, kinds, ["none"], "goal_seeker", drives)
+    assert [(row["scene"], row["guard"], row["drives"]) for row in told["rows"]] == [(*kind, 2) for kind in kinds]
+    assert [row["goals_a_minute"] for row in told["rows"]] == [6.0, 2.0, 5.0, 1.0]
+    beside = [row["goals_beside_perfect_knowledge"][0] for row in told["rows"]]
+    assert beside == pytest.approx([1.0, 1.0 / 3.0, 1.0, 0.2])
+    assert [row["goals_a_minute"] for row in told["by_load"]] == [6.0, 2.0, 5.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("guard", "names"),
+    [
+        ("safedpa", ["AdaptationNode", "PerceptionNode", "PolicyNode", "SafetyFilterNode"]),
+        ("told", ["AdaptationNode", "TellsEverything", "PolicyNode", "SafetyFilterNode"]),
+        ("nothing", ["AdaptationNode", "PerceptionNode", "PolicyNode", "NoFilter"]),
+    ],
+)
+def test_who_stands_between_the_policy_and_the_cars_of_a_meeting(guard: str, names: list[str]) -> None:
+    wanted = meeting.Meeting(4690, 2, 0.1, 2.0, guard)
+    model, field = load_model("car"), meeting_field(4690, 2, "none")
+    for index in range(2):
+        assert [type(node).__name__ for node in meeting._nodes(wanted, model, field, index)] == names
+
+
+@pytest.mark.parametrize(
+    ("guard", "policy", "names"),
+    [
+        ("safedpa", "goal_seeker", ["AdaptationNode", "PerceptionNode", "PolicyNode", "SafetyFilterNode"]),
+        ("told", "goal_seeker", ["AdaptationNode", "TellsEverything", "PolicyNode", "SafetyFilterNode"]),
+        ("told-but-hiding", "way_seeker", ["AdaptationNode", "TellsAllButWhoHides", "PolicyNode", "SafetyFilterNode"]),
+        ("monitor", "goal_seeker", ["AdaptationNode", "PolicyNode", "CollisionMonitor"]),
+        ("monitor-2s", "way_seeker", ["AdaptationNode", "PerceptionNode", "PolicyNode", "CollisionMonitor"]),
+        ("time-to-collision", "goal_seeker", ["AdaptationNode", "PolicyNode", "TimeToCollision"]),
+        ("nothing", "way_seeker", ["AdaptationNode", "PerceptionNode", "PolicyNode", "NoFilter"]),
+    ],
+)
+def test_who_stands_between_the_policy_and_a_car_with_a_laser(guard: str, policy: str, names: list[str]) -> None:
+    """Behind everybody a controller that looks around has the same perception; one that looks nowhere needs none."""
+    scene, people = sensing.scene_and_people("pillars", 1000, "none", 1.5)
+    wanted = sensing.Drive("pillars", 1000, 0.1, 1.5, guard, policy=policy)
+    assert [type(node).__name__ for node in sensing._nodes(wanted, load_model("car"), scene, people)] == names
 
 
 def test_contacts_of_a_meeting_are_told_by_who_moved(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,21 @@ def test_whole_drives_are_drawn() -> None:
         cluster_interval(np.zeros(0))
 
 
+@pytest.mark.parametrize(
+    ("shares", "low", "high"),
+    [
+        ([0.0, 0.0, 0.0, 1.0], 0.0, 0.75),  # of 256 draws of four one is all 1, and 12 are 1 three times
+        ([1.0, 1.0, 1.0, 0.0], 0.25, 1.0),
+        ([0.0, 0.0, 1.0], 0.0, 1.0),  # of 27 draws of three one is all 1
+        ([0.0] * 9 + [1.0], 0.0, 0.3),  # four of ten with a chance of 0.0128, three of 0.0702
+    ],
+)
+def test_as_many_drives_are_drawn_as_there_are(shares: list[float], low: float, high: float) -> None:
+    """Counted out: the least share that no more than a fortieth of all draws exceeds, at either end."""
+    for seed in range(3):
+        assert cluster_interval(np.array(shares), seed=seed) == pytest.approx((low, high))
+
+
 def test_a_row_tells_steps_and_whole_drives() -> None:
     shares = np.array([1.0, 1.0, 0.5, 0.9, 1.0])
     row = coverage_row(shares, 0.03)

@@ -64,3 +64,26 @@ def test_flags_of_other_episodes_are_refused() -> None:
         mcnemar_exact(np.ones(3, dtype=bool), np.ones(4, dtype=bool))
     with pytest.raises(ValueError, match="as many in each"):
         sign_flip_exact(np.ones(4, dtype=bool), np.ones(4, dtype=bool), 3)
+    for nothing in (np.ones(0, dtype=bool), np.ones((2, 2), dtype=bool)):
+        with pytest.raises(ValueError, match="one each of every episode"):
+            mcnemar_exact(nothing, nothing)
+
+
+def test_one_episode_alone_is_an_episode() -> None:
+    assert mcnemar_exact(np.array([True]), np.array([False])) == (1, 0, 1.0)
+    assert sign_flip_exact(np.array([False]), np.array([True]), 1) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "p"),
+    [
+        ("1111", "0000", 2 / 16),  # all alike: both ways round, of the sixteen exchanges of four
+        ("1110", "0000", 2 / 8),
+        ("1110", "0001", 10 / 16),  # 3 less 1: whose total is 2 or more, or -2 or less
+        ("1100", "0011", 1.0),
+    ],
+)
+def test_who_is_worse_differs_as_much_as_who_is_better(one: str, other: str, p: float) -> None:
+    flags = [np.array([letter == "1" for letter in word]) for word in (one, other)]
+    assert sign_flip_exact(flags[0], flags[1], 4) == p
+    assert sign_flip_exact(flags[1], flags[0], 4) == p
