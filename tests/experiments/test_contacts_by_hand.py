@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import cos, pi, sin
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
@@ -277,3 +279,85 @@ def test_contacts_of_several_meetings_are_added_up() -> None:
     assert (row["of_them_with_a_standing_car"], row["contacts_of_standing_cars"]) == (6, 9)
     assert (row["moved_into_what_is_at_rest"], row["stuck_pairs"], row["stuck_face_to_face"]) == (3, 6, 6)
     assert row["robots_without_a_goal"] == 6
+
+
+@pytest.mark.parametrize(
+    ("yaws", "face"),
+    [
+        ((0.0, pi), True),
+        ((0.0, 0.0), False),  # one behind the other
+        ((pi, pi), False),
+        ((pi, 0.0), False),  # back to back
+        ((0.4 * pi, 0.6 * pi), True),  # nearly side by side, each still in the other's front half
+        ((0.4 * pi, 0.4 * pi), False),
+        ((-0.4 * pi, 0.7 * pi), True),
+        ((-0.6 * pi, pi), False),
+    ],
+)
+@pytest.mark.parametrize("turn", [0.0, 0.5 * pi, -2.0])
+def test_two_that_are_stuck_face_each_other_where_each_is_in_front_of_the_other(
+    yaws: tuple[float, float], face: bool, turn: float
+) -> None:
+    """One metre apart, whichever way the field is turned."""
+    path = np.zeros((200, 2, 4))
+    path[:, 1, :2] = cos(turn), sin(turn)
+    path[:, :, 2] = np.array(yaws) + turn
+    assert meeting.stuck_pairs(path) == [{"robots": [0, 1], "face": face}]
+
+
+@pytest.mark.parametrize(
+    ("apart", "moved_at", "by", "stuck"),
+    [
+        (1.4, 0, 0.0, True), (1.6, 0, 0.0, False),
+        (1.0, 39, 0.5, True), (1.0, 40, 0.5, False),  # of 200 periods the last 8 s are 160
+        (1.0, 150, 0.15, True), (1.0, 150, 0.25, False),
+    ],
+)  # fmt: skip
+def test_two_are_stuck_where_they_stood_near_each_other_for_the_last_eight_seconds(
+    apart: float, moved_at: int, by: float, stuck: bool
+) -> None:
+    """The second one was elsewhere in a single period; a third is always far away."""
+    path = np.zeros((200, 3, 4))
+    path[:, 1, 0], path[:, 2, 1] = apart, 9.0
+    path[moved_at, 1, 0] += by
+    assert [pair["robots"] for pair in meeting.stuck_pairs(path)] == ([[0, 1]] if stuck else [])
+
+
+@pytest.mark.parametrize("periods", [1, 3])
+def test_of_a_short_drive_all_of_it_is_looked_at(periods: int) -> None:
+    path = np.zeros((periods, 2, 4))
+    path[:, 1, 0] = 1.0
+    path[0, 1, 0] += 0.0 if periods == 1 else 0.5
+    assert len(meeting.stuck_pairs(path)) == (periods == 1)
+
+
+def test_meetings_are_told_by_how_many_met_and_behind_whom(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two and three cars behind two guards, with two seeds and two loads; each kind has other goals."""
+    goals = {(2, "safedpa"): 1, (2, "nothing"): 2, (3, "safedpa"): 3, (3, "nothing"): 4}
+
+    class Pool:
+        def __init__(self, *_: Any, **__: Any) -> None: ...
+
+        def __enter__(self) -> Any:
+            return SimpleNamespace(map=map)
+
+        def __exit__(self, *_: object) -> None: ...
+
+    def run(wanted: meeting.Meeting) -> dict[str, Any]:
+        own = goals[wanted.robots, wanted.guard]
+        return {
+            **vars(wanted), "moving": [], "into_standing": 0, "both_standing": 0, "solid": [], "standing_share": 0.5,
+            "goals": [own] * wanted.robots, "fastest_driven": 1.0, "stuck": [],
+        }  # fmt: skip
+
+    monkeypatch.setattr(meeting, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(meeting, "run_meeting", run)
+    told: list[tuple[int, int]] = []
+    found = meeting.meeting_experiment(
+        [5, 6], [2, 3], 60.0, guards=("safedpa", "nothing"), loads=("none", "box"),
+        on_drive=lambda *one: told.append(one),
+    )  # fmt: skip
+    assert told == [(number, 16) for number in range(1, 17)]
+    assert {(row["robots"], row["guard"]): row["drives"] for row in found["rows"]} == dict.fromkeys(goals, 4)
+    assert [row["goals_a_minute_and_robot"] for row in found["rows"]] == [1.0, 2.0, 3.0, 4.0]
+    assert len({(one["seed"], one["load"], one["robots"], one["guard"]) for one in found["drives"]}) == 16

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 from tests.faults.test_fault_batches import DECLARE, FRAME, PUSH, batch
-from tests.faults.test_fault_episode import PERIOD, lived
+from tests.faults.test_fault_episode import PERIOD, evidence, lived, trace, verdict
 
 from safedpa.bus import ModelMessage, TakeoverMessage
 from safedpa_lab.faults import model_changes, recorded
 from safedpa_lab.faults.batches import carries_data
-from safedpa_lab.faults.episode import Evidence, stale_in
+from safedpa_lab.faults.episode import Episode, Evidence, recovery_of, stale_in
 from safedpa_lab.faults.network import cut
 from safedpa_lab.faults.processes import hung
 from safedpa_lab.faults.world import ROBOT, World
@@ -154,3 +154,18 @@ def test_an_action_that_began_to_act_late_is_stale_whoever_sent_it(late: float) 
     periods = [replace(lived(3), applied_at=PERIOD * 3.9 + late)]
     found = stale_in(periods, Evidence(periods, {}, {(5, 3): {(1.0, 0.1)}}, PERIOD))
     assert len(found) == (late > 0.0)
+
+
+@pytest.mark.parametrize(("status", "driven"), [("passed", True), ("corrected", True), ("fallback", False)])
+def test_a_period_is_driven_where_the_filter_had_all_that_it_needs(status: str, driven: bool) -> None:
+    told = {(5, 2): replace(verdict(2), status=status)}
+    assert Evidence([], told, {}, PERIOD).is_driven(lived(2)) is driven
+    assert not Evidence([], told, {}, PERIOD).is_driven(lived(2, "watchdog"))
+    assert Evidence([], {}, {}, PERIOD).is_driven(lived(2)), "whose verdict was not heard"
+
+
+def test_an_outage_that_was_over_before_the_fault_was_mended_needs_no_recovery() -> None:
+    """From tick 6 to the action of tick 9, which acts a tenth of a period before."""
+    episode = Episode(struck=6 * PERIOD, mended=10 * PERIOD, ended=40 * PERIOD)
+    assert recovery_of(evidence(trace("d" * 6 + "www" + "d" * 31)), episode) == 0.0
+    assert recovery_of(evidence(trace("d" * 6 + "wwww" + "d" * 30)), episode) == pytest.approx(0.9 * PERIOD)
