@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa_lab.experiments import fleet_screen, hidden_summary, real_logs
+from safedpa_lab.experiments import fleet_diagnosis, fleet_screen, hidden_summary, real_logs
 from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 from safedpa_lab.experiments.hidden_page import page_of as hidden_page
 from safedpa_lab.experiments.real_logs_targets import folds_target, targets_of
@@ -205,3 +205,58 @@ def test_a_fleet_is_judged_robot_by_robot_and_group_by_group() -> None:
     assert (judged["within_two_deviations"]["hits"], judged["within_two_deviations"]["of"]) == (2, 3)
     assert (judged["largest_deviation"], judged["common_named"]) == (4.0, ["a"])
     assert [row["robot"] for row in judged["wrong"]] == ["t", "h1", "h2"]
+
+
+def test_what_is_hidden_in_all_robots_has_to_be_named_as_common_and_counts_in_none() -> None:
+    """All stand in the wind; one drags, whose coefficient is found three deviations too small."""
+    truth: dict[str, Any] = {"d": {"wind": {"v": 3.0}, "drag": {"c": 1.0}}, "h": {"wind": {"v": 3.0}}}
+    drag = {"effect": "drag", "parameters": {"c": {"value": 0.25, "std": 0.25}}}
+    wind = {"effect": "wind", "parameters": {"v": {"value": 9.0, "std": 0.25}}}
+    document = {
+        "groups": [
+            {"kind": "missing", "robots": ["d"], "effects": [{"effect": "drag", "indistinguishable_from": []}]},
+            {"kind": "nothing", "robots": ["h"], "effects": []},
+        ],
+        "robots": [{"robot": "d", "found": [wind, drag]}, {"robot": "h", "found": [wind]}],
+        "common": None, "false_discovery": 0.05,
+    }  # fmt: skip
+    judged = judged_fleet(document, truth)
+    assert (judged["hidden"]["hits"], judged["hidden"]["of"]) == (1, 1)
+    assert (judged["healthy"]["hits"], judged["healthy"]["of"]) == (1, 1)
+    assert (judged["within_two_deviations"]["hits"], judged["within_two_deviations"]["of"]) == (0, 1)
+    assert judged["largest_deviation"] == 3.0
+    assert (judged["groups_hidden"], judged["groups_right"], judged["groups_false"]) == (1, 1, 0)
+    assert (judged["common_hidden"], judged["common_named"], judged["wrong"]) == (["wind"], [], [])
+    alone = judged_fleet(document, truth | {"d": truth["h"]})
+    assert (alone["hidden"], alone["groups_hidden"], alone["groups_false"]) == (None, 0, 1)
+
+
+def test_costs_of_a_fleet_are_medians_and_the_largest_of_each() -> None:
+    robots = [
+        {"kind": kind, "processor_seconds": seconds, "memory_mebibytes": memory}
+        for kind, seconds, memory in (("nothing", 1.0, 300), ("nothing", 2.0, 500), ("nothing", 9.0, 400),
+                                      ("unexplained", 4.0, 100))
+    ]  # fmt: skip
+    told = fleet_diagnosis._costs({"robots": robots, "diagnosed_now": 3}, 12.34)
+    assert told["processor_seconds_a_robot"] == {"median": 3.0, "largest": 9.0, "nothing": 2.0, "unexplained": 4.0}
+    assert (told["memory_mebibytes_of_a_worker"], told["diagnosed_now"], told["wall_seconds"]) == (500, 3, 12.3)
+
+
+def test_cases_that_are_not_wholly_right_are_told() -> None:
+    """Wrong, with a wrong addition, or with a law that is none; and of deviations -2.5, 0.5 and 1 two are within 2."""
+    usual: dict[str, Any] = {
+        "suite": "one", "hidden": ("drag",), "added": ("drag",), "told": (), "verdict": "model", "right": True,
+        "first_named": True, "all_named": True, "wrong": (), "false_laws": (), "deviations": (), "error_ratio": 1.0,
+        "seconds": 1.0, "processor_seconds": 1.0,
+    }  # fmt: skip
+    cases: Any = [
+        SimpleNamespace(**usual | {"case": name} | more)
+        for name, more in (
+            ("a", {"deviations": (-2.5, 0.5, 1.0)}), ("b", {"right": False}), ("c", {"wrong": ("tow",)}),
+            ("d", {"false_laws": ("x",)}),
+        )
+    ]  # fmt: skip
+    told = hidden_summary.summary(["one"], cases)
+    assert [case["case"] for case in told["missed"]] == ["b", "c", "d"]
+    within = told["suites"][0]["parameters_within_two"]
+    assert (within["hits"], within["of"]) == (2, 3)
