@@ -263,6 +263,58 @@ def test_long_drives() -> None:
 
 
 @pytest.mark.parametrize(
+    ("steps", "least"),
+    [
+        ([1.0] * 20, 20.0),
+        ([1.0] * 19, float("inf")),  # shorter than 20 s
+        ([1.0] * 30 + [0.0] * 5 + [1.0] * 30, 15.0),
+        ([1.0] * 10 + [0.0] * 25 + [1.0] * 10, 0.0),
+        ([0.5] * 10 + [1.0] * 15 + [-1.0] * 30, 15.0),  # there and back is a way as well
+    ],
+)
+@pytest.mark.parametrize("period", [1.0, 0.5])
+def test_the_least_way_is_that_of_the_twenty_seconds_in_which_it_got_on_least(
+    steps: list[float], least: float, period: float
+) -> None:
+    """Steps of a second each, m; told every second, or twice as often."""
+    often = round(1.0 / period)
+    along = np.cumsum([0.0, *np.repeat(np.array(steps) / often, often)])
+    assert long_drives._least_way([(0.6 * x, -0.8 * x) for x in along], period) == pytest.approx(least)
+
+
+@pytest.mark.parametrize(
+    ("places", "longest"),
+    [
+        ([0.0, 0.1, 0.2, 0.3], 0.0),
+        ([0.0, 0.0, 0.0, 0.0], 1.5),
+        ([0.5, 1.0, 1.0, 1.015, 0.985, 1.0, 2.0, 2.0, 3.0], 2.0),  # from the second place on
+        ([0.0, 0.01, 0.02, 0.03, 0.04, 0.05], 1.0),  # it creeps: more than 2 cm away it is another place
+    ],
+)
+@pytest.mark.parametrize("way", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
+def test_the_longest_stand_is_measured_within_two_centimetres_of_a_place(
+    places: list[float], longest: float, way: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Told every half a second, for as many periods as the drive's seconds have."""
+    robot = SimpleNamespace(values=(9.0, 9.0, 0.0, 0.0), collisions=[], goals_reached=0)
+
+    def driven(_robot: Any, _nodes: Any, periods: int) -> Any:
+        assert periods == len(places)
+        for number, place in enumerate(places):
+            values = (way[0] * place, way[1] * place, 0.0, 0.0)
+            state = SimpleNamespace(robot_time=0.5 * number, values=values)
+            yield SimpleNamespace(verdict=SimpleNamespace(status="passed", h_now=1.0), state=state)
+
+    for name in ("AdaptationNode", "PolicyNode", "SafetyFilterNode", "settings_named", "margin_for", "_car"):
+        monkeypatch.setattr(long_drives, name, lambda *_, **__: robot)
+    monkeypatch.setattr(long_drives, "load_model", lambda _: SimpleNamespace(period=0.5))
+    monkeypatch.setattr(long_drives, "note_standstill", lambda *_: None)
+    monkeypatch.setattr(long_drives, "drive", driven)
+    found = long_drives.run_long_drive(long_drives.LongDrive("none", 1, 0.5 * len(places)))
+    assert found.longest_stand == pytest.approx(longest)
+
+
+@pytest.mark.parametrize(
     ("changes", "in_time"),
     [
         ({}, (1, 1, 1, 1)),

@@ -165,3 +165,86 @@ def test_a_campaign_counts_all_that_was_lived_and_all_that_was_acknowledged(monk
     found = campaign._judged(world, [lived_through("d" * 40), lived_through("d" * 20)])
     assert (found.periods, found.collisions, found.stale_actions) == (60, 2, 1)
     assert (found.acknowledged, found.recorded, len(found.outcomes)) == (42, 9, 2)
+
+
+class Worlds:
+    """In place of fleets: after some faults one does not drive on; each fault takes 4 s."""
+
+    def __init__(self, failing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.lived: list[list[str]] = []
+        self.settings: list[Any] = []
+        self.folders: list[str] = []
+        self.told: list[tuple[str, int, int]] = []
+        self._failing, self._now = failing, 100.0
+        monkeypatch.setattr(campaign, "time", SimpleNamespace(monotonic=lambda: self._now))
+        monkeypatch.setattr(campaign, "World", self._begun)
+        monkeypatch.setattr(campaign, "_run", self._run)
+        monkeypatch.setattr(campaign, "_judged", lambda _, lived: Campaign(tuple(lived), len(lived), 0, 0, 0, 0))
+
+    def _begun(self, folder: Any, settings: Any) -> Any:
+        self.lived.append([])
+        self.settings.append(settings)
+        self.folders.append(folder.name)
+        return self
+
+    def __enter__(self) -> Worlds:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def drives(self) -> bool:
+        return self.lived[-1][-1] not in self._failing
+
+    def _run(self, fault: Any, _world: Any, *, is_hasty: bool) -> Any:
+        assert not is_hasty
+        self.lived[-1].append(fault.name)
+        self._now += 4.0
+        return outcome_of(name=fault.name)
+
+    def run(self, faults: str, seconds: float) -> Campaign:
+        """A small letter is a fault with the product's own diagnosis, a large one with a stand-in."""
+        given: Any = [
+            SimpleNamespace(name=name, diagnosis="ready" if name.isupper() else "real", seconds=9.0) for name in faults
+        ]
+        return campaign.run_faults(given, 7, None, lambda *one: self.told.append(one), seconds=seconds)
+
+
+@pytest.mark.parametrize(
+    ("faults", "failing", "seconds", "lived"),
+    [
+        ("abc", "", 1e9, ["abc"]),
+        ("abcd", "b", 1e9, ["ab", "cd"]),  # a fleet that does not recover is replaced
+        ("abc", "c", 1e9, ["abc"]),
+        ("abCDe", "", 1e9, ["ab", "CD", "e"]),  # another diagnosis is another fleet
+        ("abcdef", "", 10.0, ["abc"]),  # after 8 s another one begins, after 12 s none
+        ("abcdef", "a", 10.0, ["a", "bc"]),
+        ("abcdef", "c", 10.0, ["abc"]),
+        ("abcdef", "", 0.0, ["a"]),  # one always
+        ("", "", 1e9, []),
+    ],
+)
+def test_faults_go_on_one_fleet_as_long_as_it_drives_and_time_is_left(
+    faults: str, failing: str, seconds: float, lived: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worlds = Worlds(failing, monkeypatch)
+    found = worlds.run(faults, seconds)
+    assert ["".join(own) for own in worlds.lived] == lived
+    assert [outcome.name for outcome in found.outcomes] == list("".join(lived))
+    assert found.periods == len("".join(lived))
+    assert worlds.told == [(name, done, len(faults)) for done, name in enumerate("".join(lived))]
+    assert [one.seed for one in worlds.settings] == [7 + number for number in range(len(lived))]
+    assert [one.diagnosis for one in worlds.settings] == ["ready" if own.isupper() else "real" for own in lived]
+    assert len(set(worlds.folders)) == len(lived)
+
+
+@pytest.mark.parametrize(("faults", "disks"), [(1, 1), (100, 1), (101, 2), (250, 3)])
+def test_every_hundred_faults_have_a_disk(faults: int, disks: int) -> None:
+    assert campaign._disk_bytes(faults) == disks * campaign._disk_bytes(1)
+
+
+@pytest.mark.parametrize(("speed", "drives", "fast"), [(1.9, True, True), (1.9, False, False), (0.1, True, False)])
+def test_a_car_is_fast_where_it_drives_and_its_newest_state_says_so(speed: float, drives: bool, fast: bool) -> None:
+    states = {(1, 4): SimpleNamespace(values=(0.0, 0.0, 0.0, 9.0)), (1, 5): SimpleNamespace(values=(0, 0, 0, speed))}
+    world: Any = SimpleNamespace(observer=SimpleNamespace(states=states, newest=(1, 5)), drives=lambda: drives)
+    assert campaign._is_fast(world) is fast
+    assert campaign._speed(SimpleNamespace(observer=SimpleNamespace(states={}, newest=(0, -1)))) == 0.0  # type: ignore[arg-type]
