@@ -324,6 +324,7 @@ def test_the_longest_stand_is_measured_within_two_centimetres_of_a_place(
         ({"raised": None}, (0, 1, 1, 1)),
         ({"found": 160.01}, (1, 1, 0, 1)),
         ({"found": None}, (1, 1, 0, 1)),
+        ({"found": 99.0}, (1, 1, 0, 1)),  # named before anything changed
         ({"effect": "drag"}, (1, 0, 0, 1)),
         ({"effect": "drag", "group": ("towed_load",)}, (1, 0, 1, 1)),
         ({"fell": 190.01}, (1, 1, 1, 0)),

@@ -118,7 +118,7 @@ def _judged(drive: LiveDrive) -> dict[str, Any]:
         "seconds_to_fall": to_fall,
         "raised_in_time": to_finding is not None and 0.0 <= to_finding <= _RAISED,
         "first": drive.effect == right,
-        "named_in_time": to_effect is not None and to_effect <= _NAMED and right in (drive.effect, *drive.group),
+        "named_in_time": to_effect is not None and 0.0 <= to_effect <= _NAMED and right in (drive.effect, *drive.group),
         "fell_in_time": to_fall is not None and to_fall <= _FELL,
     }
 
