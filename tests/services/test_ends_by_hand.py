@@ -172,3 +172,44 @@ def test_what_is_not_heard_ends_the_start_after_its_time_and_what_only_looks_on_
     else:
         supervisor._await_services()
     assert clock[0] == pytest.approx(waited, abs=0.11)
+
+
+@pytest.mark.parametrize("stopped_at", [0.0, 1.0, 30.0])
+def test_who_is_stopped_while_services_start_waits_no_longer_and_nothing_drives(
+    stopped_at: float, clock: list[float]
+) -> None:
+    """A person who presses Ctrl-C meanwhile would look at nothing for two minutes."""
+    done: list[Any] = []
+    service: Any = Noting("policy", done)
+    robot: Any = Noting("robot", done, begun=False)
+    watch: Any = Hearing(clock, {}, 0.0)
+    supervisor = Supervisor([service], robot, watch, lambda: clock[0] >= stopped_at, lambda: None)
+    assert supervisor.run() == 0
+    assert clock[0] == pytest.approx(stopped_at, abs=0.26)
+    assert not robot.begun
+    assert [name for name, what in done if what == "asked"] == ["robot", "policy"]
+
+
+def test_the_robots_begin_when_the_services_are_heard_and_not_before(clock: list[float]) -> None:
+    """One that needs nothing of its own is not waited for, nor is one that only looks on."""
+    began: list[float] = []
+
+    class Beginning(Noting):
+        def begin(self) -> None:
+            super().begin()
+            began.append(clock[0])
+
+    class Later(Hearing):
+        def listen(self, wait: float) -> None:
+            super().listen(wait)
+            if clock[0] >= 2.0:
+                self.health["policy"] = object()
+
+    watch: Any = Later(clock, {}, 0.0)
+    services: list[Any] = [Noting("policy", []), Noting("recorder", [], essential=False)]
+    robots: list[Any] = [Beginning("robot", [], begun=False), Beginning("robot 2", [], begun=False)]
+    supervisor = Supervisor(
+        services, robots[0], watch, lambda: clock[0] > 3.0, lambda: None, others=[(robots[1], watch)]
+    )
+    supervisor.run()
+    assert began == pytest.approx([2.0, 2.0], abs=0.06)
