@@ -260,7 +260,6 @@ def _carry_out(work: Callable[[Any], dict[str, Any]], content: bytes, pipe: IO[b
     except Exception as error:  # noqa: BLE001  whatever a foreign document brings about
         found = {"problem": " ".join(str(error).split())[:300] or type(error).__name__}
     pipe.write(json.dumps(found).encode())
-    pipe.flush()
 
 
 def _ending(status: int) -> str:
