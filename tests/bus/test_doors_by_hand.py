@@ -9,8 +9,9 @@ import pytest
 
 from safedpa.bus.security.certificates import Card
 from safedpa.bus.transport import zenoh_transport as module
-from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport, _ZenohSubscription
 from safedpa.bus.wire.stamp import stamp_of
+from safedpa.errors import BusError
 
 CARD = Card("router", b"", b"", b"")
 KEY = "safedpa/f/r1/request"
@@ -146,3 +147,39 @@ def test_an_error_in_an_answer_is_told_where_errors_of_threads_are(
     query = Query(KEY, b"what", None)
     session.asked(query)
     assert (told, query.replies, query.ended) == (["planted"], [], 1)
+
+
+@pytest.mark.parametrize(("listens", "connects"), [((), ("tcp/h:1",)), (("tcp/h:1",), ()), (("tls/h:1", "ws/h:2"), ())])
+def test_with_a_certificate_nothing_goes_by_another_way_than_tls(
+    listens: tuple[str, ...], connects: tuple[str, ...]
+) -> None:
+    card = Card("r", b"", b"", b"")
+    with pytest.raises(BusError, match=r"^bus: got endpoint '(tcp|ws)/h:.' with certificates, wanted tls/HOST:PORT"):
+        ZenohSettings("router", listens, connects, card)
+    with pytest.raises(BusError, match=r"^bus: got certificates for a peer, wanted --mode client"):
+        ZenohSettings("peer", certificates=card)
+    assert ZenohSettings("router", listens, connects).certificates is None
+    assert ZenohSettings("client", (), ("tls/h:1",), card).certificates is card
+
+
+@pytest.mark.parametrize(("astray", "put", "taken"), [(False, True, True), (True, True, False), (False, False, False)])
+def test_what_was_sent_under_another_key_or_takes_something_away_is_passed_over(
+    astray: bool, put: bool, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import zenoh
+
+    told: list[str] = []
+    monkeypatch.setattr(module, "astray", lambda *_: astray)
+    monkeypatch.setattr(module, "log_event", lambda kind, *_, **__: told.append(kind))
+    heard: list[tuple[str, bytes]] = []
+    subscription: Any = _ZenohSubscription.__new__(_ZenohSubscription)
+    subscription._on_sample = lambda key, payload: heard.append((key, payload))
+    sample = SimpleNamespace(
+        kind=zenoh.SampleKind.PUT if put else zenoh.SampleKind.DELETE,
+        key_expr="safedpa/f/r/state",
+        attachment=None,
+        payload=SimpleNamespace(to_bytes=lambda: b"data"),
+    )
+    subscription._received(sample)
+    assert heard == ([("safedpa/f/r/state", b"data")] if taken else [])
+    assert told == (["bus.astray"] if astray and put else [])

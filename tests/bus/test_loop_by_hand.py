@@ -1,4 +1,4 @@
-"""When a loop lets go of what it holds, which states come too fast, and which moments it wakes up for."""
+"""Which moments nobody wakes up for, what travels among others, and which change is taken up."""
 
 from __future__ import annotations
 
@@ -8,131 +8,27 @@ import sys
 from collections.abc import Callable
 
 import pytest
-from tests.bus.test_service_loop import EPOCH, Clock, Fleet, Wisher
+from tests.bus.test_service_loop import EPOCH, Clock
 
 from safedpa.bus import (
     ACTION,
     HEALTH,
-    LATENT,
     MODEL,
     STATE,
     VERDICT,
     Answer,
     Bus,
-    Inputs,
-    LatentMessage,
     MemoryBroker,
     MemoryTransport,
     ModelMessage,
-    Outputs,
-    Received,
     StateMessage,
 )
 from safedpa.bus.log import log_event
 from safedpa.bus.loop.model_versions import ModelVersions
-from safedpa.bus.loop.turning import LONGEST_HOLD_SECONDS, Agenda
+from safedpa.bus.loop.turning import Agenda
 from safedpa.bus.wire.topics import Topic
 
 StateAt = Callable[..., StateMessage]
-
-
-class Taking(Wisher):
-    """Steps that take ``seconds`` each; notes what the robots had heard when it began one, and when it went on."""
-
-    lingers = False
-
-    def __init__(self, fleet: Fleet, seconds: float) -> None:
-        super().__init__()
-        self.fleet, self.seconds = fleet, seconds
-        self.out: list[str] = []
-        self.before, self.after = list[int](), list[int]()
-
-    def _heard(self) -> int:
-        self.out += [robot for robot, _ in self.fleet.wished()]
-        return len(self.out)
-
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        self.before.append(self._heard())
-        self.fleet.clock.now += self.seconds
-        return super().step(robot, state, inputs)
-
-    def afterwards(self, robot: str) -> Outputs:
-        self.after.append(self._heard())
-        return {}
-
-
-def spoken(fleet: Fleet, state_at: StateAt, names: list[str], tick: int = 0) -> None:
-    """Each robot's state and latent, of one moment."""
-    for name in names:
-        fleet.bus.publish(STATE, name, state_at(tick, epoch=EPOCH, lockstep=False, period=0.5))
-        stamp = {"epoch": EPOCH, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
-        fleet.bus.publish(LATENT, name, LatentMessage(**stamp, model="m", values=(0.1,), deviations=(0.1,)))
-
-
-@pytest.mark.parametrize(("seconds", "together"), [(0.0, 6), (0.002, 3), (0.006, 1)])
-def test_what_is_ready_waits_for_that_of_others_five_milliseconds_at_most(
-    state_at: StateAt, seconds: float, together: int
-) -> None:
-    """Of six robots that speak together; what nobody waits for comes when all of them have theirs."""
-    assert LONGEST_HOLD_SECONDS == 0.005
-    fleet = Fleet(state_at, lockstep=False)
-    node = fleet.loop._node = Taking(fleet, seconds)
-    fleet.loop.quantum = 0.005
-    names = [f"r{number}" for number in range(6)]
-    spoken(fleet, state_at, names)
-    fleet.loop.serve(0.0)
-    assert node.before == [together * (number // together) for number in range(6)]
-    fleet.clock.now += 0.06
-    fleet.loop.serve(0.0)
-    assert node.after == [6] * 6
-
-
-def test_the_outputs_of_a_turn_are_on_the_bus_before_what_nobody_waits_for_is_done(state_at: StateAt) -> None:
-    fleet = Fleet(state_at, lockstep=False)
-    node = fleet.loop._node = Taking(fleet, 0.0)
-    fleet.loop.quantum = 0.005
-    spoken(fleet, state_at, [f"r{number}" for number in range(6)])
-    fleet.loop.serve(0.0)
-    assert node.after == [6] * 6
-
-
-def test_heartbeats_about_robots_that_fell_silent_are_on_the_bus_when_the_turn_ends(state_at: StateAt) -> None:
-    fleet = Fleet(state_at, lockstep=False)
-    names = [f"r{number}" for number in range(9)]
-    spoken(fleet, state_at, names)
-    for _ in range(3):  # until nothing is left to do for any of them
-        fleet.loop.turn(0.0)
-        fleet.clock.now += 0.2
-    fleet.loop.quantum = 0.005
-    fleet.healths.take(0.0)
-    fleet.clock.now += 0.3
-    fleet.loop.turn(0.0)
-    assert {item.robot for item in fleet.healths.take(0.0) if isinstance(item, Received)} == set(names)
-
-
-@pytest.mark.parametrize(("apart", "refused"), [(0.05, 0), (0.04, 0), (0.005, 1), (0.0, 1)])
-def test_states_that_come_far_faster_than_their_period_are_no_ticks(
-    state_at: StateAt, apart: float, refused: int
-) -> None:
-    """Of sixty at a period of 0.05 s: those that come ten times as fast are refused but for the first few."""
-    fleet = Fleet(state_at, lockstep=False)
-    for tick in range(60):
-        fleet.clock.now += apart
-        fleet.state(tick)
-        fleet.latent(tick)
-    steps = len(fleet.loop._node.steps)  # type: ignore[attr-defined]
-    told = fleet.health()["r"]
-    assert (steps == 60, bool(told.refused)) == (not refused, bool(refused))
-    assert told.refused == 60 - steps
-    assert steps < 40 or not refused
-
-
-def test_in_lockstep_no_state_comes_too_fast(state_at: StateAt) -> None:
-    fleet = Fleet(state_at, lockstep=True)
-    for tick in range(60):
-        fleet.state(tick)
-        fleet.latent(tick)
-    assert fleet.health()["r"].steps == 60
 
 
 @pytest.mark.parametrize(

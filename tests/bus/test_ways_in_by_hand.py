@@ -18,24 +18,11 @@ from safedpa.bus.security.certificates import AUTHORITY, Card, Certificates
 from safedpa.bus.transport import inbox as inbox_module
 from safedpa.bus.transport import zenoh_transport as zenoh_module
 from safedpa.bus.transport.inbox import Inbox, _check_speaker
-from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport, _ZenohSubscription
+from safedpa.bus.transport.zenoh_transport import ZenohTransport
 from safedpa.bus.wire.codec import decode, encode
 from safedpa.bus.wire.requests import Request, request_key
 from safedpa.bus.wire.topics import HEALTH
 from safedpa.errors import BusError, MessageError
-
-
-@pytest.mark.parametrize(("listens", "connects"), [((), ("tcp/h:1",)), (("tcp/h:1",), ()), (("tls/h:1", "ws/h:2"), ())])
-def test_with_a_certificate_nothing_goes_by_another_way_than_tls(
-    listens: tuple[str, ...], connects: tuple[str, ...]
-) -> None:
-    card = Card("r", b"", b"", b"")
-    with pytest.raises(BusError, match=r"^bus: got endpoint '(tcp|ws)/h:.' with certificates, wanted tls/HOST:PORT"):
-        ZenohSettings("router", listens, connects, card)
-    with pytest.raises(BusError, match=r"^bus: got certificates for a peer, wanted --mode client"):
-        ZenohSettings("peer", certificates=card)
-    assert ZenohSettings("router", listens, connects).certificates is None
-    assert ZenohSettings("client", (), ("tls/h:1",), card).certificates is card
 
 
 @pytest.mark.parametrize("gone", [AUTHORITY, "r", "r.key"])
@@ -96,29 +83,6 @@ def test_only_links_of_the_named_sessions_are_cut_off(monkeypatch: pytest.Monkey
     assert transport.cut_off(["b"]) == 1
     assert transport.cut_off(["c"]) == 0
     assert cut == [{("10.0.0.2", 2)}]
-
-
-@pytest.mark.parametrize(("astray", "put", "taken"), [(False, True, True), (True, True, False), (False, False, False)])
-def test_what_was_sent_under_another_key_or_takes_something_away_is_passed_over(
-    astray: bool, put: bool, taken: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import zenoh
-
-    told: list[str] = []
-    monkeypatch.setattr(zenoh_module, "astray", lambda *_: astray)
-    monkeypatch.setattr(zenoh_module, "log_event", lambda kind, *_, **__: told.append(kind))
-    heard: list[tuple[str, bytes]] = []
-    subscription: Any = object.__new__(_ZenohSubscription)
-    subscription._on_sample = lambda key, payload: heard.append((key, payload))
-    sample = SimpleNamespace(
-        kind=zenoh.SampleKind.PUT if put else zenoh.SampleKind.DELETE,
-        key_expr="safedpa/f/r/state",
-        attachment=None,
-        payload=SimpleNamespace(to_bytes=lambda: b"data"),
-    )
-    subscription._received(sample)
-    assert heard == ([("safedpa/f/r/state", b"data")] if taken else [])
-    assert told == (["bus.astray"] if astray and put else [])
 
 
 def beat(service: str) -> HealthMessage:

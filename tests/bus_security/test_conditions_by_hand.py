@@ -11,8 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import rsa
 
 from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, ZenohSettings, decode, encode
 from safedpa.bus.loop.process import identity_from
@@ -106,22 +104,6 @@ def test_a_card_has_three_parts_in_pem(said: tuple[bytes, ...], accepted: bool) 
     else:
         with pytest.raises(BusError, match="no authority, certificate and key"):
             Card.from_descriptor(reading, "policy")
-
-
-def test_an_authority_whose_key_is_of_another_kind_or_of_another_fleet_is_refused(tmp_path: Path) -> None:
-    Authority(tmp_path, "f")
-    Authority(tmp_path, "f")
-    with pytest.raises(InputError, match="is the authority of fleet 'f', wanted 'g'"):
-        Authority(tmp_path, "g")
-    other = rsa.generate_private_key(65537, 2048).private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
-    (tmp_path / "authority.key.pem").write_bytes(other)
-    with pytest.raises(InputError, match="got another kind of key, wanted one on P-256"):
-        Authority(tmp_path, "f")
-    (tmp_path / "authority.key.pem").write_bytes(b"no key")
-    with pytest.raises(InputError, match="no certificate and key of an authority"):
-        Authority(tmp_path, "f")
 
 
 @pytest.mark.parametrize(
