@@ -53,6 +53,7 @@ STAMPS = (
 """Without what opens sessions."""
 CERTIFICATES = (
     "../bus_security/test_conditions_by_hand.py",
+    "../bus/test_authority_by_hand.py",
     "../bus_security/test_authority.py",
     "-../bus_security/test_authority.py::test_a_process_with_half_an_identity_does_not_start",
     "../bus_security/test_signed_requests.py",
