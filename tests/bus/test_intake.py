@@ -8,6 +8,7 @@ import pytest
 
 from safedpa.bus import HEALTH, STATE, Inbox, Topic
 from safedpa.bus.transport.bundle import packed
+from safedpa.bus.transport.inbox import Refused
 from safedpa.bus.transport.intake import Intake
 from safedpa.bus.wire.topics import BUNDLE
 
@@ -78,3 +79,15 @@ def test_two_ask_for_the_same_where_topic_fleet_robot_and_whom_they_serve_agree(
         Intake(Inbox(), STATE, "g", "*", serves, all_of_them=False),
     ]  # fmt: skip
     assert not [other for other in others if usual.asks_as(other)]
+
+
+def test_who_speaks_as_every_service_is_refused_once_and_under_no_robots_name() -> None:
+    """As Zenoh delivers what was put under a wildcard; each robot would count a refusal that it did not bring about."""
+    key, payload = f"safedpa/f/{BUNDLE}/health/*", packed([("a", b"1"), ("b", b"2")])
+    inbox = Inbox()
+    by = Intake(inbox, HEALTH, "f", "*", None, all_of_them=False)
+    assert opened(by, key, payload) == [(key, payload)]
+    by(key, payload)
+    (refused,) = inbox.take(0.0)
+    assert isinstance(refused, Refused)
+    assert refused.robot == ""
