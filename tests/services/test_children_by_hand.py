@@ -265,7 +265,9 @@ def test_why_it_stands_is_shown_where_the_verdict_says_so(
     console = terminal()
     with console.capture() as caught:
         console.print(view_of(watch, [], child_of(tmp_path), []))
-    assert ("stands for 7 s, the wall is near" in caught.get()) is told
+    said = caught.get()
+    assert ("stands for 7 s, the wall is near" in said) is told
+    assert ("stands for" in said) is told
 
 
 @pytest.mark.parametrize(
