@@ -19,9 +19,9 @@ __all__ = ["Warnings", "readable"]
 
 _LOOK_SECONDS = 0.5
 _MOST_BYTES = 65536
+"""Read at one look of one log; a process that writes more is not read to the end."""
 _LONGEST_LINE = 500
 """Letters."""
-"""Read at one look of one log; a process that writes more is not read to the end."""
 _SHOWN = 4
 _LEAST_SECONDS = 5.0
 """Between two lines of the same kind, process and robot."""
