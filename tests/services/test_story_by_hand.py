@@ -12,6 +12,7 @@ import pytest
 from tests.services.test_demo_story import STAMP, STATE
 
 from safedpa.bus import Answer, Bus, FindingMessage, MemoryBroker, MemoryTransport, Request
+from safedpa.errors import SafedpaError
 from safedpa_services.supervisor.story import Story
 
 
@@ -110,3 +111,18 @@ def test_only_what_is_a_candidate_now_is_accepted_and_nothing_amid_a_change(
     story._asked = answered  # type: ignore[method-assign]
     story._accept("drag")
     assert asked == (["status", "accept"] if accepts else ["status"])
+
+
+def test_the_diagnosis_has_seconds_to_answer_and_that_it_did_not_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever looks on reads why nothing goes on."""
+    waited: list[float] = []
+    story = Story(Bus(MemoryTransport(MemoryBroker()), "fleet"), "r1", lambda _: None, True)
+
+    def request(_: str, __: Request, seconds: float) -> None:
+        waited.append(seconds)
+
+    monkeypatch.setattr(story.bus, "request", request)
+    with pytest.raises(SafedpaError, match="the diagnosis did not answer in time; it is asked again"):
+        story._keep_model()
+    assert 1.0 <= waited[0] <= 4.0
+    assert story.models == []
