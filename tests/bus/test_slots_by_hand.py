@@ -203,3 +203,17 @@ def test_a_stage_of_a_finding_is_told_once_and_again_after_the_robot_left() -> N
 def test_few_robots_are_served_at_once(coalescing: bool) -> None:
     assert quantum_for([], coalescing=coalescing) == 0.0
     assert quantum_for([0.05], coalescing=coalescing) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("age", "slack", "lockstep", "usable"),
+    [(1, 0, False, False), (1, 1, False, True), (2, 1, False, False), (2, 3, False, True), (1, 1, True, False)],
+)
+def test_a_step_is_given_what_its_topic_or_its_node_still_allows(
+    age: int, slack: int, lockstep: bool, usable: bool, state_at: StateAt
+) -> None:
+    """Of a latent the topic allows no age; a node with slack takes an older one, and in lockstep nobody does."""
+    slot = slot_at(state_at, lockstep=lockstep)
+    slot.inputs[LATENT] = latent(5 - age)
+    (given,) = slot.given((LATENT,), {LATENT: slack}).values()
+    assert given == (latent(5 - age) if usable else Stale(LATENT, age))
