@@ -136,7 +136,7 @@ def test_a_margin_for_a_kind_that_no_barrier_has_is_refused_as_for_one_robot() -
 
 @pytest.mark.parametrize(
     ("margin", "fallbacks"),
-    [(True, 3), ("1.0", 3), (np.array([1.0, True, 1.0], dtype=object), 1), (1, 0), (np.ones(3), 0)],
+    [(True, 3), ("1.0", 3), (np.array([2.0, True, 2.0], dtype=object), 1), (1, 0), (np.ones(3), 0)],
 )
 def test_what_is_no_number_is_no_margin_even_where_as_one_it_would_be_kept(margin: Any, fallbacks: int) -> None:
     """With obstacles a hundred metres away every wish keeps a margin of a metre."""
