@@ -10,6 +10,7 @@ import pytest
 from safedpa.dynamics import AbstractDynamics, Setting, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
+from safedpa.safety import RolloutBarrier
 from safedpa.safety.closed_loop import ClosedLoop, fixed, prediction_of
 
 
@@ -48,6 +49,16 @@ def test_a_backup_that_is_one_action_is_a_vector_of_finite_numbers(backup: Any) 
         ClosedLoop(halved, backup)
     with pytest.raises(InputError, match=r"^latent: got .*, wanted \(actions,\) finite numbers"):
         ClosedLoop(halved, [1.0], latent=backup)
+
+
+def test_the_backup_of_a_rollout_is_the_one_along_which_it_looks() -> None:
+    def half(x: Any) -> Any:
+        return [0.5 * x[0]]
+
+    barrier = RolloutBarrier(lambda x, a: x - a, half, lambda x: x[0], 2)
+    assert barrier.backup(np.array([3.0])).tolist() == [1.5]
+    held = RolloutBarrier(lambda x, a: x - a, [0.25], lambda x: x[0], 2)
+    assert held.backup(np.array([3.0])).tolist() == [0.25]
 
 
 class Own(AbstractDynamics):
