@@ -113,3 +113,19 @@ def test_without_a_history_encoder_the_latent_is_estimated_recursively(random_ca
 def test_physics_has_no_history_encoder():
     with pytest.raises(InputError, match="got physics"):
         HistoryEstimator(load_model("car"))
+
+
+def test_what_nobody_measured_is_known_to_half_of_its_range(random_car_weights):
+    """And entries that the networks do not estimate are what the file says."""
+    weights = random_car_weights(3)
+    low, high = np.array([-1.0, -2.0, 0.0, -4.0]), np.array([1.0, 2.0, 3.0, 0.5])
+    tensors = {**weights.tensors, "latent_low": low, "latent_high": high}
+    tensors.pop("latent_deviation", None)
+    free = {"ax": Setting(0.8, free=True), "ay": Setting(0.0)}
+    for known, wanted in (({}, [1.0, 2.0, 1.5, 2.25]), ({"latent_deviation": 0.1 * high}, [0.1, 0.2, 0.3, 0.05])):
+        model = learned(Weights({**tensors, **known}, weights.description))
+        assert HistoryEstimator(model).deviations.tolist() == pytest.approx(wanted)
+        loaded = model.with_effect(effect("car", "constant_force"), free)
+        found = dict(zip(loaded.latent_names, HistoryEstimator(loaded).deviations.tolist(), strict=True))
+        assert found.pop("constant_force.ax") == 0.0
+        assert list(found.values()) == pytest.approx(wanted)

@@ -392,3 +392,34 @@ def test_an_offer_that_went_well_apart_is_ready(ticking: Ticking) -> None:
     ticking.node.try_apart(lambda *_: Tried(problem=""))
     ticking.node.hear("r1", offer())
     assert ticking.answer()[0] == "ready"
+
+
+def test_a_robot_whose_step_failed_while_a_model_was_offered_changes_at_the_named_tick_all_the_same(
+    ticking: Ticking,
+) -> None:
+    """Nothing is remembered of it then, neither an estimate of the old model nor one of the new one."""
+    ticking.node.hear("r1", offer())
+    assert ticking.answer() == ("ready", "")
+    ticking.node.rescue("r1", ticking.state_of(ticking.tick, 1), "planted")
+    assert TAKEOVER not in ticking.turn()
+    ticking.node.hear("r1", decision("take", from_tick=ticking.tick + 1))
+    ticking.turn()
+    ticking.node.rescue("r1", ticking.state_of(ticking.tick, 1), "planted")
+    assert ticking.answer() == ("taken", "")
+    ticking.latents_of, ticking.latent = NEW, tuple(parse_model(DOCUMENT).latent.tolist())
+    ticking.turn()
+    assert ticking.node.model_of("r1") == NEW
+
+
+def test_a_model_that_was_dropped_is_learned_for_no_longer(driving_state: Any) -> None:
+    """Its estimate would cost as much as that of the model in force in every tick to come."""
+    ticking = Ticking(node_named("adaptation"), driving_state)
+    ticking.turn()
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    learned = ticking.node._robots["r1"].successor
+    assert learned is not None
+    assert learned[0].fingerprint == NEW
+    ticking.node.hear("r1", decision("drop"))
+    ticking.turn()
+    assert ticking.node._robots["r1"].successor is None

@@ -134,6 +134,34 @@ def test_a_margin_for_a_kind_that_no_barrier_has_is_refused_as_for_one_robot() -
     agree("car", given_, walls=False, epsilon={"mover": 0.3, "default": 0.0})
 
 
+@pytest.mark.parametrize(
+    ("margin", "fallbacks"),
+    [(True, 3), ("1.0", 3), (np.array([2.0, True, 2.0], dtype=object), 1), (1, 0), (np.ones(3), 0)],
+)
+def test_what_is_no_number_is_no_margin_even_where_as_one_it_would_be_kept(margin: Any, fallbacks: int) -> None:
+    """With obstacles a hundred metres away every wish keeps a margin of a metre."""
+    given_ = {**drawn(2, 3, 1, FILTERS["car"].model.latent), "obstacles": np.full((3, 1, 3), (100.0, 0.0, 0.2))}
+    given_["state"][:, 3] = 0.5
+    given_["wish"][:] = 0.5, 0.0
+    found = decided(FILTERS["car"], **given_, epsilon={"obstacle": margin, "speed": 0.0})
+    assert found.count(Status.fallback) == fallbacks
+    assert found.count(Status.passed) == 3 - fallbacks
+
+
+def test_what_is_predicted_comes_from_a_model_or_with_each_decision_and_not_from_both() -> None:
+    model = FILTERS["car"].model
+    given_ = drawn(0, 2, 1, model.latent)
+    barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
+    affine = np.zeros((2, 4)), np.zeros((2, 4, 2))
+    said = "affine: wanted f and g of each robot where the filter has no model, and nothing where it has"
+    with pytest.raises(InputError, match=said):
+        FILTERS["car"].decide(**given_, barriers=barriers, affine=affine)
+    without = BatchFilter(model.system)
+    with pytest.raises(InputError, match=said):
+        without.decide(**given_, barriers=barriers)
+    assert len(without.decide(**given_, barriers=barriers, affine=affine).status) == 2
+
+
 def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_reads_it() -> None:
     own = FunctionBarrier(lambda x: 1.0 - x[0], names=("x",))
     many, robots = BatchFilter(load_model("car").system, replace(FilterSettings(), epsilon={})), 3

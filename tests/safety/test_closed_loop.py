@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.dynamics import Setting, load_model
+from safedpa.dynamics import AbstractDynamics, Setting, load_model
 from safedpa.effects import effect
+from safedpa.errors import InputError
+from safedpa.safety import RolloutBarrier
 from safedpa.safety.closed_loop import ClosedLoop, fixed, prediction_of
 
 
@@ -39,3 +41,49 @@ def test_nobody_writes_into_what_the_next_one_sees(model: Any) -> None:
 def test_a_path_ends_where_nothing_moves() -> None:
     path = ClosedLoop(lambda x, a: np.maximum(x - 1.0, 0.0), [0.0]).path(np.array([2.0]), 50)
     assert [float(x[0]) for x in path] == [2.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("backup", [1.0, [[1.0]], [1.0, np.inf], [np.nan]], ids=str)
+def test_a_backup_that_is_one_action_is_a_vector_of_finite_numbers(backup: Any) -> None:
+    with pytest.raises(InputError, match=r"^backup: got .*, wanted \(actions,\) finite numbers"):
+        ClosedLoop(halved, backup)
+    with pytest.raises(InputError, match=r"^latent: got .*, wanted \(actions,\) finite numbers"):
+        ClosedLoop(halved, [1.0], latent=backup)
+
+
+def test_the_backup_of_a_rollout_is_the_one_along_which_it_looks() -> None:
+    def half(x: Any) -> Any:
+        return [0.5 * x[0]]
+
+    barrier = RolloutBarrier(lambda x, a: x - a, half, lambda x: x[0], 2)
+    assert barrier.backup(np.array([3.0])).tolist() == [1.5]
+    held = RolloutBarrier(lambda x, a: x - a, [0.25], lambda x: x[0], 2)
+    assert held.backup(np.array([3.0])).tolist() == [0.25]
+
+
+class Own(AbstractDynamics):
+    """A model of one's own: a car that stays where it is."""
+
+    def __init__(self, memory: Any) -> None:
+        self.system, self.period, self.latent_names = load_model("car").system, 0.05, ()
+        self._memory = memory
+
+    def initial_memory(self, action: Any, latent: Any = None) -> Any:
+        return self._memory
+
+    def advance(self, state: Any, action: Any, memory: Any, latent: Any = None, **_: Any) -> tuple[Any, Any]:
+        return state, memory
+
+    def affine(self, state: Any, latent: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
+        return state, np.zeros((4, 2))
+
+
+@pytest.mark.parametrize("memory", [None, (), (None,), ((), None), (np.empty(0), [])], ids=str)
+def test_a_model_of_ones_own_may_say_in_any_way_that_nothing_is_remembered(memory: Any) -> None:
+    assert prediction_of(Own(memory)).system is not None
+
+
+@pytest.mark.parametrize("memory", [(0.0,), (None, (1.0,)), (np.zeros(1),), ({"steer": 0.1},)], ids=str)
+def test_a_model_of_ones_own_whose_actuators_remember_is_refused(memory: Any) -> None:
+    with pytest.raises(InputError, match=r"^model: got one of 'car' whose actuators remember"):
+        prediction_of(Own(memory))

@@ -126,6 +126,31 @@ def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
     np.testing.assert_array_equal(seen[3], GOOD)
 
 
+@pytest.mark.parametrize("stale", [None, 5, "state", {"state": 1}], ids=repr)
+def test_where_nobody_can_say_what_is_stale_the_state_is_not_trusted(car: PhysicsModel, stale: Any) -> None:
+    safe = SafetyFilter.for_model(
+        car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=lambda state: [0.1, 0.0 if state is None else 0.3]
+    )
+    verdict = safe.decide(GOOD, WISH, stale=stale)
+    assert (verdict.status, verdict.reason) == (Status.fallback, "Reason: stale is no list of names.")
+    assert verdict.action.tolist() == [0.1, 0.0]
+    assert not verdict.known
+
+
+@pytest.mark.parametrize(
+    ("wish", "reason"), [(None, "wish is missing"), ([math.nan, 0.0], "wish holds NaN or infinity")], ids=repr
+)
+def test_without_a_wish_even_a_filter_that_is_switched_off_takes_the_backup(
+    car: PhysicsModel, wish: Any, reason: str
+) -> None:
+    off = replace(CAR, enabled=False)
+    safe = SafetyFilter.for_model(car, off, car_barriers(off, (0.08, 0.4, 0.12), []), backup=lambda _: [0.1, 0.2])
+    verdict = safe.decide(GOOD, wish)
+    assert (verdict.status, verdict.reason) == (Status.fallback, f"Reason: {reason}.")
+    assert verdict.action.tolist() == [0.1, 0.2]
+    assert verdict.known
+
+
 @pytest.mark.parametrize(
     "result", [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", None], ids=str
 )

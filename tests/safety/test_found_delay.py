@@ -241,3 +241,12 @@ def test_drives_behind_an_unknown_delay_are_corrected_and_end_well() -> None:
     assert found.collided == 0
     assert found.statuses["corrected"] > 0.08 * sum(found.statuses.values())
     assert found.least_h > -0.25, "without looking past it, -0.37"
+
+
+@pytest.mark.parametrize("broken", [1e200, -1e200])
+def test_a_number_whose_square_is_none_spoils_nothing_however_early_it_comes(broken: float) -> None:
+    """It is finite, and its square is not: a sum that is infinite once would stay so."""
+    periods = way(CAR, 4, 40, noise=1e-3)
+    for place in range(4):
+        now = (*periods[0].now[:place], broken, *periods[0].now[place + 1 :])
+        assert after([periods[0]._replace(now=now), *periods]).periods == 4

@@ -105,8 +105,11 @@ def test_other_action_spaces_are_refused() -> None:
     class Two(Cart):
         action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
+    class Unbounded(Cart):
+        action_space = gymnasium.spaces.Space((1,), np.float32)  # of one float, and without bounds
+
     safe = SafetyFilter(lambda x: (x, np.eye(1)), None, SETTINGS)
-    for env in (Keys(), Two()):
+    for env in (Keys(), Two(), Unbounded()):
         with pytest.raises(InputError, match=r"action space: got .*, wanted a Box of floats of shape \(1,\)"):
             GymnasiumSafetyFilter(env, safe)
 
@@ -184,6 +187,12 @@ def test_an_observation_that_is_no_state_needs_state_of() -> None:
     with pytest.raises(InputError, match=r"observation space: got Dict.*wanted a Box of one axis; give state_of"):
         GymnasiumSafetyFilter(Named(), filter_of())
     GymnasiumSafetyFilter(Named(), filter_of(), state_of=lambda seen: seen["x"])
+
+    class Picture(Cart):
+        observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2, 3))
+
+    with pytest.raises(InputError, match=r"observation space: got Box.*\(2, 3\).*wanted a Box of one axis"):
+        GymnasiumSafetyFilter(Picture(), filter_of())
 
 
 def many(count: int, **changes: Any) -> Any:

@@ -99,6 +99,20 @@ def test_calibration_covers_a_world_that_differs_from_the_model(car: PhysicsMode
     assert FilterSettings(epsilon=found.epsilon).epsilon == found.epsilon
 
 
+def test_a_fingerprint_that_is_given_is_kept_whatever_predicted(car: PhysicsModel) -> None:
+    """What the filter has in force is looked up by it: a model that was changed on the way must not give its own."""
+    one = np.zeros((1, 4)), np.zeros((1, 2)), np.zeros((1, 4))
+    barriers = [FunctionBarrier(lambda x: x[0])]
+    for model, given, kept in (
+        (car, "0123456789ab", "0123456789ab"),
+        (car, "", fingerprint(car)),
+        (Prediction.of_model(car), "0123456789ab", "0123456789ab"),
+        (Prediction.of_model(car), "", ""),
+    ):
+        found = calibrate_margin(model, barriers, *one, coverage=0.5, date="", model_fingerprint=given)
+        assert found.fingerprint == kept
+
+
 def test_errors_are_predicted_minus_measured_and_the_worst_of_the_kind() -> None:
     prediction = Prediction(lambda x: (x, np.eye(1)))
     parts = [FunctionBarrier(lambda x: [x[0], -x[0]], names=("a", "b"), kind="two"), FunctionBarrier(lambda x: x[0])]
@@ -140,6 +154,7 @@ def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None
         ({"actions": [[1.0]]}, "transitions: got shapes"),
         ({"next_states": [[1.0, 1.0]] * 3}, "transitions: got shapes"),
         ({"states": [1.0, 1.0, 1.0]}, "transitions: got shapes"),
+        ({"states": [0.0] * 3, "next_states": [0.0] * 3}, "transitions: got shapes"),
         ({"latents": [[1.0]]}, "latents: got shape"),
         ({"barriers": []}, "barriers: got none"),
         ({"coverage": 0.9}, "transitions: got 3, wanted at least 9"),

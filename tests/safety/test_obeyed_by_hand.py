@@ -8,13 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import CAR, LATE, driven, latent_at, state_at, told, verdict_of
+from tests.safety.node_steps import (
+    CAR,
+    LATE,
+    SETTINGS,
+    asked,
+    driven,
+    latent_at,
+    memory_of,
+    state_at,
+    told,
+    verdict_of,
+)
 
 from safedpa.bus import LatentMessage
 from safedpa.errors import InputError
 from safedpa.live.finding import History
 from safedpa.safety.drive_heights import DrivenTick, _go_on
 from safedpa.safety.filtered_robot import Decided, FilteredRobot
+from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.verdict import Status
 
 
@@ -92,6 +104,17 @@ def test_where_something_else_drove_they_remember_what_it_sent_behind_what_is_on
     assert flat(memory.memory) != flat(memory.expected_memory)
 
 
+def test_after_a_tick_of_which_nothing_could_be_remembered_the_watchdogs_action_is_where_it_begins() -> None:
+    """The first state told an action of another size: the filter falls back, and knows nothing of the actuators."""
+    node = SafetyFilterNode(LATE, SETTINGS)
+    first = state_at(0, applied=(0.1,))
+    verdict = asked(node, first, latent_at(first))
+    assert (verdict.status, verdict.predicted) == ("fallback", ())
+    second = state_at(1, applied=(0.25, -0.1), applied_by="watchdog")
+    asked(node, second, latent_at(second))
+    assert flat(memory_of(node).memory) == flat(LATE.initial_memory(np.array([0.25, -0.1])))
+
+
 @pytest.mark.parametrize("changed", [{"tick": 6}, {"tick": 4}, {"epoch": 2}], ids=str)
 def test_where_ticks_are_lost_they_remember_rest_at_what_is_applied(changed: dict[str, Any]) -> None:
     memory = driven(LATE, ticks=5)
@@ -129,6 +152,8 @@ PREDICTED = ((0.1, 0.0, 0.0, 0.5),)
     [
         ({}, PREDICTED, True),
         ({}, (), False),
+        ({"status": Status.corrected}, (), False),
+        ({"status": Status.relaxed}, (), False),
         ({"wish": None}, PREDICTED, False),
         ({"status": Status.stopped}, PREDICTED, False),
         ({"status": Status.corrected}, PREDICTED, True),

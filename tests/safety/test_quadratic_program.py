@@ -222,6 +222,14 @@ def test_a_condition_that_is_no_number_is_never_left_out() -> None:
         assert not (solution.solved and np.isfinite(solution.action).all())
 
 
+@pytest.mark.parametrize("slopes", [(1e308, 0.0), (-1e308, 0.0), (0.0, 1e308), (8e307, -8e307)])
+def test_a_row_that_reaches_further_than_numbers_do_is_not_reported_as_solved(slopes: tuple[float, float]) -> None:
+    """Each slope is a number, and so is its limit; over ranges that are two wide the row is none."""
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
+    solution = solved(program, np.array([slopes, [0.0, 1.0]]), np.array([0.5, 0.1]), np.zeros(2))
+    assert (solution.solved, solution.status) == (False, "numbers not finite")
+
+
 def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     solution = solved(program, np.array([[np.inf]]), np.array([0.5]), np.zeros(1))

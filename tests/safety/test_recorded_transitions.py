@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from safedpa.bus import LATENT as LATENTS
+from safedpa.bus import STATE as STATES
 from safedpa.bus import LatentMessage, StateMessage
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.topics import key_of
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.records import McapRecorder
 from safedpa.safety.drive_heights import DrivenTick
-from safedpa.safety.recorded import RecordedTransitions
+from safedpa.safety.recorded import RecordedTransitions, _drives, calibration_from_recordings
+from safedpa.safety.shipped import settings_named
 
 STAMP = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
 STATE = StateMessage(
@@ -55,3 +63,39 @@ def test_over_a_gap_there_is_no_transition() -> None:
 def test_where_none_is_left_it_says_so(ticks: list[DrivenTick]) -> None:
     with pytest.raises(InputError, match="no transition under an action of the filter with a latent"):
         RecordedTransitions([ticks])
+
+
+def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab") -> Path:
+    """State and latent of each (robot, epoch, tick), in this order; of tick 2 no latent was heard."""
+    with McapRecorder(path) as recorder:
+        for robot, epoch, number in told:
+            state = replace(tick(number).state, epoch=epoch)
+            latent = replace(LATENT, epoch=epoch, tick=number, values=(10.0 * number,), model=model)
+            recorder.write(key_of("fleet", robot, STATES), encode(state), number, number)
+            if number != 2:
+                recorder.write(key_of("fleet", robot, LATENTS), encode(latent), number, number)
+    return path
+
+
+def test_each_start_of_each_robot_is_a_drive_with_its_ticks_in_order(tmp_path: Path) -> None:
+    path = recorded(
+        tmp_path / "drive.mcap", ("b", 7, 1), ("a", 7, 2), ("a", 8, 0), ("b", 7, 0), ("a", 7, 3), ("a", 7, 1)
+    )
+    drives = [
+        [(one.state.epoch, one.state.tick, one.latent and one.latent.values) for one in ticks]
+        for ticks in _drives(path, "0123456789ab")
+    ]
+    assert drives == [
+        [(7, 1, (10.0,)), (7, 2, None), (7, 3, (30.0,))],
+        [(8, 0, (0.0,))],
+        [(7, 0, (0.0,)), (7, 1, (10.0,))],
+    ]
+
+
+def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
+    """They have the same numbers, and another meaning: a margin from them would be of neither model."""
+    path = recorded(tmp_path / "drive.mcap", ("a", 7, 0), ("a", 7, 1), model="ba9876543210")
+    with pytest.raises(
+        InputError, match=r"drive\.mcap: latents of model ba9876543210, wanted .*; drive with that model"
+    ):
+        calibration_from_recordings(load_model("car"), settings_named("car"), [path], 0.5, "2024-01-01")

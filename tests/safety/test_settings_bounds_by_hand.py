@@ -133,6 +133,7 @@ def test_what_is_done_when_nothing_can_be_computed_is_0_or_what_lies_nearest(
         ("slack_linear = 0.1", "slack_linear: no setting any more"),
         ("etta = 0.1", "etta: unknown key; .*eta"),
         ('system = "pendulum"', "action_low: got none for the system 'pendulum', wanted its bounds: the defaults are"),
+        ('system = "point"\nown_radius = 0.1', "^own_radius: unknown key"),
         ("clearance = nan", "clearance: got nan, wanted "),
         ("system = 1", "system: got 1, wanted the name of a system|action_low: got none for the system"),
     ],

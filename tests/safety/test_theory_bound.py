@@ -218,3 +218,11 @@ def test_without_a_coverage_the_largest_errors_count() -> None:
     assert (constants.f, constants.g, constants.remainder, constants.latent) == (0.3, 0.3, 0.3, 0.3)
     with pytest.raises(InputError, match="got 3 states"):
         error_constants(errors, {"f": (0.0, 0.0), "g": (0.0, 0.0)}, 0.9)
+
+
+def test_the_largest_slope_of_no_sample_is_not_known() -> None:
+    layers = [Layer(np.array([[2.0, -3.0]]), np.zeros(1))]
+    assert largest_slope(layers, np.zeros((1, 2)), [0]) == 2.0
+    assert largest_slope(layers, np.zeros((1, 2)), [0, 1]) == 3.0
+    with pytest.raises(InputError, match=r"^samples: got none, wanted at least one"):
+        largest_slope(layers, np.zeros((0, 2)), [0])

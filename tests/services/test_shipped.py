@@ -40,6 +40,18 @@ def test_unknown_names_list_what_ships() -> None:
         settings_named("cars")
 
 
+@pytest.mark.parametrize("ending", ["", ".toml"])
+def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_ships(
+    tmp_path: Path, ending: str
+) -> None:
+    """Whoever names a folder means a file of his own there, and not another one of the same name."""
+    stem = next(iter(shipped._shipped("named_margins")))
+    assert margin_for(load_model("car"), f"{stem}{ending}") is not None
+    for asked, name in ((settings_named, "car"), (lambda source: margin_for(load_model("car"), source), stem)):
+        with pytest.raises(InputError, match=rf"{name}{ending}: no such file, nor one that ships under that name"):
+            asked(str(tmp_path / f"{name}{ending}"))
+
+
 def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

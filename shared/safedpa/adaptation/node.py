@@ -182,7 +182,7 @@ class AdaptationNode(AbstractNode):
     def _teach_successor(self, robot: str, memory: _Memory) -> None:
         """The newest transition for the model that was offered, too."""
         held = self._versions.prepared(robot)
-        if held is None or memory.successor is None or memory.successor[0] is not held:
+        if memory.successor is None or memory.successor[0] is not held:
             memory.successor = None
         elif not memory.recent:
             memory.successor[1].forget_transient()

@@ -171,7 +171,7 @@ class BatchFilter:
             _check("latent", latent, (robots, len(self.model.latent_names)))
         if len(barriers) != robots:
             raise InputError(f"barriers: got those of {len(barriers)} robots, wanted {robots}")
-        if barriers.reads and barriers.reads != names[: len(barriers.reads)]:
+        if barriers.reads != names[: len(barriers.reads)]:
             raise InputError(
                 f"barriers: got those of {', '.join(barriers.reads)}, the model's states are {', '.join(names)}"
             )
@@ -259,7 +259,7 @@ class BatchFilter:
 
     def _alone(self, verdicts: ManyVerdicts, robot: int, asked: _Asked) -> None:
         own = None if asked.latent is None else asked.latent[robot]
-        epsilon = {kind: value[robot].item() for kind, value in asked.margins.items()}
+        epsilon = {kind: np.asarray(value[robot]).item() for kind, value in asked.margins.items()}
         around = asked.barriers.one(robot)
         self._turn = asked, robot
         try:

@@ -315,7 +315,7 @@ class FilteredRobot:
         One step, or the whole path where the tick is one of those that tell it.
         """
         model, steps = self.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
-        if len(state.values) != len(model.system.state):
+        if len(state.values) != len(model.system.state) or self.memory is None:  # no action in force was told yet
             return (), None
         if self.pending and self.pending.sent:
             known, action = None if latent is None else tuple(latent.tolist()), tuple(verdict.action.tolist())
