@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,13 @@ from safedpa_services.workbench import live_page, panel_fall, panel_path
 from safedpa_services.workbench.live_book import Mark, RobotBook
 from safedpa_services.workbench.live_link import Told
 from safedpa_services.workbench.live_page import LivePage
-from safedpa_services.workbench.live_panels import error_figure, evidence_figure, field_figure
+from safedpa_services.workbench.live_panels import (
+    driven_lines,
+    error_bars,
+    error_figure,
+    evidence_figure,
+    field_figure,
+)
 from safedpa_services.workbench.look import LIGHT
 
 NOW = 300.0
@@ -69,6 +76,39 @@ def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in
 def test_the_path_is_that_of_the_last_twenty_seconds(book):
     (trail,) = field_figure(book, LIGHT)["data"]
     assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
+
+
+@pytest.mark.parametrize(
+    ("errors", "before", "band", "bars"),
+    [
+        ([], None, 0.0, []),
+        ([0.4, 0.1], None, 0.0, [("now", "0.400", 100.0)]),
+        ([0.0, 0.1, 0.0], None, 0.0, [("now", "0.100", 100.0)]),
+        ([0.9] * 50 + [0.1, 0.3, 0.2, 0.1, 0.2], 0.8, 0.0, [("before", "0.800", 100.0), ("now", "0.200", 25.0)]),
+        ([0.2] * 9, 0.1, 0.4, [("before", "0.100", 25.0), ("now", "0.200", 50.0), ("end", "0.400", 100.0)]),
+    ],
+)
+def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_the_line(errors, before, band, bars):
+    """A finding comes each second. One of 55 seconds would still tell of what was before the change."""
+    book = RobotBook("r1", before=before, finding=SimpleNamespace(band=band))
+    book.errors.extend((float(at), error, 0.0, 0.0, 13.8) for at, error in enumerate(errors))
+    page = error_bars(book)
+    shown = re.findall(r"<span>(\w+)[^<]*</span><span class=.value.>([\d.]+)<.*?width:([\d.]+)%", page)
+    assert [(name, value, float(width)) for name, value, width in shown] == bars
+    change = {0.8: "−75 %", 0.1: "+100 %"}.get(before, "")
+    assert re.findall(r"[−+]\d+ %", page) == ([change] if change else [])
+
+
+def test_of_a_robot_that_was_not_heard_nothing_is_told_and_of_one_that_was_its_clock_goals_and_room():
+    book = RobotBook("r1")
+    assert driven_lines(book) == ""
+    book.state = SimpleNamespace(robot_time=41.6, goals_reached=3, collisions=1)
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", driven_lines(book))
+    assert rows == [("clock", "42 s"), ("goals reached", "3"), ("collisions", "1"), ("model in force", "unknown")]
+    book.verdict = SimpleNamespace(h_now=0.256, margin=0.0304)
+    book.finding = SimpleNamespace(model="0123456789abcdef", band=0.0)
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", driven_lines(book))
+    assert rows[3:] == [("model in force", "01234567"), ("room left h", "0.26"), ("margin", "0.030")]
 
 
 @pytest.mark.parametrize(("yaw", "turned"), [(0.0, 90.0), (np.pi / 2.0, 0.0), (np.pi, -90.0), (-np.pi / 4.0, 135.0)])
