@@ -1,0 +1,95 @@
+"""Numbers fitted without a fold, to first order: of a line that is exact, so least squares of the rest are the truth."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis.fit.least_squares import Fit
+from safedpa.diagnosis.fit.shooting import folds_of
+
+WINDOWS, FOLDS = 12, 3
+PATHS = ("viscous_drag.coefficient", "understeer.gradient")
+
+
+@pytest.fixture
+def made(plain: Any, with_effect: Any) -> Any:
+    """made(free, folds) -> (fit, shooting): at random, with slopes so large that no prior counts beside them."""
+
+    def make(free: tuple[bool, bool] = (True, True), folds: int = FOLDS) -> tuple[Fit, Any]:
+        random = np.random.default_rng(5)
+        model = with_effect(with_effect(plain, "viscous_drag", coefficient=0.5), "understeer", gradient=0.03)
+        columns = 1e3 * random.standard_normal((WINDOWS, 4, 2))
+        residual = random.standard_normal((WINDOWS, 4))
+        nothing = np.zeros(0)
+        fit = Fit(model, PATHS, -1.0, np.array([2.0, 0.5]), residual, columns, nothing, np.array(free),
+                  (nothing, nothing))  # fmt: skip
+        shooting = SimpleNamespace(
+            fold=np.arange(WINDOWS) % folds, windows=range(WINDOWS),
+            squares=lambda own: (own.reshape(WINDOWS, 2, 2) ** 2).sum(axis=1),
+        )  # fmt: skip
+        return fit, shooting
+
+    return make
+
+
+def least_squares(fit: Fit, shooting: Any, fold: int, free: tuple[bool, bool]) -> Any:
+    """What the numbers become where the windows of one fold are not there."""
+    rest = shooting.fold != fold
+    moved = np.zeros(2)
+    slopes = fit.columns[rest].reshape(-1, 2)[:, list(free)]
+    moved[list(free)] = np.linalg.lstsq(slopes, -fit.residual[rest].reshape(-1), rcond=None)[0]
+    return np.array([0.5, 0.03]) + moved
+
+
+@pytest.mark.parametrize("free", [(True, True), (True, False), (False, True), (False, False)])
+def test_without_a_fold_the_numbers_are_those_of_the_other_folds(made: Any, free: tuple[bool, bool]) -> None:
+    fit, shooting = made(free)
+    found = fit.without(shooting)
+    assert sorted(found) == list(range(FOLDS))
+    for fold, values in found.items():
+        assert values == pytest.approx(least_squares(fit, shooting, fold, free), rel=1e-6, abs=1e-9)
+    apart = [np.abs(found[0] - found[1])[number] > 1e-6 for number in range(2)]
+    assert apart == list(free), "what was left out shows, in what is free"
+
+
+def test_of_one_fold_nothing_is_left_out(made: Any) -> None:
+    fit, shooting = made(folds=1)
+    assert {fold: values.tolist() for fold, values in fit.without(shooting).items()} == {0: [0.5, 0.03]}
+
+
+def test_a_held_out_square_is_that_of_a_fit_that_did_not_see_the_window(made: Any) -> None:
+    fit, shooting = made()
+    wanted = np.empty((WINDOWS, 2))
+    for window in range(WINDOWS):
+        values = least_squares(fit, shooting, window % FOLDS, (True, True))
+        left = fit.residual[window] + fit.columns[window] @ (values - np.array([0.5, 0.03]))
+        wanted[window] = ((left.reshape(2, 2) * np.array([2.0, 0.5])) ** 2).sum(axis=0)  # in the states' units
+    assert fit.heldout_squares(shooting) == pytest.approx(wanted, rel=1e-5)
+
+
+def windows(*runs: tuple[int, float]) -> Any:
+    """Of each run so many windows of 1 s, one after the other, the first at so many s by its clock."""
+    many = sum(count for count, _ in runs)
+    clock = np.concatenate([first + np.arange(count + 1) for count, first in runs])
+    start = np.concatenate([np.arange(count) + sum(c + 1 for c, _ in runs[:at]) for at, (count, _) in enumerate(runs)])
+    own = SimpleNamespace(
+        names=tuple("abcdef"[: len(runs)]), run=np.repeat(np.arange(len(runs)), [count for count, _ in runs]),
+        clock=clock, start=start, end=start + 1,
+    )  # fmt: skip
+    return type("Windows", (), {**vars(own), "__len__": lambda _: many})()
+
+
+def test_three_runs_are_held_out_whole() -> None:
+    assert folds_of(windows((3, 0.0), (2, 5.0), (4, 0.0)), 5).tolist() == [0] * 3 + [1] * 2 + [2] * 4
+    assert folds_of(windows((1, 0.0), (1, 0.0), (1, 0.0), (2, 0.0)), 3).tolist() == [0, 1, 2, 0, 0]
+
+
+def test_of_one_or_two_runs_stretches_of_time_are_held_out_in_each_of_them() -> None:
+    """Ten seconds in five folds are two each; four seconds in two, two each, whatever the clock began with."""
+    assert folds_of(windows((10, 0.0)), 5).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert folds_of(windows((10, 100.0), (4, 7.0)), 2).tolist() == [0] * 5 + [1] * 5 + [0, 0, 1, 1]
+    assert folds_of(windows((4, 0.0), (10, 50.0)), 2).tolist() == [0, 0, 1, 1] + [0] * 5 + [1] * 5
