@@ -1,4 +1,4 @@
-"""Numbers fitted without a fold, to first order: of a line that is exact, so least squares of the rest are the truth."""
+"""Numbers fitted without a fold, to first order: where a residual is a line, least squares of the rest are the truth."""
 
 from __future__ import annotations
 
