@@ -13,8 +13,8 @@ import pytest
 
 from safedpa.bus import StateMessage, VerdictMessage
 from safedpa_services.dashboard.books import ResidualBook
-from safedpa_services.dashboard.pendulum import _arc
 from safedpa_services.dashboard.geometry import Pose
+from safedpa_services.dashboard.pendulum import _arc
 from safedpa_services.dashboard.world import _car
 
 

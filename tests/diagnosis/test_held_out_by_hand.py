@@ -1,4 +1,4 @@
-"""Numbers fitted without a fold, to first order: where a residual is a line, least squares of the rest are the truth."""
+"""Numbers fitted without a fold, to first order: where residuals are lines, least squares of the rest tell them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.fit.least_squares import Fit
-from safedpa.diagnosis.fit.shooting import folds_of
+from safedpa.diagnosis.fit.shooting import _counts, _robust, folds_of
 
 WINDOWS, FOLDS = 12, 3
 PATHS = ("viscous_drag.coefficient", "understeer.gradient")
@@ -93,3 +93,46 @@ def test_of_one_or_two_runs_stretches_of_time_are_held_out_in_each_of_them() -> 
     assert folds_of(windows((10, 0.0)), 5).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
     assert folds_of(windows((10, 100.0), (4, 7.0)), 2).tolist() == [0] * 5 + [1] * 5 + [0, 0, 1, 1]
     assert folds_of(windows((4, 0.0), (10, 50.0)), 2).tolist() == [0, 0, 1, 1] + [0] * 5 + [1] * 5
+
+
+def weights(pushes: dict[int, tuple[float, float]], *, short: tuple[int, ...] = (), unit: float = 1000.0) -> Any:
+    """Of 100 windows whose two states are off by one unit each, to one side or the other, all along; some by more."""
+    off = np.where(np.arange(100) % 2, 1.0, -1.0)[:, None] * np.ones(2)
+    for window, times in pushes.items():
+        off[window] *= times
+    residual = np.repeat((off * np.array([1.0, unit]))[:, None], 8, axis=1)
+    steps = np.where(np.isin(np.arange(100), short), 4, 8)
+    shooting: Any = SimpleNamespace(windows=SimpleNamespace(steps=steps), rows=np.arange(1, 9))
+    return _counts(shooting, residual)
+
+
+def test_a_window_that_was_pushed_hard_counts_by_the_inverse_square_of_how_far_it_is_off() -> None:
+    found = weights({10: (40.0, 40.0), 11: (80.0, 80.0), 13: (160.0, 160.0)})
+    assert np.ptp(found[10]) == 0.0
+    own = found[:, 0, 0]
+    assert (own[[0, 1, 2, 50, 99]] == 1.0).all()
+    assert 0.0 < own[13] < own[11] < own[10] < 1.0
+    assert own[10] / own[11] == pytest.approx(4.0)
+    assert own[10] / own[13] == pytest.approx(16.0)
+
+
+def test_each_state_is_weighed_in_its_own_unit_and_each_window_by_its_own_rows() -> None:
+    """A heading that is off by 40 of what is usual is as bad as a place that is."""
+    found = weights({20: (40.0, 1.0), 21: (1.0, 40.0), 30: (40.0, 40.0), 31: (40.0, 40.0)}, short=(31, 33))
+    own = found[:, 0, 0]
+    assert own[20] == pytest.approx(own[21])
+    assert own[20] < 1.0
+    assert own[30] == pytest.approx(own[31])
+    assert own[33] == 1.0
+    assert found[31, :, 0].tolist() == [own[31]] * 4 + [0.0] * 4, "rows behind a short window's end are none"
+
+
+def test_the_usual_residual_is_the_root_of_the_mean_square_of_all_but_the_largest_twentieth() -> None:
+    """Of 3 and 4 it is the root of 12.5; what stands beside a count of 0 is not there."""
+    residual = np.array([[3.0, 0.0], [-4.0, 0.0]] * 19 + [[900.0, 0.0], [-900.0, 0.0]]).reshape(40, 1, 2)
+    there = np.ones_like(residual)
+    found = _robust(residual, there)
+    assert found[0] == pytest.approx(12.5**0.5)
+    assert 0.0 < found[1] < 1e-6
+    residual[0], there[0] = 1e9, 0.0
+    assert _robust(residual, there)[0] == pytest.approx((466.0 / 37.0) ** 0.5)
