@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.fit.least_squares import Fit
+from safedpa.diagnosis.fit.least_squares import Fit, objectives
 from safedpa.diagnosis.fit.shooting import _counts, _robust, folds_of
 
 WINDOWS, FOLDS = 12, 3
@@ -136,3 +136,18 @@ def test_the_usual_residual_is_the_root_of_the_mean_square_of_all_but_the_larges
     assert 0.0 < found[1] < 1e-6
     residual[0], there[0] = 1e9, 0.0
     assert _robust(residual, there)[0] == pytest.approx((466.0 / 37.0) ** 0.5)
+
+
+def test_of_a_single_row_the_usual_residual_is_itself() -> None:
+    residual, there = np.array([[[3.0]], [[9.0]]]), np.array([[[1.0]], [[0.0]]])
+    assert _robust(residual, there) == pytest.approx([3.0])
+
+
+def test_the_objective_is_the_mean_logarithm_of_each_states_root_mean_square() -> None:
+    """Of 30 numbers with a mean square of 4, and 10 with one of 9: (30 log 2 + 10 log 3) / 40."""
+    squares = np.array([[120.0, 30.0], [90.0, 10.0]])  # of two models
+    elimination = SimpleNamespace(products=lambda own: own, squares=lambda own, _: own)
+    shooting: Any = SimpleNamespace(elimination=elimination, size=np.array([30.0, 10.0]))
+    found = objectives(squares, shooting, np.ones(2))
+    assert found[0] == pytest.approx((30.0 * np.log(2.0) + 10.0 * np.log(3.0)) / 40.0)
+    assert found[1] == pytest.approx(0.0)
