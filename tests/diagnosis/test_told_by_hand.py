@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis import diagnose, stepwise
-from safedpa.diagnosis.document import Value
+from safedpa.diagnosis.document import Unexplained, Value
 from safedpa.diagnosis.remains import remaining
 from safedpa.diagnosis.remains.weak_form import Selected
 from safedpa.diagnosis.search import closest, patch, second_opinion
+from safedpa.diagnosis.search import search as searching
 from safedpa.errors import InputError
 
 NUMBERS = {
@@ -211,3 +212,48 @@ def test_a_person_adds_the_candidate_that_he_names(monkeypatch: pytest.MonkeyPat
     step: Any = SimpleNamespace(search=None, heldout=None, error=None)
     stepwise.with_candidate(step, proposed, "lag")
     assert taken == [items[1].trial]
+
+
+@pytest.mark.parametrize(("enough", "wrong"), [(True, False), (False, True), (False, False)])
+def test_of_data_that_allow_no_verdict_nothing_is_explained(
+    monkeypatch: pytest.MonkeyPatch, *, enough: bool, wrong: bool
+) -> None:
+    """Where they are only too few, what would be nearest is told; where they are wrong, that as well would be."""
+    monkeypatch.setattr(diagnose, "formula_instead", lambda *_: None)
+    monkeypatch.setattr(diagnose, "remaining", lambda *_: "a formula")
+    monkeypatch.setattr(diagnose, "likely_effects", lambda _: [judged("drag"), judged("lag")])
+    monkeypatch.setattr(diagnose, "nearest_effects", lambda *_: ["nearest"])
+    search: Any = SimpleNamespace(current=None, shooting=None, patch=None)
+    judge: Any = SimpleNamespace(enough=enough, wrong=wrong, why_not="too little data")
+    names: Any = SimpleNamespace(library=[], heldout=None, found=[judged("lag")])
+    rest: Any = diagnose._rest_of(search, judge, names)
+    if enough:
+        assert rest.unexplained == "a formula"
+        assert [item.trial.effects for item in rest.likely] == [("lag",), ("drag",)], "each is named once"
+        return
+    assert rest.unexplained == Unexplained((), "too little data", 0.0)
+    assert rest.likely == ([] if wrong else ["nearest"])
+
+
+@pytest.mark.parametrize(("library", "laws", "rounds"), [((), True, 1), (("drag",), False, 1), (("drag",), True, 2)])
+def test_after_a_law_the_search_goes_round_once_more(
+    library: tuple[str, ...], rounds: int, monkeypatch: pytest.MonkeyPatch, *, laws: bool
+) -> None:
+    """A law may lay bare what it hid; without a library there is nothing to give a law to."""
+    did: list[str] = []
+    search = SimpleNamespace(
+        added=[], error=SimpleNamespace(value=0.1), current=SimpleNamespace(fit=None), shooting=None
+    )
+    monkeypatch.setattr(searching, "begun", lambda *_: search)
+    monkeypatch.setattr(searching, "_so_far", lambda _: "")
+    monkeypatch.setattr(searching, "_additions", lambda *_: did.append("additions"))
+    monkeypatch.setattr(searching, "_second_thoughts", lambda *_: did.append("second thoughts"))
+    monkeypatch.setattr(searching, "conditional", lambda *_: did.append("laws") or laws)
+    monkeypatch.setattr(searching, "with_final_numbers", lambda *_: ("final", "its error"))
+    monkeypatch.setattr(searching, "with_form_in_doubt", lambda final, _: final)
+    monkeypatch.setattr(searching, "replace", lambda _, fit: fit)
+    nobody: Any = None
+    found: Any = searching.searched(nobody, library, nobody, nobody)  # type: ignore[arg-type]
+    assert found.current == "final" or not library
+    once = ["additions", "second thoughts"]
+    assert did == [*once, *(["laws"] if library else []), *(once if rounds == 2 else [])]
