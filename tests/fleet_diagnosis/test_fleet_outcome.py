@@ -76,6 +76,15 @@ def test_a_pair_is_found_effect_by_effect():
     ]
 
 
+def test_what_was_rejected_again_later_does_not_speak_for_what_was_found():
+    """The candidate of a found effect is the one that was accepted, whatever was said of it afterwards."""
+    first = candidate(0, "payload", 6.0, "accepted", ("towed_load",), mass_ratio=(0.3, 0.01))
+    again = candidate(1, "payload", 0.4, "rejected", ("understeer",), mass_ratio=(0.2, 0.01))
+    numbers = [("payload.mass_ratio", 0.31, 0.005)]
+    found = outcome_of(RESULT, report(first, again, added=["payload"], parameters=numbers))
+    assert [(item.score, item.equals) for item in found.found] == [(6.0, ("towed_load",))]
+
+
 def test_without_a_report_there_is_a_status_and_a_reason():
     found = outcome_of(RESULT | {"status": "unreadable", "reason": "empty"}, None)
     assert (found.status, found.reason, found.judged) == ("unreadable", "empty", False)

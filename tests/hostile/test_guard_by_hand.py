@@ -31,13 +31,16 @@ class Page:
             self.seen.append(message)
             await send({"type": "http.response.start", "status": 200, "headers": [(b"x-frame-options", b"DENY")]})
 
-    def ask(self, body: tuple[bytes, ...] = (b"",), headers: tuple[tuple[bytes, bytes], ...] = (), **scope: Any) -> int:
+    def ask(
+        self, body: tuple[bytes | str, ...] = (b"",), headers: tuple[tuple[bytes, bytes], ...] = (), **scope: Any
+    ) -> int:
         """The status of the answer; 0 where there is none."""
         parts = list(body)
 
         async def receive() -> Any:
             if scope.get("type") == "websocket":
-                return {"type": "websocket.receive", "bytes": parts.pop(0)}
+                part = parts.pop(0)
+                return {"type": "websocket.receive", "text" if isinstance(part, str) else "bytes": part}
             return {"type": "http.request", "body": parts.pop(0), "more_body": bool(parts)}
 
         async def send(message: Any) -> None:
@@ -171,6 +174,37 @@ def test_of_a_socket_each_message_is_as_long_as_it_may_be(
     page = Page(monkeypatch)
     page.ask((bytes(limit("socket_bytes") + over),), (*COOKIE, (b"content-length", b"99999999999")), type="websocket")
     assert page.seen[-1]["type"] == kind
+
+
+@pytest.mark.parametrize("letter", ["a", "ä"])
+@pytest.mark.parametrize(("over", "kind"), [(0, "websocket.receive"), (1, "websocket.disconnect")])
+def test_words_on_a_socket_are_as_long_as_bytes_may_be(
+    letter: str, over: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A browser sends words, not bytes; what counts is what they take in UTF-8 (RFC 6455, 5.6)."""
+    page = Page(monkeypatch)
+    letters = limit("socket_bytes") // len(letter.encode()) + over
+    page.ask((letter * letters,), COOKIE, type="websocket")
+    assert page.seen[-1]["type"] == kind
+    assert page.events == ["page.refused"] * over
+
+
+@pytest.mark.parametrize("path", ["/", "/login"])
+def test_a_socket_is_no_form_for_a_password(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Page(monkeypatch, "sesame")
+    page.ask((b"password=sesame",), type="websocket", path=path)
+    assert [(message["type"], message.get("code")) for message in page.sent] == [("websocket.close", 1008)]
+
+
+@pytest.mark.parametrize(
+    ("client", "told"), [(("192.0.2.7", 40123), "192.0.2.7"), (("2001:db8::7", 1, 0, 0), "2001:db8::7"), (None, "?")]
+)
+def test_who_was_refused_is_told_by_his_address(client: Any, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever reads the log wants to know whom to lock out; of a pipe there is no address."""
+    page, sentences = Page(monkeypatch), list[str]()
+    monkeypatch.setattr(module, "log_event", lambda _kind, sentence, **_: sentences.append(sentence))
+    assert page.ask(client=client) == 401
+    assert [sentence.rpartition(" ")[2] for sentence in sentences] == [told]
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,23 @@ def test_counts_are_those_of_what_was_said(talked: Any) -> None:
     assert value(text, 'safedpa_message_age_seconds{robot="r1",topic="state"}') > 4.9
 
 
+@pytest.mark.parametrize(
+    ("seconds", "told", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
+)
+def test_a_process_that_was_ended_is_told_of_for_half_a_minute(
+    fleet: Any, seconds: float, told: int, works: int
+) -> None:
+    """Each start is a process of its own: a service that starts anew for a week must not leave a row for each."""
+    fleet.beat("router", pid=77, refused=3)
+    collector = FleetCollector(fleet.overview)
+    collector.listen(0.0)
+    fleet.now += seconds
+    text = exposed(collector)
+    assert text.count('safedpa_service_info{pid="77"') == told
+    assert text.count('safedpa_heartbeat_age_seconds{pid="77"') == told
+    assert value(text, 'safedpa_service_processes{service="router"}') == works
+
+
 def test_scraping_twice_counts_nothing_twice(talked: Any) -> None:
     collector = FleetCollector(talked.overview)
     collector.listen(0.0)

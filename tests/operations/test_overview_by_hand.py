@@ -12,6 +12,7 @@ from safedpa.bus.overview.fleet import FleetOverview
 from safedpa.bus.overview.recent import Recent
 from safedpa.bus.overview.service import ServiceOverview
 from safedpa.bus.wire.topics import HEALTH, STATE
+from safedpa_services.command_line.status import document_of
 
 
 def beat(steps: int = 0, stale: int = 0, sent: float = 0.0, **changes: Any) -> HealthMessage:
@@ -194,3 +195,27 @@ def test_for_one_robot_the_heartbeats_of_services_that_serve_none_are_heard_as_w
         bus.publish(HEALTH, robot, beat(service="s", pid=number), "s")
     fleet.listen(0.0)
     assert {number for _, number in fleet.services} == {0, 2}
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [
+        (None, (None, None)),  # a robot whose filter has not spoken yet
+        ({"coverage": -1.0, "promised": -1.0}, (None, None)),  # it is not watched
+        ({"coverage": 0.0, "promised": 0.0}, (0.0, 0.0)),
+        ({"coverage": 0.97, "promised": 0.99}, (0.97, 0.99)),
+        ({"coverage": -1.0, "promised": 0.99}, (None, 0.99)),
+    ],
+)
+def test_how_often_the_margin_holds_is_told_where_it_is_watched(
+    fleet: Any, told: dict[str, float] | None, shown: tuple[float | None, float | None]
+) -> None:
+    if told is None:
+        stamp = {"epoch": 7, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
+        fleet.bus.publish(STATE, "r1", StateMessage(**{**stamp, **_STATE, "period": 0.05}))
+    else:
+        fleet.tick("r1", state={}, verdict=told)
+    fleet.overview.listen(0.0)
+    (robot,) = document_of(fleet.overview)["robots"]
+    assert (robot["coverage"], robot["promised"]) == shown
+    assert (robot["verdict"], robot["h"]) == (("", None) if told is None else ("passed", robot["h"]))

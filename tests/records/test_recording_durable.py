@@ -7,10 +7,11 @@ import os
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, encode
+from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport, Received, encode
 from safedpa.bus.wire.setup import setup_message
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
@@ -118,3 +119,40 @@ def test_what_a_recorder_received_is_acknowledged_after_half_a_second(
     assert recorder.run(stopped) == 0
     assert sent[0] > 80
     assert max(waiting) <= 13, "half a second's, one turn's more, and the recorder's own words"
+
+
+@pytest.mark.parametrize(
+    ("number", "waits"), [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.EIO, False), (errno.EBADF, False)]
+)
+def test_only_a_full_disk_is_waited_for_and_a_broken_one_is_told(
+    number: int, waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is room all the time: whoever takes a broken disk for a full one promises to go on, and goes on writing."""
+    clock, broker = [100.0], MemoryBroker()
+    ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
+    health = ears.inbox((HEALTH,), keep_all=True)
+    recorder = Recorder(ears, tmp_path / "a.mcap", setup_message("recorder", {}))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=lambda _: None,
+                                                        time_ns=time.time_ns, time=time.time))  # fmt: skip
+    monkeypatch.setattr(module, "_free_bytes", lambda _: 2**40)
+    state = CarRobot(Scene.random(1, "none")).state_message()
+
+    def fails(_descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fails)
+        patch.setattr(recorder, "_go_on", lambda: None)
+        robot.publish(STATE, "r1", state)
+        recorder.turn(0.0)
+        recorder.sync()
+    told: list[Any] = [item.message for item in health.take(0.0) if isinstance(item, Received)]
+    assert told[-1].state == "failing"
+    assert ("goes on when" in told[-1].detail) is waits
+    for seconds in (0.5, 10.0):
+        clock[0] += seconds
+        recorder.sync()
+    told = [item.message for item in health.take(0.0) if isinstance(item, Received)]
+    assert told[-1].state == ("running" if waits else "failing"), "within ten seconds of there being room"
+    assert (tmp_path / "a-2.mcap").exists() is waits
+    recorder.run(lambda: True)  # closes what is open

@@ -6,18 +6,30 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from tests.ros.test_gateway_alone import ASKED, LIMITS, Link, Publisher, Quiet, Sense
 from tests.ros.test_gateway_senses import scan_of
 
-from safedpa.bus import HEALTH, STATE, WISH, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport, Received
+from safedpa.bus import (
+    HEALTH,
+    SCAN,
+    STATE,
+    WISH,
+    ActionMessage,
+    Bus,
+    HealthMessage,
+    MemoryBroker,
+    MemoryTransport,
+    Received,
+)
 from safedpa.robots.car.ros_face import CarFace
 from safedpa_services.ros_gateway import gateway as module
 from safedpa_services.ros_gateway.gateway import Gateway
 from safedpa_services.ros_gateway.overheard import Overheard
-from safedpa_services.ros_gateway.robot_file import Localisation
+from safedpa_services.ros_gateway.robot_file import Localisation, Scan
 from safedpa_services.ros_gateway.scanner import Scanner
 from safedpa_services.ros_gateway.senses import Senses
 from safedpa_services.ros_gateway.voice import Voice
@@ -176,6 +188,77 @@ def test_why_it_brakes_is_told_once_for_each_reason_and_that_it_drives_again_too
         "the filter drives", old[0], "no action of the filter came", "the filter drives",
     ]  # fmt: skip
     assert rig.gateway.watchdog_ticks == 3
+
+
+@pytest.mark.parametrize(
+    ("asked", "heard", "goal"),
+    [((), None, ()), ((3.0, 1.0), None, (3.0, 1.0)), ((3.0, 1.0), (), (3.0, 1.0)), ((3.0, 1.0), (0.0, 2.0), (0.0, 2.0)),
+     ((), (0.0, 2.0), (0.0, 2.0))],
+)  # fmt: skip
+def test_the_goal_is_that_of_the_file_until_people_say_another(
+    made: Made, asked: tuple[float, ...], heard: tuple[float, ...] | None, goal: tuple[float, ...]
+) -> None:
+    """Without one that was heard, a policy of this side would have no aim, though the robot's file names it."""
+    rig = made()
+    gateway = rig.gateway
+    gateway._asked = replace(gateway._asked, surroundings=replace(gateway._asked.surroundings, goal=asked))
+    said: Any = None if heard is None else Sense(heard)
+    gateway._senses = replace(gateway._senses, goal=said)
+    assert [message.goal for message in rig.turned() if type(message).__name__ == "StateMessage"] == [goal]
+
+
+@pytest.mark.parametrize(
+    ("arrived", "delay", "tick", "measured"),
+    [
+        (0.0, 0.0, 20, 1.0),
+        (-0.02, 0.0, 19, 0.98),
+        (-0.02, 0.05, 18, 0.93),
+        (-0.88, 0.05, 1, 0.07),
+        (-0.02, 2.0, None, None),  # before the first state
+        (+0.02, 0.0, 20, 1.0),  # after the newest odometry: told of the state that is sent now
+    ],
+)
+def test_a_scan_is_told_of_the_tick_and_the_time_at_which_it_was_measured(
+    made: Made, arrived: float, delay: float, tick: int | None, measured: float | None
+) -> None:
+    """Seen at 1 s by the robot's clock, 20 ticks: what was measured 70 ms before belongs to the 19th period."""
+    rig = made()
+    gateway, ear = rig.gateway, rig.ear.inbox((SCAN,), "r1")
+    gateway.tick = 20
+    turn = SimpleNamespace(
+        arrived=rig.now[0] + arrived, first_angle=0.0, angle_step=0.1, ranges=(1.0, 2.0), nearest=0.1, farthest=9.0
+    )
+    gateway._asked = replace(gateway._asked, scans=(Scan("/scan", delay=delay),))
+    scanner: Any = SimpleNamespace(taken=lambda: [turn], refused=0, why="")
+    gateway._senses = replace(gateway._senses, scanners=(scanner,))
+    gateway._publish_scans(0.0)
+    heard: list[Any] = [item.message for item in ear.take(0.0) if isinstance(item, Received)]
+    assert [message.tick for message in heard] == ([] if tick is None else [tick])
+    assert [message.robot_time for message in heard] == ([] if measured is None else [pytest.approx(measured)])
+    assert all((message.ranges, message.number) == ((1.0, 2.0), 1) for message in heard)
+
+
+@pytest.mark.parametrize("form", ["rmw_zenoh", "bridge"])
+@pytest.mark.parametrize("announced", [True, False])
+@pytest.mark.parametrize("overheard", [True, False])
+def test_it_brakes_while_anybody_else_commands_whether_he_is_announced_or_only_heard(
+    made: Made, form: str, announced: bool, overheard: bool
+) -> None:
+    """A bridge tells of no publishers; who is in the graph is named, whoever is heard besides."""
+    rig = made()
+    link: Any = SimpleNamespace(form=form, watched=lambda *_: [SimpleNamespace(node="/joystick")] * announced)
+    rig.gateway._link = link
+    if overheard:
+        rig.driver.take(b"")
+    named, heard = announced and form == "rmw_zenoh", overheard
+    states = kinds(rig.turned())
+    assert states == (set() if named or heard else {"StateMessage"})
+    why = rig.gateway.why
+    assert why.startswith("/joystick publishes on /drive too") is named
+    assert why.startswith("somebody who shows no token") is (heard and not named)
+    assert rig.drive.sent[-1] == (0.0, 0.0)
+    rig.now[0] += 2.0
+    assert (kinds(rig.turned()) == {"StateMessage"}) is not named, "who fell silent is gone"
 
 
 @pytest.mark.parametrize(("sent", "kept"), [(1, 1), (8, 8), (9, 8), (40, 8)])

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from safedpa.bus import Answer
-from safedpa_services.workbench import live_page, panel_fall, panel_path
+from safedpa_services.workbench import live_page, page, panel_fall, panel_path, panel_where, rerun_view
 from safedpa_services.workbench.live_book import Mark, RobotBook
 from safedpa_services.workbench.live_link import Told
 from safedpa_services.workbench.live_page import LivePage
-from safedpa_services.workbench.live_panels import error_figure, evidence_figure, field_figure
+from safedpa_services.workbench.live_panels import (
+    driven_lines,
+    error_bars,
+    error_figure,
+    evidence_figure,
+    field_figure,
+)
 from safedpa_services.workbench.look import LIGHT
 
 NOW = 300.0
@@ -71,6 +78,39 @@ def test_the_path_is_that_of_the_last_twenty_seconds(book):
     assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
 
 
+@pytest.mark.parametrize(
+    ("errors", "before", "band", "bars"),
+    [
+        ([], None, 0.0, []),
+        ([0.4, 0.1], None, 0.0, [("now", "0.400", 100.0)]),
+        ([0.0, 0.1, 0.0], None, 0.0, [("now", "0.100", 100.0)]),
+        ([0.9] * 50 + [0.1, 0.3, 0.2, 0.1, 0.2], 0.8, 0.0, [("before", "0.800", 100.0), ("now", "0.200", 25.0)]),
+        ([0.2] * 9, 0.1, 0.4, [("before", "0.100", 25.0), ("now", "0.200", 50.0), ("end", "0.400", 100.0)]),
+    ],
+)
+def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_the_line(errors, before, band, bars):
+    """A finding comes each second. One of 55 seconds would still tell of what was before the change."""
+    book = RobotBook("r1", before=before, finding=SimpleNamespace(band=band))
+    book.errors.extend((float(at), error, 0.0, 0.0, 13.8) for at, error in enumerate(errors))
+    page = error_bars(book)
+    shown = re.findall(r"<span>(\w+)[^<]*</span><span class=.value.>([\d.]+)<.*?width:([\d.]+)%", page)
+    assert [(name, value, float(width)) for name, value, width in shown] == bars
+    change = {0.8: "−75 %", 0.1: "+100 %"}.get(before, "")
+    assert re.findall(r"[−+]\d+ %", page) == ([change] if change else [])
+
+
+def test_of_a_robot_that_was_not_heard_nothing_is_told_and_of_one_that_was_its_clock_goals_and_room():
+    book = RobotBook("r1")
+    assert driven_lines(book) == ""
+    book.state = SimpleNamespace(robot_time=41.6, goals_reached=3, collisions=1)
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", driven_lines(book))
+    assert rows == [("clock", "42 s"), ("goals reached", "3"), ("collisions", "1"), ("model in force", "unknown")]
+    book.verdict = SimpleNamespace(h_now=0.256, margin=0.0304)
+    book.finding = SimpleNamespace(model="0123456789abcdef", band=0.0)
+    rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", driven_lines(book))
+    assert rows[3:] == [("model in force", "01234567"), ("room left h", "0.26"), ("margin", "0.030")]
+
+
 @pytest.mark.parametrize(("yaw", "turned"), [(0.0, 90.0), (np.pi / 2.0, 0.0), (np.pi, -90.0), (-np.pi / 4.0, 135.0)])
 def test_the_robot_points_where_it_heads(book, yaw, turned):
     """A triangle points up; Plotly turns it clockwise, by degrees."""
@@ -108,6 +148,63 @@ def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):
     low, high = heights[1]["range"]
     assert low < 0.0
     assert high > 4.5
+
+
+def test_the_figure_along_time_bears_few_numbers_and_its_line_is_broken_between_stretches():
+    windows = SimpleNamespace(
+        names=("a", "b"), run=np.array([0, 0, 0, 1]), begin=np.array([0, 0, 2, 3]), start=np.arange(4),
+        end=np.arange(1, 5), time=np.array([0.0, 1.0, 5.0, 0.0, 1.0]),
+    )  # fmt: skip
+    comparison = SimpleNamespace(windows=windows, window_errors=np.array([0.1, 0.2, 0.3, 0.4]))
+    version = SimpleNamespace(comparison=comparison, label="given model")
+    session = SimpleNamespace(comparison=comparison, versions=[version], looked_at=version, mask=None, start=2)
+    figure = panel_where.time_figure(session, LIGHT)
+    (line,) = figure["data"]
+    drawn = [None if value is None or np.isnan(value) else value for value in line["y"]]
+    assert drawn == [0.1, 0.2, None, 0.3, None, 0.4]
+    assert 2 <= figure["layout"]["yaxis"]["nticks"] <= 6
+
+
+@pytest.mark.parametrize(("first", "kept"), [(0, range(0, 21)), (5, range(5, 26)), (28, range(28, 30))])
+def test_a_view_of_a_run_is_twenty_seconds_of_it(first, kept):
+    """Windows of 1 s, one after the other; the stretch is 30 s long, and another one follows."""
+    count = 40
+    windows = SimpleNamespace(
+        begin=np.array([0] * 30 + [30] * 10), run=np.zeros(count, int), start=10 * np.arange(count),
+        end=10 * np.arange(1, count + 1), time=0.1 * np.arange(10 * count + 1), select=lambda rows: rows.tolist(),
+    )  # fmt: skip
+    many = type("Windows", (), {**windows.__dict__, "__len__": lambda _: count, "select": staticmethod(windows.select)})
+    session = SimpleNamespace(comparison=SimpleNamespace(windows=many()), start=first)
+    assert rerun_view._from_start(session) == list(kept)
+
+
+@pytest.mark.parametrize("where", ["page", "live"])
+def test_a_trouble_covers_the_page_for_no_longer_than_ten_seconds(where, monkeypatch, finished):
+    said = []
+    notify = SimpleNamespace(notify=lambda text, **how: said.append((text, how)))
+    if where == "page":
+        monkeypatch.setattr(page, "ui", notify)
+        made = object.__new__(page.Page)
+        bench = SimpleNamespace(trouble="the worker was ended: start it again", session=object())
+        made.__dict__ |= {"_bench": bench, "_verdict": _Anything()}
+        made._trouble()
+    else:
+        monkeypatch.setattr(live_page, "ui", notify)
+        answer = Answer(ok=True, sentence="change 1 was refused: the filter cannot have it", candidates=("drag",))
+
+        async def ask(_robot, _request):
+            return Told(answer, answer.sentence)
+
+        book = RobotBook("r1")
+        book.found = 1.0
+        made = object.__new__(LivePage)
+        made.__dict__ |= {
+            "_robot": "r1", "_asking": False, "_pending": "change 1", "_candidates": _Anything(), "_back": _Anything(),
+            "_link": SimpleNamespace(ask=ask, book=SimpleNamespace(robots={"r1": book})), "_told": "", "_earlier": 0,
+        }  # fmt: skip
+        finished(made.ask_status())
+    ((text, how),) = said
+    assert 1000.0 * len(text) / 15.0 <= how["timeout"] <= 10_000
 
 
 @pytest.mark.parametrize(

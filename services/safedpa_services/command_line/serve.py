@@ -154,6 +154,6 @@ class _Sayings:
         detail = known[0].detail if known is not None else ""
         state = self._watch.state
         now = "" if known is None and state is None else (detail[:40] or "drives")
-        if now and now != self._said:
+        if now != self._said:
             self._said = now
             tell(f"robot {self._watch.robot}: {detail or 'the filter drives'}")

@@ -118,8 +118,7 @@ class Recorder:
         try:
             work(self._file)
         except RecordingError as error:
-            cause = error.__cause__
-            self._is_full = isinstance(cause, OSError) and cause.errno in _FULL
+            self._is_full = getattr(error.__cause__, "errno", None) in _FULL
             self._kept += self._file.acknowledged
             self._error, self._file = str(error), None
             log_event("recorder.failed", self._error, level="error", service="recorder", written=self._written)

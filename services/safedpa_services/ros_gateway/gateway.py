@@ -186,7 +186,7 @@ class Gateway:
                 self._scans += 1
                 message = ScanMessage(
                     epoch=self.epoch,
-                    tick=min(int(measured / self.period), self.tick),
+                    tick=int(measured / self.period),
                     robot_time=measured,
                     publish_time=time.time(),
                     source=asked.name,
@@ -231,7 +231,7 @@ class Gateway:
         self._applied, self._applied_by = (self._braking()[0], "watchdog") if action is None else (action, "filter")
         if action is None:
             self.watchdog_ticks += 1
-        if why != self.why and (not why or not self.why or why[:16] != self.why[:16]):
+        if why[:16] != self.why[:16]:  # the same reason with another number is no news
             kind, level = ("robot.brakes", "warning") if why else ("robot.drives", "info")
             sentence = f"the gateway brakes: {why}" if why else "the filter drives"
             log_event(kind, sentence, level=level, robot=self._name, tick=self.tick, service="robot")

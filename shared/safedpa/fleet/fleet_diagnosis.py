@@ -236,7 +236,7 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
 
 def _refuse_given(model: Path, out: Path) -> None:
     """The mended model must not take the place of the given one."""
-    if model.exists() and model.resolve() == (out / "model.toml").resolve():
+    if model.resolve() == (out / "model.toml").resolve():
         raise InputError(
             f"--out {out}: got the given model's own folder; choose another one, model.toml is written there"
         )

@@ -83,8 +83,7 @@ def _grid(parameter: Parameter, beside: int) -> list[float]:
         found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
     else:
         found = [part * typical for part in (0.4, 0.6, 0.75, 0.9, 1.0, 1.1, 1.3)]
-    kept = [value for value in found if parameter.low <= value <= parameter.high]
-    return kept or [parameter.start]
+    return [value for value in found if parameter.low <= value <= parameter.high]  # an ordinary part always is
 
 
 def with_start(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
