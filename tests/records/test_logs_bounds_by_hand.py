@@ -247,6 +247,8 @@ def test_after_a_failure_a_recorder_says_it_again_and_once_closed_that_it_is(
             again()
     assert (recorder.written, recorder.acknowledged) == (2, 1)
     recorder.close()  # does nothing
+    with pytest.raises(RecordingError, match="the recording stopped after"):
+        recorder.sync()
     closed = McapRecorder(tmp_path / "b.mcap")
     closed.write(key_of("fleet", "car1", STATE), encode(state(0)), 0, 0)
     closed.close()
