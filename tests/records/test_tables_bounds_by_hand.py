@@ -47,6 +47,16 @@ def written(folder: Path, text: str | bytes) -> Path:
         pytest.param(
             "t,x\n2026-11-27 10:00,1\n3,4\n", "column 't': got '2026-11-27 10:00', .*; write it as seconds", id="a date"
         ),
+        pytest.param("t,x\n0,a\n1,2", "line 2, column 'x': got 'a', wanted a number", id="a word and no end of line"),
+        pytest.param("t,x\n0,1\n1,a\n", "line 3, column 'x': got 'a', wanted a number", id="a word in the last line"),
+        pytest.param(
+            't,x,note\n0,1,a\n1,2,"left\n\n2,3,b\n3,4,c\n',
+            "line 3: a quotation mark opens there",
+            id="a blank line in it",
+        ),
+        pytest.param(
+            't,x,note\n0,1,a\n1,2,"left\n2,3\n3,4,c\n', "line 3: a quotation mark opens there", id="a short line in it"
+        ),
         pytest.param(
             "t,x\n0,05,1,25\n0,10,1,5\n0,15,2,0\n", "rows have twice as many cells as the header's 2", id="twice"
         ),
@@ -69,6 +79,9 @@ def test_a_table_that_cannot_be_used_is_refused_with_its_place(text: str | bytes
         pytest.param("t,x\n0,1\n1,2,3\n2,3\n", [1.0, 3.0], ["malformed_line"], id="a cell too many"),
         pytest.param("# a\n# b\nt,x\n0,1\n", [1.0], ["comment_lines"], id="comments before"),
         pytest.param("t;x\n0,5;1,5\n", [1.5], ["decimal_comma"], id="decimal commas"),
+        pytest.param("t;x\n0,5;1,5\n1,5;a", [1.5], ["decimal_comma", "malformed_line"], id="commas, cut off"),
+        pytest.param('note,t,x\n"one\ntwo",0,1\nb,1,2\n', [1.0, 2.0], [], id="a note of two lines before the numbers"),
+        pytest.param('# a,"b\nt,x\n\n0,1\n1,2\n', [1.0, 2.0], ["comment_lines"], id="a quotation mark in a comment"),
         pytest.param("t\tx\n0.5\t1.5\n", [1.5], [], id="tabs"),
         pytest.param("t;x\n0.5;1.5\n", [1.5], [], id="semicolons, points"),
         pytest.param("t,x,note\n0,1,a\n1,2,b\n", [1.0, 2.0], [], id="a column of words beside"),
