@@ -16,9 +16,11 @@ from tests.records.test_ros1_bag_bounds_by_hand import connection, message
 
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
-from safedpa.records.bags import topic_log
+from safedpa.records.bags import read_log_table, topic_log
 from safedpa.records.bags.folder_bag import PackedBag
 from safedpa.records.bags.sqlite_bag import SqliteBag
+from safedpa.records.column_map import native_map
+from safedpa.robots.car.system import CAR
 
 TOPICS = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
 MESSAGES = "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)"
@@ -144,3 +146,18 @@ def test_fields_of_topics_are_listed_as_far_as_all_their_definitions_may_be_long
     assert [name for name, topic in found.items() if "definitions_letters" in topic.problem] == [
         name for name in ("/a", "/a2", "/b") if name not in listed
     ]
+
+
+def test_a_topic_without_messages_and_one_that_is_not_there_are_told(tmp_path: Path) -> None:
+    log = SqliteBag(written(tmp_path / "a.db3", (1, 5, encoded(0.5))))
+    assert log.topic("/a").count == 1
+    with pytest.raises(RunError, match="topic '/b' has no message; record it, or leave it out of the map"):
+        log.series({"/a": ("data",), "/b": ("data",)})
+    with pytest.raises(RunError, match="topic '/c' is not there; "):
+        log.series({"/c": ("data",)})
+
+
+def test_columns_of_a_table_are_none_of_a_log_of_topics(tmp_path: Path) -> None:
+    log = SqliteBag(written(tmp_path / "a.db3", (1, 5, encoded(0.5))))
+    with pytest.raises(RunError, match="is a rosbag2 in SQLite, and the map's column 't' names no topic; wanted"):
+        read_log_table(log, native_map(CAR), CAR)
