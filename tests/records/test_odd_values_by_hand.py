@@ -8,6 +8,7 @@ from tests.records.test_quality import car_rows
 
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
+from safedpa.records.sentences import finding
 from safedpa.records.values import _counted, degrees_for_radians, other_units, out_of_bounds
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
@@ -92,3 +93,12 @@ def test_an_angle_that_nobody_commanded_is_not_judged() -> None:
     rows.actions[:, 1] = np.nan
     bad, findings = degrees_for_radians(rows, CAR)
     assert (bad.any(), findings) == (False, [])
+
+
+@pytest.mark.parametrize(
+    ("start", "done", "said"),
+    [(None, "", "2 rows"), (12.3456, "", "2 rows, first at t = 12.346 s"), (float("nan"), "", "2 rows"),
+     (float("inf"), "cut out", "2 rows; cut out"), (0.0, "cut out", "2 rows, first at t = 0.000 s; cut out")],
+)  # fmt: skip
+def test_when_something_was_first_is_told_where_it_is_known(start: float | None, done: str, said: str) -> None:
+    assert finding("kind", "2 rows", 2, start, done).message == said
