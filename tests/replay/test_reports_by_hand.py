@@ -250,6 +250,20 @@ def test_the_document_of_another_filter_has_each_field_once() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("at", range(3))
+def test_each_status_is_counted_as_it_was_and_as_it_would_have_been(at: int) -> None:
+    decisions = decided([(0.9, 0.8, 0.7, 0.6)] * 3, status="relaxed")
+    decisions[at] = replace(decisions[at], then=replace(decisions[at].then, status="corrected"))
+    summary = summary_of(decisions)
+    assert (summary.ticks, summary.status_then, summary.status_now) == (
+        3, {"passed": 2, "corrected": 1}, {"relaxed": 3},
+    )  # fmt: skip
+    said = [line.split() for line in what_if_lines(summary, decisions, "eta 0.1") if " then  " in line]
+    assert said == [
+        ["corrected", "then", "1", "now", "0"], ["passed", "then", "2", "now", "0"], ["relaxed", "then", "0", "now", "3"]
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(("count", "more"), [(10, False), (11, True)])
 def test_ten_decisions_are_told_and_how_many_more_there_are(count: int, more: bool) -> None:
     decisions = decided([(0.9, 0.8, 0.7, 0.6)] * count, status="corrected")
