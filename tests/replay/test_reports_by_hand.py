@@ -260,7 +260,8 @@ def test_each_status_is_counted_as_it_was_and_as_it_would_have_been(at: int) -> 
     )  # fmt: skip
     said = [line.split() for line in what_if_lines(summary, decisions, "eta 0.1") if " then  " in line]
     assert said == [
-        ["corrected", "then", "1", "now", "0"], ["passed", "then", "2", "now", "0"], ["relaxed", "then", "0", "now", "3"]
+        ["corrected", "then", "1", "now", "0"], ["passed", "then", "2", "now", "0"],
+        ["relaxed", "then", "0", "now", "3"],
     ]  # fmt: skip
 
 
