@@ -111,6 +111,12 @@ HEAD = [described("speed"), subscribed("speed", 7)]
     [
         pytest.param([], "the flight log holds no message; name another one", id="nothing"),
         pytest.param([described("speed")], "the flight log holds no message; name another one", id="only described"),
+        pytest.param(HEAD, "the flight log holds no message; name another one", id="only subscribed"),
+        pytest.param(
+            [message("B", bytes(8) + b"\x02" + bytes(31)), *HEAD, *ROWS],
+            "is a damaged PX4 flight log",
+            id="of another format",
+        ),
         pytest.param([message("Z", b"x"), *HEAD, *ROWS], "is a damaged PX4 flight log; fetch it", id="unknown first"),
         pytest.param([described("speed")[:-3]], "is a damaged PX4 flight log; fetch it", id="cut off in a description"),
     ],
