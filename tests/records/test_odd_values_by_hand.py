@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.records.test_quality import car_rows
 
-from safedpa.records.apply_map import Rows
-from safedpa.records.column_map import native_map
+from safedpa.records.apply_map import Rows, mapped_rows
+from safedpa.records.column_map import TrackedPoint, native_map
 from safedpa.records.sentences import finding
+from safedpa.records.table import Table
 from safedpa.records.values import _counted, degrees_for_radians, other_units, out_of_bounds
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
@@ -102,3 +105,10 @@ def test_an_angle_that_nobody_commanded_is_not_judged() -> None:
 )  # fmt: skip
 def test_when_something_was_first_is_told_where_it_is_known(start: float | None, done: str, said: str) -> None:
     assert finding("kind", "2 rows", 2, start, done).message == said
+
+
+def test_a_tracked_point_of_no_row_is_nowhere() -> None:
+    """The name of what is then wrong is told by whoever looks at the rows."""
+    columns = replace(native_map(CAR), tracked_point=TrackedPoint(ahead=0.1))
+    rows = mapped_rows(Table({name: np.empty(0) for name in columns.sources}, ()), columns, CAR)
+    assert (len(rows.t), rows.actions.shape) == (0, (0, 2))

@@ -231,3 +231,15 @@ def test_a_parquet_file_may_not_become_far_more_than_it_is(tmp_path: Path, monke
     monkeypatch.setenv("SAFEDPA_LIMITS", "expansion=1,expansion_free_bytes=700000")
     with pytest.raises(LimitError, match=r"expansion"):
         read_parquet_table(path, ("t",))
+
+
+def test_a_parquet_file_that_says_to_have_less_than_no_rows_is_refused(tmp_path: Path) -> None:
+    """3 is written as 6 and -3 as 5, behind the mark of the field: what is counted from it would pass any limit."""
+    path = parquet_file(tmp_path, t=[0.0, 1.0, 2.0], x=[1.0, 2.0, 3.0])
+    content = path.read_bytes()
+    footer = len(content) - 8 - struct.unpack("<I", content[-8:-4])[0]
+    at = content.index(b"\x16\x06", footer)
+    path.write_bytes(content[: at + 1] + b"\x05" + content[at + 2 :])
+    assert parquet.read_metadata(path).num_rows == -3
+    with pytest.raises(LimitError, match=r"expansion"):
+        read_parquet_table(path, ("t", "x"))
