@@ -80,3 +80,26 @@ def test_a_message_without_its_head_is_damage_also_where_another_record_follows(
     assert read(mcap(tmp_path, chunk(MESSAGE + headless + MESSAGE), FOOTER), validate=False) == -1
     whole = entry(5, MESSAGE[9:31])
     assert read(mcap(tmp_path, chunk(MESSAGE + whole + MESSAGE), FOOTER), validate=False) == 3
+
+
+@pytest.mark.parametrize(("longer", "messages"), [(0, 1), (1, -1)])
+def test_a_message_is_read_whole_or_not_at_all(
+    longer: int, messages: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is longer than a record may be is not given shortened to what may be read at once."""
+    monkeypatch.setenv("SAFEDPA_LIMITS", "mcap_record_bytes=1000")
+    data = b"x" * (1000 - 22 + longer)
+    path = mcap(tmp_path, entry(5, MESSAGE[9:31] + data), FOOTER)
+    assert read(path, validate=False) == messages
+    if messages == 1:
+        (message,) = records_of(path, validate=False)
+        assert message.data == data
+
+
+@pytest.mark.parametrize(("private", "messages"), [(10_000, 2), (10_001, -1)])
+def test_a_chunk_has_ten_thousand_records_that_nobody_knows_at_most(
+    private: int, messages: int, tmp_path: Path
+) -> None:
+    """Nine bytes each: a small file could keep a reader busy for long."""
+    inside = MESSAGE + entry(0x80, b"") * private + MESSAGE
+    assert read(mcap(tmp_path, chunk(inside), FOOTER), validate=False) == messages

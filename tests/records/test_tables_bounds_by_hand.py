@@ -80,6 +80,10 @@ def test_a_table_that_cannot_be_used_is_refused_with_its_place(text: str | bytes
         pytest.param("# a\n# b\nt,x\n0,1\n", [1.0], ["comment_lines"], id="comments before"),
         pytest.param("t;x\n0,5;1,5\n", [1.5], ["decimal_comma"], id="decimal commas"),
         pytest.param("t;x\n0,5;1,5\n1,5;a", [1.5], ["decimal_comma", "malformed_line"], id="commas, cut off"),
+        pytest.param("t,x\n0,1.5\n1,a", [1.5], ["malformed_line"], id="points, cut off"),
+        pytest.param("# t,x\n0,1\n", [1.0], [], id="the header is a comment"),
+        pytest.param("Drive of May 3\nt,x\n0,1\n", [1.0], ["comment_lines"], id="a title before the header"),
+        pytest.param('t,x,note\n0,1,"one\ntwo\nthree"\n1,2,b\n', [1.0, 2.0], [], id="a note of three lines"),
         pytest.param('note,t,x\n"one\ntwo",0,1\nb,1,2\n', [1.0, 2.0], [], id="a note of two lines before the numbers"),
         pytest.param('# a,"b\nt,x\n\n0,1\n1,2\n', [1.0, 2.0], ["comment_lines"], id="a quotation mark in a comment"),
         pytest.param("t\tx\n0.5\t1.5\n", [1.5], [], id="tabs"),
@@ -95,6 +99,18 @@ def test_a_table_just_within_is_read_and_what_was_odd_is_told(
     found = read_csv_table(written(tmp_path, text), ("t", "x"))
     assert found.columns["x"].tolist() == x
     assert [one.kind for one in found.findings] == kinds
+
+
+@pytest.mark.parametrize(("cell", "x"), [("1,5", 1.5), ("7", 7.0), ("1.5", None), ("1.234,5", None)])
+def test_a_point_far_below_decimal_commas_may_separate_thousands(cell: str, x: float | None, tmp_path: Path) -> None:
+    """The mark is told from the first sixty lines; a last line that is cut off makes the reader look at each cell."""
+    rows = "".join(f"{row},5;{row},25\n" for row in range(70))
+    path = written(tmp_path, f"t;x\n{rows}70,5;{cell}\n71,5;a")
+    if x is None:
+        with pytest.raises(RunError, match=f"line 72, column 'x': got '{cell}', wanted a number with a decimal comma"):
+            read_csv_table(path, ("t", "x"))
+    else:
+        assert read_csv_table(path, ("t", "x")).columns["x"].tolist() == [*(row + 0.25 for row in range(70)), x]
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"])
