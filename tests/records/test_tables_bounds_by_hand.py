@@ -81,6 +81,7 @@ def test_a_table_that_cannot_be_used_is_refused_with_its_place(text: str | bytes
         pytest.param("t;x\n0,5;1,5\n", [1.5], ["decimal_comma"], id="decimal commas"),
         pytest.param("t;x\n0,5;1,5\n1,5;a", [1.5], ["decimal_comma", "malformed_line"], id="commas, cut off"),
         pytest.param("t,x\n0,1.5\n1,a", [1.5], ["malformed_line"], id="points, cut off"),
+        pytest.param('t,x,"note\n0,1,a\n1,2,b\n', [1.0, 2.0], [], id="a quotation mark that opens in the header"),
         pytest.param("# t,x\n0,1\n", [1.0], [], id="the header is a comment"),
         pytest.param("Drive of May 3\nt,x\n0,1\n", [1.0], ["comment_lines"], id="a title before the header"),
         pytest.param('t,x,note\n0,1,"one\ntwo\nthree"\n1,2,b\n', [1.0, 2.0], [], id="a note of three lines"),
@@ -259,3 +260,10 @@ def test_a_parquet_file_that_says_to_have_less_than_no_rows_is_refused(tmp_path:
     assert parquet.read_metadata(path).num_rows == -3
     with pytest.raises(LimitError, match=r"expansion"):
         read_parquet_table(path, ("t", "x"))
+
+
+def test_rows_of_commas_below_a_header_of_semicolons_are_no_decimal_commas(tmp_path: Path) -> None:
+    """They have one cell where the header has two; nobody is told to save the file with other numbers."""
+    found = read_csv_table(written(tmp_path, "t;x\n1,2,3,4\n5,6,7,8\n9,9,9,9\n"), ("x",))
+    assert found.columns["x"].tolist() == []
+    assert [(one.kind, one.count) for one in found.findings] == [("malformed_line", 3)]
