@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.records.test_quality import car_rows
 
-from safedpa.records.apply_map import Rows, mapped_rows
-from safedpa.records.column_map import TrackedPoint, native_map
+from safedpa.errors import RunError
+from safedpa.records.apply_map import Rows, joined, mapped_rows
+from safedpa.records.column_map import SourceColumn, TrackedPoint, native_map
+from safedpa.records.quality import run_of_rows
+from safedpa.records.run import Finding
 from safedpa.records.sentences import finding
 from safedpa.records.table import Table
 from safedpa.records.values import _counted, degrees_for_radians, other_units, out_of_bounds
@@ -112,3 +116,32 @@ def test_a_tracked_point_of_no_row_is_nowhere() -> None:
     columns = replace(native_map(CAR), tracked_point=TrackedPoint(ahead=0.1))
     rows = mapped_rows(Table({name: np.empty(0) for name in columns.sources}, ()), columns, CAR)
     assert (len(rows.t), rows.actions.shape) == (0, (0, 2))
+
+
+@pytest.mark.parametrize("findings", [(), (Finding("comment_lines", "two lines were left out", 2),)])
+def test_a_table_without_a_row_is_refused_with_what_was_found(findings: tuple[Finding, ...]) -> None:
+    empty = Rows(np.empty(0), np.empty((0, 4)), np.empty((0, 2)))
+    with pytest.raises(RunError) as caught:
+        run_of_rows(Path("a.csv"), CAR, native_map(CAR), empty, findings)
+    assert str(caught.value).startswith("a.csv: no rows")
+    assert ("two lines were left out" in str(caught.value)) == bool(findings)
+
+
+NONE = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("join", "found"),
+    [
+        ("first", [3.0, 5.0, 2.0, NONE]),
+        ("sum", [7.0, NONE, NONE, NONE]),
+        ("mean", [3.5, NONE, NONE, NONE]),
+        ("difference", [-1.0, NONE, NONE, NONE]),
+        ("norm", [5.0, NONE, NONE, NONE]),
+    ],
+)
+def test_two_columns_become_one(join: str, found: list[float]) -> None:
+    """3 and 4; 5 and nothing; nothing and 2; nothing at all."""
+    table = Table({"a": np.array([3.0, 5.0, NONE, NONE]), "b": np.array([4.0, NONE, 2.0, NONE])}, ())
+    column = SourceColumn("a", others=("b",), join=join)
+    np.testing.assert_array_equal(joined(table, column), found)

@@ -310,3 +310,19 @@ def test_a_kind_of_robot_is_known_by_its_numbers_and_by_whether_it_drives_in_a_f
         else:
             with pytest.raises(RunError, match="no known kind of robot"):
                 _kind_of(path, state)
+
+
+@pytest.mark.parametrize("field", [(), (-4.0, 4.0, -4.0, 4.0)])
+def test_a_kind_that_speaks_no_ros_is_known_by_its_numbers_alone(field: tuple[float, ...]) -> None:
+    """A pendulum has no field to drive in."""
+    shapes = [(len(robot.system.state), len(robot.system.action)) for robot in robots().values()]
+    alone = [
+        robot
+        for robot, shape in zip(robots().values(), shapes, strict=True)
+        if robot.ros_face() is None and shapes.count(shape) == 1
+    ]
+    assert "pendulum" in {robot.system.name for robot in alone}
+    for robot in alone:
+        values, applied = (0.0,) * len(robot.system.state), (0.0,) * len(robot.system.action)
+        state = state_of(1, values=values, applied=applied, field=field)
+        assert _kind_of(Path("a.mcap"), state).system.name == robot.system.name
