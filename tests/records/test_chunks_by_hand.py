@@ -16,7 +16,10 @@ import pytest
 import zstandard
 from tests.records.test_logs_bounds_by_hand import FOOTER, MESSAGE, entry, mcap
 
+from safedpa.errors import RunError
 from safedpa.records.mcap_records import DamageError, records_of
+from safedpa.records.mcap_run import read_run_from_mcap
+from safedpa.robots.car.system import CAR
 
 PACKED: dict[str, Callable[[bytes], bytes]] = {
     "": lambda data: data,
@@ -103,3 +106,11 @@ def test_a_chunk_has_ten_thousand_records_that_nobody_knows_at_most(
     """Nine bytes each: a small file could keep a reader busy for long."""
     inside = MESSAGE + entry(0x80, b"") * private + MESSAGE
     assert read(mcap(tmp_path, chunk(inside), FOOTER), validate=False) == messages
+
+
+@pytest.mark.parametrize(("records", "reason"), [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it ends at byte 11 .*\)")])
+def test_a_recording_without_a_robot_is_refused_with_what_was_found(
+    records: tuple[bytes, ...], reason: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RunError, match=f"a.mcap: no robot's states in it{reason}; wanted a recording of"):
+        read_run_from_mcap(mcap(tmp_path, *records), CAR)

@@ -16,6 +16,7 @@ from tests.records.test_ros1_bag_bounds_by_hand import connection, message
 
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
+from safedpa.records import load_run
 from safedpa.records.bags import read_log_table, topic_log
 from safedpa.records.bags.folder_bag import PackedBag
 from safedpa.records.bags.sqlite_bag import SqliteBag
@@ -161,3 +162,11 @@ def test_columns_of_a_table_are_none_of_a_log_of_topics(tmp_path: Path) -> None:
     log = SqliteBag(written(tmp_path / "a.db3", (1, 5, encoded(0.5))))
     with pytest.raises(RunError, match="is a rosbag2 in SQLite, and the map's column 't' names no topic; wanted"):
         read_log_table(log, native_map(CAR), CAR)
+
+
+def test_a_log_of_topics_wants_a_map_and_says_what_is_in_it(tmp_path: Path) -> None:
+    """Two messages a second apart: one per second; what has none is not named."""
+    path = written(tmp_path / "a.db3", (1, 5, encoded(0.5)), (1, 1_000_000_005, encoded(0.5)))
+    with pytest.raises(RunError) as caught:
+        load_run(path, CAR)
+    assert "with 1 topics, and no map says which are whose: /a (std_msgs/msg/Float32, 1 Hz);" in str(caught.value)
