@@ -108,7 +108,10 @@ def test_a_chunk_has_ten_thousand_records_that_nobody_knows_at_most(
     assert read(mcap(tmp_path, chunk(inside), FOOTER), validate=False) == messages
 
 
-@pytest.mark.parametrize(("records", "reason"), [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it ends at byte 11 .*\)")])
+@pytest.mark.parametrize(
+    ("records", "reason"),
+    [((FOOTER,), ""), ((FOOTER[:3],), r" \(the recording was not closed: it ends at byte 11 .*\)")],
+)
 def test_a_recording_without_a_robot_is_refused_with_what_was_found(
     records: tuple[bytes, ...], reason: str, tmp_path: Path
 ) -> None:
