@@ -129,7 +129,8 @@ def test_the_document_has_everything_and_nothing_twice() -> None:
 
 @pytest.mark.parametrize(
     ("explained", "named"),
-    [((0.5, 0.25, 0.125), "speed"), ((0.25, 0.5, 0.125), "u"), ((0.25, 0.25, 0.4), "speed"), ((0.2, 0.1, 0.4), "x"),
+    [((0.5, 0.25, 0.125), "speed"), ((0.5, 0.4, 0.125), "speed"), ((0.4, 0.5, 0.125), "u"),
+     ((0.25, 0.5, 0.125), "u"), ((0.25, 0.25, 0.4), "speed"), ((0.2, 0.1, 0.4), "x"),
      ((-0.5, -0.75, 0.06), "x"), ((-0.5, -0.75, 0.04), "speed")],
 )  # fmt: skip
 def test_a_place_is_named_where_it_explains_clearly_more(explained: tuple[float, ...], named: str) -> None:
@@ -197,6 +198,11 @@ def test_a_run_that_stands_out_is_named_and_where_no_change_would_be_better(
 
 def test_runs_without_a_state_that_moved_say_nothing() -> None:
     assert run_sentence(comparison(runs=(run_error("a"), run_error("b")))) == ""
+
+
+def test_of_one_run_alone_nothing_is_said_whatever_its_states_do() -> None:
+    """Two of its states are beside "no change", one worse and one better: there is no other run to tell it from."""
+    assert run_sentence(comparison(runs=(run_error("a", x=2.0, y=0.25),))) == ""
 
 
 @pytest.mark.parametrize(

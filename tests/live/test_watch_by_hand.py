@@ -141,6 +141,31 @@ def test_an_error_to_either_side_is_as_far_beyond_the_band(sign: float, size: fl
     np.testing.assert_allclose(ratios, [0.0, 0.0, 0.0, size / 0.015], atol=1e-12)
 
 
+@pytest.mark.parametrize("scale", [(3.0, 1.0), (1.0, 3.0)])
+def test_along_and_across_count_on_the_root_mean_square_of_the_places_scale(scale: tuple[float, float]) -> None:
+    """Errors are no concern below a twenty-fifth: sqrt((9 + 1) / 2) m for both directions, their own for the others."""
+    seen = [forecast((0.0, 0.0, 0.0, 0.0))] * watch._STRETCH
+    band = watch.learned_band(CAR.system, seen, np.array([*scale, 0.25, 4.0]))
+    np.testing.assert_allclose(band.edges, 1.5 / 25.0 * np.array([np.sqrt(5.0), np.sqrt(5.0), 0.25, 4.0]))
+
+
+@pytest.mark.parametrize("size", [0.02, 1.0, 50.0])
+@pytest.mark.parametrize("degrees", [0, 90, 180, -90])
+@pytest.mark.parametrize(
+    ("turning", "constant", "told"), [(12.0, 5.0, True), (4.0, 2.0, True), (12.0, 8.0, False), (6.0, -5.0, False)]
+)
+def test_an_error_turns_with_the_heading_where_it_correlates_by_four_fifths(
+    turning: float, constant: float, told: bool, degrees: int, size: float
+) -> None:
+    """Of headings in quarters of a turn: turning / sqrt(turning^2 + 2 constant^2), 0.86, 0.82, 0.73 and 0.65."""
+    quarters = np.radians([0.0, 90.0, 180.0, 270.0] * 2)
+    errors = size * (turning * np.cos(quarters - np.radians(degrees)) + constant)
+    seen = [forecast((0.0, 0.0, 0.0, error), yaw) for error, yaw in zip(errors, quarters, strict=True)]
+    said = place_in_words(CAR.system, BAND, seen, 1.0)
+    towards = [said.endswith(f"(most towards {one} degrees)") for one in (degrees, abs(degrees))]
+    assert ("turning with the heading" in said, any(towards)) == (told, told), said
+
+
 class Model:
     """Remembers when each step began, and goes on by what is applied."""
 

@@ -111,6 +111,12 @@ HEAD = [described("speed"), subscribed("speed", 7)]
     [
         pytest.param([], "the flight log holds no message; name another one", id="nothing"),
         pytest.param([described("speed")], "the flight log holds no message; name another one", id="only described"),
+        pytest.param(HEAD, "the flight log holds no message; name another one", id="only subscribed"),
+        pytest.param(
+            [message("B", bytes(8) + b"\x02" + bytes(31)), *HEAD, *ROWS],
+            "is a damaged PX4 flight log",
+            id="of another format",
+        ),
         pytest.param([message("Z", b"x"), *HEAD, *ROWS], "is a damaged PX4 flight log; fetch it", id="unknown first"),
         pytest.param([described("speed")[:-3]], "is a damaged PX4 flight log; fetch it", id="cut off in a description"),
     ],
@@ -247,6 +253,8 @@ def test_after_a_failure_a_recorder_says_it_again_and_once_closed_that_it_is(
             again()
     assert (recorder.written, recorder.acknowledged) == (2, 1)
     recorder.close()  # does nothing
+    with pytest.raises(RecordingError, match="the recording stopped after"):
+        recorder.sync()
     closed = McapRecorder(tmp_path / "b.mcap")
     closed.write(key_of("fleet", "car1", STATE), encode(state(0)), 0, 0)
     closed.close()

@@ -47,6 +47,16 @@ def written(folder: Path, text: str | bytes) -> Path:
         pytest.param(
             "t,x\n2026-11-27 10:00,1\n3,4\n", "column 't': got '2026-11-27 10:00', .*; write it as seconds", id="a date"
         ),
+        pytest.param("t,x\n0,a\n1,2", "line 2, column 'x': got 'a', wanted a number", id="a word and no end of line"),
+        pytest.param("t,x\n0,1\n1,a\n", "line 3, column 'x': got 'a', wanted a number", id="a word in the last line"),
+        pytest.param(
+            't,x,note\n0,1,a\n1,2,"left\n\n2,3,b\n3,4,c\n',
+            "line 3: a quotation mark opens there",
+            id="a blank line in it",
+        ),
+        pytest.param(
+            't,x,note\n0,1,a\n1,2,"left\n2,3\n3,4,c\n', "line 3: a quotation mark opens there", id="a short line in it"
+        ),
         pytest.param(
             "t,x\n0,05,1,25\n0,10,1,5\n0,15,2,0\n", "rows have twice as many cells as the header's 2", id="twice"
         ),
@@ -69,6 +79,14 @@ def test_a_table_that_cannot_be_used_is_refused_with_its_place(text: str | bytes
         pytest.param("t,x\n0,1\n1,2,3\n2,3\n", [1.0, 3.0], ["malformed_line"], id="a cell too many"),
         pytest.param("# a\n# b\nt,x\n0,1\n", [1.0], ["comment_lines"], id="comments before"),
         pytest.param("t;x\n0,5;1,5\n", [1.5], ["decimal_comma"], id="decimal commas"),
+        pytest.param("t;x\n0,5;1,5\n1,5;a", [1.5], ["decimal_comma", "malformed_line"], id="commas, cut off"),
+        pytest.param("t,x\n0,1.5\n1,a", [1.5], ["malformed_line"], id="points, cut off"),
+        pytest.param('t,x,"note\n0,1,a\n1,2,b\n', [1.0, 2.0], [], id="a quotation mark that opens in the header"),
+        pytest.param("# t,x\n0,1\n", [1.0], [], id="the header is a comment"),
+        pytest.param("Drive of May 3\nt,x\n0,1\n", [1.0], ["comment_lines"], id="a title before the header"),
+        pytest.param('t,x,note\n0,1,"one\ntwo\nthree"\n1,2,b\n', [1.0, 2.0], [], id="a note of three lines"),
+        pytest.param('note,t,x\n"one\ntwo",0,1\nb,1,2\n', [1.0, 2.0], [], id="a note of two lines before the numbers"),
+        pytest.param('# a,"b\nt,x\n\n0,1\n1,2\n', [1.0, 2.0], ["comment_lines"], id="a quotation mark in a comment"),
         pytest.param("t\tx\n0.5\t1.5\n", [1.5], [], id="tabs"),
         pytest.param("t;x\n0.5;1.5\n", [1.5], [], id="semicolons, points"),
         pytest.param("t,x,note\n0,1,a\n1,2,b\n", [1.0, 2.0], [], id="a column of words beside"),
@@ -82,6 +100,18 @@ def test_a_table_just_within_is_read_and_what_was_odd_is_told(
     found = read_csv_table(written(tmp_path, text), ("t", "x"))
     assert found.columns["x"].tolist() == x
     assert [one.kind for one in found.findings] == kinds
+
+
+@pytest.mark.parametrize(("cell", "x"), [("1,5", 1.5), ("7", 7.0), ("1.5", None), ("1.234,5", None)])
+def test_a_point_far_below_decimal_commas_may_separate_thousands(cell: str, x: float | None, tmp_path: Path) -> None:
+    """The mark is told from the first sixty lines; a last line that is cut off makes the reader look at each cell."""
+    rows = "".join(f"{row},5;{row},25\n" for row in range(70))
+    path = written(tmp_path, f"t;x\n{rows}70,5;{cell}\n71,5;a")
+    if x is None:
+        with pytest.raises(RunError, match=f"line 72, column 'x': got '{cell}', wanted a number with a decimal comma"):
+            read_csv_table(path, ("t", "x"))
+    else:
+        assert read_csv_table(path, ("t", "x")).columns["x"].tolist() == [*(row + 0.25 for row in range(70)), x]
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"])
@@ -218,3 +248,22 @@ def test_a_parquet_file_may_not_become_far_more_than_it_is(tmp_path: Path, monke
     monkeypatch.setenv("SAFEDPA_LIMITS", "expansion=1,expansion_free_bytes=700000")
     with pytest.raises(LimitError, match=r"expansion"):
         read_parquet_table(path, ("t",))
+
+
+def test_a_parquet_file_that_says_to_have_less_than_no_rows_is_refused(tmp_path: Path) -> None:
+    """3 is written as 6 and -3 as 5, behind the mark of the field: what is counted from it would pass any limit."""
+    path = parquet_file(tmp_path, t=[0.0, 1.0, 2.0], x=[1.0, 2.0, 3.0])
+    content = path.read_bytes()
+    footer = len(content) - 8 - struct.unpack("<I", content[-8:-4])[0]
+    at = content.index(b"\x16\x06", footer)
+    path.write_bytes(content[: at + 1] + b"\x05" + content[at + 2 :])
+    assert parquet.read_metadata(path).num_rows == -3
+    with pytest.raises(LimitError, match=r"expansion"):
+        read_parquet_table(path, ("t", "x"))
+
+
+def test_rows_of_commas_below_a_header_of_semicolons_are_no_decimal_commas(tmp_path: Path) -> None:
+    """They have one cell where the header has two; nobody is told to save the file with other numbers."""
+    found = read_csv_table(written(tmp_path, "t;x\n1,2,3,4\n5,6,7,8\n9,9,9,9\n"), ("x",))
+    assert found.columns["x"].tolist() == []
+    assert [(one.kind, one.count) for one in found.findings] == [("malformed_line", 3)]

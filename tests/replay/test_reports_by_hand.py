@@ -138,6 +138,36 @@ def test_the_document_counts_the_differences_of_every_service_and_tells_a_hundre
     assert ticks == [*range(told), 900]
 
 
+def test_the_document_of_a_replay_has_each_field_once() -> None:
+    """Three states at 2, 2.5 and 3 s; one service of three differs, and one field in its last digits."""
+    found = replay_of(1, differing=1, rounded=2)
+    document = document_of(tape_of(), found, [], [])
+    told = {key: document.pop(key) for key in ("services", "differences")}
+    assert document == {
+        "format": 1, "robot": "r1", "files": ["a.mcap"], "states": 3, "seconds": [2.0, 3.0], "agrees": False,
+        "exact": False, "assumed": [], "findings": [], "not_recorded": [],
+    }  # fmt: skip
+    assert told["services"][1] == {
+        "service": "policy", "compared": {"latent": 5}, "identical": {"latent": 5}, "differing": 1, "rounded": 2,
+        "spans": [], "lost": 0,
+    }  # fmt: skip
+    assert told["differences"] == [
+        {"epoch": 3, "tick": 0, "robot_time": 0.0, "topic": "latent", "field": "values", "recorded": 1.0,
+         "replayed": 2.0, "exact_only": False}
+    ]  # fmt: skip
+    alike = document_of(tape_of(), replay_of(1, rounded=2), [], [])
+    assert (alike["agrees"], alike["exact"]) == (True, False)
+
+
+def test_a_line_of_a_service_counts_every_topic() -> None:
+    part = ServiceReplay("safety_filter", {"action": 7, "verdict": 5}, {"action": 6, "verdict": 4}, lost=3)
+    said = list(lines_of(tape_of(), Replay([part, ServiceReplay("policy")]), [], []))
+    assert [line.split(maxsplit=1) for line in said if line.startswith(("  safety", "  policy"))] == [
+        ["safety_filter", "action 6 of 7 identical, verdict 4 of 5 identical; 3 made up"],
+        ["policy", "nothing to compare"],
+    ]
+
+
 def test_fields_are_compared_where_the_recording_has_them_and_say_what_was_decided() -> None:
     one = LatentMessage(**stamp(1), model="m", values=(0.1,), deviations=(0.2,))
     other = replace(one, publish_time=8.0, model="n", values=(0.3,), deviations=(0.2 + 1e-9,))
@@ -199,6 +229,42 @@ def test_what_is_decided_otherwise_in_any_tick_is_counted_and_told(
     assert summary.status_now == ({"passed": 2, status: 1} if status else {"passed": 3})
 
 
+def test_the_document_of_another_filter_has_each_field_once() -> None:
+    decisions = decided([(0.9, 0.8, 0.7, 0.6), (0.5, 0.4, 0.3, 0.2)])
+    other = replace(decisions[1].now, status="relaxed", action=(0.5, 0.25), margin=0.125, slack=2.0)
+    decisions[1] = replace(decisions[1], now=other)
+    summary = summary_of(decisions)
+    assert what_if_document(summary, decisions, "eta 0.1") == {
+        "changed": "eta 0.1",
+        "states": "recorded (open loop)",
+        "summary": asdict(summary),
+        "differing": [
+            {
+                "epoch": 3, "tick": 1, "robot_time": 0.5,
+                "then": {"status": "passed", "action": [1.0, 0.0], "h_now": 0.5, "h_next": 0.4, "margin": 0.0,
+                         "slack": 0.0},
+                "now": {"status": "relaxed", "action": [0.5, 0.25], "h_now": 0.3, "h_next": 0.2, "margin": 0.125,
+                        "slack": 2.0},
+            }
+        ],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_each_status_is_counted_as_it_was_and_as_it_would_have_been(at: int) -> None:
+    decisions = decided([(0.9, 0.8, 0.7, 0.6)] * 3, status="relaxed")
+    decisions[at] = replace(decisions[at], then=replace(decisions[at].then, status="corrected"))
+    summary = summary_of(decisions)
+    assert (summary.ticks, summary.status_then, summary.status_now) == (
+        3, {"passed": 2, "corrected": 1}, {"relaxed": 3},
+    )  # fmt: skip
+    said = [line.split() for line in what_if_lines(summary, decisions, "eta 0.1") if " then  " in line]
+    assert said == [
+        ["corrected", "then", "1", "now", "0"], ["passed", "then", "2", "now", "0"],
+        ["relaxed", "then", "0", "now", "3"],
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(("count", "more"), [(10, False), (11, True)])
 def test_ten_decisions_are_told_and_how_many_more_there_are(count: int, more: bool) -> None:
     decisions = decided([(0.9, 0.8, 0.7, 0.6)] * count, status="corrected")
@@ -244,3 +310,19 @@ def test_a_kind_of_robot_is_known_by_its_numbers_and_by_whether_it_drives_in_a_f
         else:
             with pytest.raises(RunError, match="no known kind of robot"):
                 _kind_of(path, state)
+
+
+@pytest.mark.parametrize("field", [(), (-4.0, 4.0, -4.0, 4.0)])
+def test_a_kind_that_speaks_no_ros_is_known_by_its_numbers_alone(field: tuple[float, ...]) -> None:
+    """A pendulum has no field to drive in."""
+    shapes = [(len(robot.system.state), len(robot.system.action)) for robot in robots().values()]
+    alone = [
+        robot
+        for robot, shape in zip(robots().values(), shapes, strict=True)
+        if robot.ros_face() is None and shapes.count(shape) == 1
+    ]
+    assert "pendulum" in {robot.system.name for robot in alone}
+    for robot in alone:
+        values, applied = (0.0,) * len(robot.system.state), (0.0,) * len(robot.system.action)
+        state = state_of(1, values=values, applied=applied, field=field)
+        assert _kind_of(Path("a.mcap"), state).system.name == robot.system.name

@@ -95,7 +95,7 @@ def state_sentence(comparison: Comparison) -> str:
 def run_sentence(comparison: Comparison) -> str:
     """One sentence: in which run a state is far worse than elsewhere, or worse than "no change"; else empty."""
     rows = [(run, name, value) for run in comparison.runs for name, value in run.per_state.items()]
-    if len(comparison.runs) < 2 or not rows:
+    if len(comparison.runs) < 2:
         return ""
     lost = [(run, name, value) for run, name, value in rows if value > max(run.no_change[name], _NOTHING)]
     usual = {name: float(np.median([value for _, own, value in rows if own == name])) for _, name, _ in rows}

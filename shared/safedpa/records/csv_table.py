@@ -78,7 +78,7 @@ def _layout(path: Path, wanted: Sequence[str]) -> _Layout:
     read = [_decoded(line) for line in _first_lines(path)]
     lines = [line or "" for line in read]
     before = _lines_before(lines, wanted)
-    if read[0] is None or read[before] is None:
+    if read[0] is None:  # a header behind it has names, and so is text
         raise RunError(f"{path}: the first line is no text; wanted a CSV file in UTF-8 with a header line")
     text = lines[before].lstrip("".join(_COMMENTS)).strip() if before or _commented(lines[0]) else lines[0]
     if not text:
@@ -121,7 +121,7 @@ def _lines_before(lines: Sequence[str], wanted: Sequence[str]) -> int:
     """How many lines stand before the header: none where the first one is no comment and no other has the names."""
     for number, line in enumerate(lines):
         text = line.lstrip("".join(_COMMENTS)).strip()
-        if text and set(wanted) <= {cell.strip() for cell in text.split(max(_DELIMITERS, key=text.count))}:
+        if set(wanted) <= {cell.strip() for cell in text.split(max(_DELIMITERS, key=text.count))}:
             return number
     return next((number for number, line in enumerate(lines) if line and not _commented(line)), 0)
 
@@ -308,7 +308,7 @@ def _refuse_open_quotes(path: Path, layout: _Layout, read: int) -> None:
                     "behind it cannot be told from a text; correct or remove the line"
                 )
             rest = line.partition('"')[2] if opened else line
-            if (not opened or '"' in line) and number > layout.before:
+            if '"' in line and number > layout.before:
                 opened = number if opens.search(closed.sub(r"\1", rest)) else 0
 
 

@@ -127,10 +127,10 @@ class McapRecorder:
         self._sequences[self._channels[key]] = 0
 
     def _guarded(self, work: Callable[[Writer], object]) -> None:
-        if self._writer is None and not self._failure:
-            raise RecordingError(f"{self.path}: the recording is closed; open a new one")
-        if self._failure or self._writer is None:
+        if self._failure:
             raise RecordingError(self._failure)
+        if self._writer is None:
+            raise RecordingError(f"{self.path}: the recording is closed; open a new one")
         try:
             work(self._writer)
         except OSError as error:

@@ -141,10 +141,11 @@ def _faster(rows: Rows, system: System, factor: float) -> bool:
     if not {"x", "y", "speed"} <= set(names):
         return False
     x, y, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "speed"))
+    good = np.isfinite(x) & np.isfinite(y) & np.isfinite(speed) & np.isfinite(rows.t)
     with np.errstate(all="ignore"):
-        moved = np.hypot(np.diff(x), np.diff(y)).sum()
-        said = float((np.abs(speed[:-1]) * np.diff(rows.t)).sum()) * factor
-    return bool(np.isfinite(moved) and np.isfinite(said) and moved > 0 and 0.7 < said / moved < 1.4)
+        moved = np.hypot(np.diff(x[good]), np.diff(y[good])).sum()
+        said = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
+        return bool(0.7 < said / moved < 1.4)  # of one that stands no number
 
 
 def _agrees(t: NDArray[np.float64], values: NDArray[np.float64], rates: NDArray[np.float64], factor: float) -> bool:

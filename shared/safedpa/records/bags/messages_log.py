@@ -140,7 +140,7 @@ class AbstractBag(AbstractLog):
             raise RunError(f"{self.path}: topic '{topic}': {error}") from error
 
     def _tell_refused(self, topic: str, into: _Collected) -> None:
-        if into.refused and not into.receipt:
+        if not into.receipt:
             raise RunError(
                 f"{self.path}: topic '{topic}': none of its {into.refused} messages is a {self.declared[topic].type} "
                 "as its definition says; record it anew with the definition that its publisher has"

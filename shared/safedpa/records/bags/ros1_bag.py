@@ -145,10 +145,10 @@ def _record(file: IO[bytes], size: int) -> tuple[dict[bytes, bytes], int] | None
     if not start:
         return None
     (length,) = _LENGTH.unpack(start)
-    if length > _LONGEST_HEADER or file.tell() + length > size:
+    if length > _LONGEST_HEADER:
         raise _DamageError
     fields = _fields(file.read(length))
-    (count,) = _LENGTH.unpack(file.read(4))
+    (count,) = _LENGTH.unpack(file.read(4))  # raises where the header went beyond the end
     if file.tell() + count > size:
         raise _DamageError
     if count > limit("bag_chunk_bytes"):

@@ -60,8 +60,8 @@ class UlogLog(AbstractLog):
             EOFError, ZeroDivisionError,
         )  # fmt: skip
         try:
-            with contextlib.redirect_stdout(io.StringIO()):
-                log = ULog(str(self.path))
+            with contextlib.redirect_stdout(io.StringIO()), self.path.open("rb") as file:  # it leaves its own one open
+                log = ULog(file)
         except damage as error:
             raise self._damaged() from error
         except Exception as error:  # the library's own kind, which is a plain Exception
