@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from safedpa_lab.faults.endurance import Kept, Resources, Sample, kept_by
+from safedpa_lab.faults.member import Member
 from safedpa_lab.faults.report import markdown_of
 from safedpa_lab.faults.table import all_faults, faults_for
 
@@ -122,3 +124,16 @@ def _row(name: str, recovery: float) -> dict[str, Any]:
         "name": name, "sentence": "", "held": True, "broken": (), "speed": 1.0, "periods": 60,
         "recovery_seconds": recovery, "whole_seconds": 1.0,
     }  # fmt: skip
+
+
+def test_of_a_process_that_is_gone_the_fate_and_the_last_words_are_told(tmp_path: Path) -> None:
+    member = Member("policy", "http.server", ("--bind", "nowhere.invalid", "0"), tmp_path / "policy.log")
+    assert member.fate() == "its process lives", "it was not started, and did not end"
+    member.start()
+    process = member._process
+    assert process is not None
+    process.wait(20.0)
+    assert member.fate().startswith("its process ended with 1: ")
+    member.restart()
+    member.kill()
+    assert member.fate().startswith("its process ended with -9: ")

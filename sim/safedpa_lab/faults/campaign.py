@@ -87,7 +87,7 @@ def run_faults(
                         break
                     tell(fault.name, done + len(lived), len(faults))
                     lived.append(_run(fault, world, is_hasty=is_hasty))
-                    if not world.drives():
+                    if lived[-1].back is None or not world.drives():
                         break
             waiting = waiting[len(lived) :]
             parts.append(_judged(world, lived))
@@ -119,7 +119,7 @@ def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
         mended = time.monotonic()
         fault.mend(world)
     whole = world.until(lambda: not world.missing(mended), fault.recovers_within)
-    absent = [] if whole else [f"{name} is not back" for name in world.missing(mended)]
+    absent = [] if whole else [f"{name} is not back, {world.members[name].fate()}" for name in world.missing(mended)]
     back = time.monotonic() - mended if whole else None
     world.until(lambda: world.drives(mended), fault.recovers_within)
     checked = fault.check(world, Episode(struck, mended, time.monotonic()))

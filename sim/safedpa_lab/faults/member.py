@@ -84,6 +84,11 @@ class Member:
         """Ids of its threads now."""
         return [int(entry.name) for entry in Path(f"/proc/{self.pid}/task").iterdir()]
 
+    def fate(self) -> str:
+        """Whether it runs, or how it ended: a negative number is the signal that ended it."""
+        code = None if self._process is None else self._process.poll()
+        return "its process lives" if code is None else f"its process ended with {code}: {self.last_words()}"
+
     def last_words(self) -> str:
         """The last line that it wrote."""
         lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
