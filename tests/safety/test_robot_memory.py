@@ -273,6 +273,14 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
     assert late.predicted(state_at(1), verdict_of(late), CAR.latent) == ((), None)
 
 
+@pytest.mark.parametrize("values", [(1.0, 2.0, 0.1), (1.0, 2.0, 0.1, 0.5, 0.0)])
+def test_of_a_state_with_another_number_of_values_no_path_is_told(values: tuple[float, ...]) -> None:
+    memory = driven()
+    assert memory.memory is not None
+    assert memory.predicted(state_at(1, values=values), verdict_of(memory), CAR.latent) == ((), None)
+    assert memory.predicted(state_at(1, values=(1.0, 2.0, 0.1, 0.5)), verdict_of(memory), CAR.latent)[0]
+
+
 @pytest.mark.parametrize("latent", [None, LATE.latent])
 def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_action(
     monkeypatch: pytest.MonkeyPatch, latent: Any
