@@ -83,6 +83,16 @@ def test_a_gap_in_the_ticks_is_no_driving(fleet: Fleet) -> None:
     assert not fleet.observer.drives(3)
 
 
+def test_periods_that_came_too_late_are_no_steady_driving(fleet: Fleet) -> None:
+    for tick in range(6):
+        fleet.tick(tick)
+    fleet.observer.heard.update({(5, tick): 10.0 + 0.05 * tick for tick in range(6)})
+    assert fleet.observer.drives(5, within=0.21)
+    fleet.observer.heard[5, 5] += 0.1
+    assert not fleet.observer.drives(5, within=0.21)
+    assert fleet.observer.drives(5)
+
+
 def test_models_are_mixed_only_where_the_filter_decided_by_another_one_than_the_latents(fleet: Fleet) -> None:
     for tick in range(3):
         fleet.tick(tick, model="old")

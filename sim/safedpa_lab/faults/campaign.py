@@ -124,6 +124,8 @@ def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
     world.until(lambda: world.drives(mended), fault.recovers_within)
     checked = fault.check(world, Episode(struck, mended, time.monotonic()))
     world.listen(_AFTERWARDS_SECONDS)
+    # Where the machine held everyone up just now, the end of that is still to be seen: else it would look as for good.
+    world.until(world.drives_steadily, fault.recovers_within)
     lived = _Lived(fault, Episode(struck, mended, time.monotonic()), speed, back, (*absent, seen, checked))
     world.listen(_FLUSH_SECONDS)  # what the recorder has heard of this fault must not be lost by the next one
     fault.clean_up(world)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 
 from safedpa.bus import (
     NO_ROBOT,
@@ -85,11 +86,15 @@ class Observer:
             case _:
                 return
 
-    def drives(self, ticks: int, since: float = 0.0) -> bool:
-        """Whether the newest ``ticks`` periods, all later than ``since``, were driven by a filter with all it needs."""
+    def drives(self, ticks: int, since: float = 0.0, within: float = inf) -> bool:
+        """Whether the newest ``ticks`` periods, all later than ``since``, were driven by a filter with all it needs.
+
+        ``within``: s from the first to the last of them at most; a robot that is held up itself lives no period at all.
+        """
         epoch, last = self.newest
         recent = [(epoch, tick) for tick in range(last - ticks + 1, last + 1)]
-        return last >= ticks and all(self.heard.get(one, 0.0) > since and self._driven(one) for one in recent)
+        driven = last >= ticks and all(self.heard.get(one, 0.0) > since and self._driven(one) for one in recent)
+        return driven and self.heard[recent[-1]] - self.heard[recent[0]] <= within
 
     def _driven(self, stamp: Stamp) -> bool:
         state, before = self.states.get(stamp), self.verdicts.get((stamp[0], stamp[1] - 1))

@@ -31,6 +31,8 @@ _START_SECONDS = 40.0
 _TURN_SECONDS = 0.02
 _DRIVING_TICKS = 10
 """In a row, before the loop counts as driving again."""
+_STEADY_SECONDS = 0.55
+"""Ten periods of 0.05 s, and what two more would take."""
 _ROBOT_PATIENCE_SECONDS = 8.0
 _SERVICE_PATIENCE_SECONDS = 4.0
 
@@ -110,6 +112,10 @@ class World:
     def drives(self, since: float = 0.0) -> bool:
         """Whether the loop has been driving for half a second, all of it later than ``since`` (monotonic, s)."""
         return self.observer.drives(_DRIVING_TICKS, since)
+
+    def drives_steadily(self) -> bool:
+        """Whether it does, and no period of the last half second was late by two periods."""
+        return self.observer.drives(_DRIVING_TICKS, within=_STEADY_SECONDS)
 
     def missing(self, since: float) -> list[str]:
         """Processes that have not told their health, themselves and later than ``since``."""
