@@ -80,7 +80,7 @@ def kind_of(file: str) -> str:
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Of a long run: where its time went, by the clock and of the processors, summed over all processes."""
     folders, files, computed = Counter[str](), Counter[str](), Counter[str]()
-    largest = 0.0
+    largest = (0.0, "")
     for reports in terminalreporter.stats.values():
         for report in reports:
             test, spent = getattr(report, "nodeid", ""), getattr(report, "duration", 0.0)
@@ -89,13 +89,14 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
             files[file] += spent
             properties = getattr(report, "user_properties", ())
             computed[file] += sum(value for name, value in properties if name == _PROCESSOR)
-            largest = max([largest, *(value for name, value in properties if name == _MEMORY)])
+            for value in (value for name, value in properties if name == _MEMORY):
+                largest = (value, test) if value > largest[0] else largest  # the first one that needed so much
     if folders.total() > _LONG_SECONDS:
         told = {"seconds by folder": folders, "seconds by file": files, "processor seconds by file": computed}
         for kind, seconds in told.items():
             shown = ", ".join(f"{name} {spent:.0f}" for name, spent in seconds.most_common(_MOST_TOLD))
             terminalreporter.write_line(f"{kind}: {shown} ({seconds.total():.0f} in all)")
-        terminalreporter.write_line(f"the largest process of tests: {largest:.0f} MiB")
+        terminalreporter.write_line(f"the largest process of tests: {largest[0]:.0f} MiB in {largest[1]}")
 
 
 _PROCESSOR, _MEMORY = "processor seconds", "largest MiB"

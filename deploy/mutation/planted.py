@@ -166,7 +166,7 @@ The files of tests run nearest first, {NEAR} of them, more where none of these c
 come there and pass; *unreached*: none of those that ran does; *gone*: the place is not there any more. Farther tests
 were not asked: more may be noticed than stands here. What is noticed now and was not at first owes it to tests written
 for it, after it was seen, or to another choice of the near tests; only the count at first says how much the tests
-notice. Before seed 13 all faults of these classes had been gone through (``swept.py``), and tests written for those that
+notice. Before seed 13 all faults of these classes had been gone through (`swept.py`), and tests written for those that
 were open. *cut*, in records of before 2026-11-24: the time was over before all near tests had run.
 """
 
