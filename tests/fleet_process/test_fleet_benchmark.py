@@ -31,6 +31,7 @@ def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> Non
     for used in result["processes"].values():
         assert used["us_per_robot_tick"] > 0.0
         assert used["mib_end"] > 10.0
+        assert used["handles_end"] >= 3
     froze = result["offers"]["answers"][FREEZES]
     assert froze["refused"] == froze["answers"] > 0
     assert "at most 65536" in froze["reason"]
@@ -63,12 +64,17 @@ def test_the_kernel_tells_what_a_process_used_until_it_is_gone() -> None:
     assert used is not None
     assert used.cpu_seconds > 0.0
     assert used.resident_mib > 10.0
+    with open(os.devnull, "rb"), open(os.devnull, "rb"):
+        more = usage_of(os.getpid())
+    assert more is not None
+    assert more.handles == used.handles + 2
     assert usage_of(2**22 + 1) is None
 
 
 def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     times = {"p50": 3000, "p99": 5000, "p999": 6000, "longest": 7000}
     used = {"cores": 0.2, "us_per_robot_tick": 200.0, "mib_begin": 50.0, "mib_end": 50.1}
+    used |= {"handles_begin": 17, "handles_end": 18}
     result = {
         "rate_hz": 20.0, "seconds": 5.0, "robots": 50, "robot_ticks": 5000, "late_ticks": 3, "late_share": 0.0006,
         "late_while_held_up": 1, "holds": True, "load_average": [0.1, 0.2], "sense_to_act_us": times,
@@ -79,6 +85,7 @@ def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatc
     printed = CliRunner().invoke(command, ["fleet", "--robots", "7"], catch_exceptions=False).output
     assert "7 robots at 20 Hz for 20" in printed or "7 robots at 20 Hz for 5" in printed
     assert "3 of 5000 ticks late (0.060 %" in printed
+    assert "50.0 to 50.1 MiB   17 to 18 open files" in printed
     document = json.loads(CliRunner().invoke(command, ["fleet", "--json"], catch_exceptions=False).output)
     assert document["bare_chain_us"]["p50"] == 1000.0
     assert document["trials"][0]["robots"] == 50

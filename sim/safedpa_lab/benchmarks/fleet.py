@@ -190,7 +190,7 @@ def _usages(children: list[Child]) -> dict[str, Usage | None]:
 
 
 def _process(before: Usage | None, after: Usage | None, seconds: float, ticks: int) -> dict[str, float] | None:
-    """Share of one core, processor time per robot-tick, memory before and after."""
+    """Share of one core, processor time per robot-tick, memory and open files before and after."""
     if before is None or after is None:
         return None
     spent = after.cpu_seconds - before.cpu_seconds
@@ -199,4 +199,6 @@ def _process(before: Usage | None, after: Usage | None, seconds: float, ticks: i
         "us_per_robot_tick": round(1e6 * spent / ticks, 1),
         "mib_begin": round(before.resident_mib, 1),
         "mib_end": round(after.resident_mib, 1),
+        "handles_begin": before.handles,
+        "handles_end": after.handles,
     }

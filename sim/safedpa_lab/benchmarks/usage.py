@@ -13,10 +13,11 @@ __all__ = ["Usage", "load_average", "usage_of"]
 @final
 @dataclass(frozen=True)
 class Usage:
-    """Processor time [s] of all threads, and the memory that is in use now [MiB]."""
+    """Processor time [s] of all threads, the memory that is in use now [MiB], open files, sockets and pipes."""
 
     cpu_seconds: float
     resident_mib: float
+    handles: int
 
 
 def usage_of(pid: int) -> Usage | None:
@@ -25,10 +26,11 @@ def usage_of(pid: int) -> Usage | None:
         # the name in brackets may hold anything, so the fields are counted from behind it
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
         pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+        handles = len(os.listdir(f"/proc/{pid}/fd"))
     except (OSError, IndexError):
         return None
     ticks = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return Usage(max(ticks, _of_threads(pid)), pages * os.sysconf("SC_PAGE_SIZE") / 2**20)
+    return Usage(max(ticks, _of_threads(pid)), pages * os.sysconf("SC_PAGE_SIZE") / 2**20, handles)
 
 
 def _of_threads(pid: int) -> float:

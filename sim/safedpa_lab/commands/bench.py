@@ -222,7 +222,8 @@ def _show(result: dict[str, Any]) -> None:
         if used is not None:
             click.echo(
                 f"  {name:24} {100.0 * used['cores']:5.1f} % of a core   {used['us_per_robot_tick']:6.0f} us a "
-                f"robot-tick   {used['mib_begin']:.1f} to {used['mib_end']:.1f} MiB"
+                f"robot-tick   {used['mib_begin']:.1f} to {used['mib_end']:.1f} MiB   "
+                f"{used['handles_begin']} to {used['handles_end']} open files"
             )
     click.echo(f"  goals {result['goals_reached']}, collisions {result['collisions']}, refused {result['refusals']}")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import final
 
 from safedpa_lab.benchmarks.usage import usage_of
@@ -132,7 +132,7 @@ class Resources:
             if used is None:
                 continue
             try:
-                handles, threads = (sum(1 for _ in Path(f"/proc/{pid}/{what}").iterdir()) for what in ("fd", "task"))
+                threads = len(os.listdir(f"/proc/{pid}/task"))
             except OSError:  # it ended meanwhile
                 continue
-            self.samples.append(Sample(at, name, pid, used.resident_mib, handles, threads))
+            self.samples.append(Sample(at, name, pid, used.resident_mib, used.handles, threads))
