@@ -45,6 +45,13 @@ def test_who_never_lived_for_half_a_minute_is_not_there_and_names_are_in_order()
     assert [kept.name for kept in kept_by(samples)] == ["policy", "robot"]
 
 
+def test_the_number_of_another_process_that_comes_again_makes_nobody_older() -> None:
+    samples = [*life("policy", 7, 0.0, [5.0] * 4), *life("robot", 7, 100.0, [1.0, 1.0, 1.0, 8.0])]
+    policy, robot = kept_by(samples)
+    assert (policy.name, robot.name) == ("policy", "robot")
+    assert robot == Kept("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))
+
+
 @pytest.mark.parametrize(
     ("mib", "handles", "flat"),
     [

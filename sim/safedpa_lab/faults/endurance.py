@@ -67,17 +67,17 @@ def kept_by(samples: Sequence[Sample]) -> list[Kept]:
     The quarters are those of the time from the first to the last warm sample of a name. Where one of them has none,
     its neighbours stand for it.
     """
-    born: dict[int, float] = {}
+    born: dict[tuple[str, int], float] = {}  # numbers of processes come again, within an hour too
     for sample in samples:
-        born.setdefault(sample.pid, sample.at)
-    warm = [sample for sample in samples if sample.at - born[sample.pid] >= _WARM_SECONDS]
+        born.setdefault((sample.name, sample.pid), sample.at)
+    warm = [sample for sample in samples if sample.at - born[sample.name, sample.pid] >= _WARM_SECONDS]
     return [
         _kept(name, [sample for sample in warm if sample.name == name], born)
         for name in sorted({sample.name for sample in warm})
     ]
 
 
-def _kept(name: str, samples: Sequence[Sample], born: dict[int, float]) -> Kept:
+def _kept(name: str, samples: Sequence[Sample], born: dict[tuple[str, int], float]) -> Kept:
     begin, end = samples[0].at, samples[-1].at
     quarter = 0.25 * (end - begin)
     first = [sample for sample in samples if sample.at <= begin + quarter]
@@ -85,7 +85,7 @@ def _kept(name: str, samples: Sequence[Sample], born: dict[int, float]) -> Kept:
     return Kept(
         name,
         len({sample.pid for sample in samples}),
-        round(max(sample.at - born[sample.pid] for sample in samples), 1),
+        round(max(sample.at - born[name, sample.pid] for sample in samples), 1),
         (_median(first), _median(last)),
         (max(one.handles for one in first), max(one.handles for one in last)),
         (max(one.threads for one in first), max(one.threads for one in last)),

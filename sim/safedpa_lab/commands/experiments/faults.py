@@ -26,7 +26,7 @@ _PIPE_COLUMNS = 120
 @click.option("--small", is_flag=True, help="a few of them, half a minute")
 @click.option(
     "--minutes",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=click.FloatRange(min=1.0),  # below, no process is old enough to be judged
     metavar="M",
     help="so long, on one fleet, in an order of the seed; memory and open files of its processes are told",
 )
