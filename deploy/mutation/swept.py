@@ -136,12 +136,16 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_args(arguments)
     os.nice(10)
     os.chdir(ROOT)
-    part, parts = map(int, given.part.split("/"))
+    part, _, parts = given.part.partition("/")
+    if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+        parser.error(f"--part: got {given.part}, wanted K/N with K from 1 to N")
     nearness, found = Nearness(ROOT), faults_by_file(given.kinds, given.paths)
+    if not found:
+        parser.error("got no place where such a fault could stand; wanted other --paths or --kinds")
     if not given.report:
         import_what_is_not_mutated()
     counts, opened = defaultdict[str, Counter[str]](Counter), list[str]()
-    for path in likely_first(found)[part - 1 :: parts]:
+    for path in likely_first(found)[int(part) - 1 :: int(parts)]:
         trial, began = trial_of(path, found[path], nearness), time.monotonic()
         if not given.report:
             swept(trial)

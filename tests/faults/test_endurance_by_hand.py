@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from safedpa.errors import InputError
+from safedpa_lab.commands.experiments.faults import command
 from safedpa_lab.faults.endurance import Kept, Resources, Sample, kept_by
 from safedpa_lab.faults.member import Member
 from safedpa_lab.faults.report import markdown_of
@@ -144,3 +146,9 @@ def test_of_a_process_that_is_gone_the_fate_and_the_last_words_are_told(tmp_path
     member.restart()
     member.kill()
     assert member.fate().startswith("its process ended with -9: ")
+
+
+@pytest.mark.parametrize("minutes", ["nan", "inf", "1441"])
+def test_a_time_without_an_end_is_refused(minutes: str) -> None:
+    with pytest.raises(InputError, match="--minutes: got .*, wanted 1440 at most"):
+        command.main(["--minutes", minutes], standalone_mode=False)

@@ -19,6 +19,7 @@ from safedpa.extras import needs
 __all__ = ["command"]
 
 _PIPE_COLUMNS = 120
+_MOST_MINUTES = 1440
 
 
 @click.command(name="faults")
@@ -47,6 +48,8 @@ def command(**options: Any) -> None:
 
     if options["minutes"] and (options["only"] or options["small"]):
         raise InputError("--minutes: takes all faults that one fleet can suffer; leave --only and --small out")
+    if options["minutes"] and not options["minutes"] <= _MOST_MINUTES:  # so that NaN is refused as well
+        raise InputError(f"--minutes: got {options['minutes']:g}, wanted {_MOST_MINUTES} at most, which is a day")
     faults = faults_named(options["only"]) if options["only"] else all_faults()
     if options["minutes"]:
         faults = faults_for(60.0 * options["minutes"], options["seed"])
