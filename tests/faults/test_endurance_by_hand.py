@@ -150,5 +150,5 @@ def test_of_a_process_that_is_gone_the_fate_and_the_last_words_are_told(tmp_path
 
 @pytest.mark.parametrize("minutes", ["nan", "inf", "1441"])
 def test_a_time_without_an_end_is_refused(minutes: str) -> None:
-    with pytest.raises(InputError, match="--minutes: got .*, wanted 1440 at most"):
+    with pytest.raises(InputError, match=r"--minutes: got .*, wanted 1440 at most"):
         command.main(["--minutes", minutes], standalone_mode=False)
