@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import venv
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,21 @@ def test_a_peer_that_is_not_there_says_so() -> None:
     answer = ask_peer("filter_cvxpy", "no_such_package_anywhere", {}, ())
     assert "no_such_package_anywhere is not installed" in answer["missing"]
     assert interpreter_with("json", (sys.executable,)) == sys.executable
+
+
+def test_a_peer_answers_in_a_python_that_knows_nothing_of_this_project(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    venv.create(tmp_path / "peer")
+    inside = next((tmp_path / "peer" / "lib").glob("python*")) / "site-packages"
+    (inside / "numpy.pth").write_text(str(Path(np.__file__).parents[1]), encoding="utf-8")
+    (inside / "casadi.py").write_text("raise ImportError('this is no casadi')", encoding="utf-8")
+    other = tmp_path / "elsewhere"
+    (other / "safedpa_lab").mkdir(parents=True)
+    (other / "safedpa_lab" / "__init__.py").write_text("raise ImportError('found on the path')", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(other))
+    answer = ask_peer("filter_casadi", "casadi", {"problems": []}, (str(tmp_path / "peer" / "bin" / "python"),))
+    assert answer == {"answers": []}
 
 
 def test_a_peer_that_fails_says_how() -> None:

@@ -17,9 +17,9 @@ _ROOT = Path(__file__).resolve().parents[1]
 _BEGIN = """
 import sys, types
 root, module = sys.argv[1:3]
-package = types.ModuleType("safedpa_services")
+package = types.ModuleType("safedpa_lab")
 package.__path__ = [root]
-sys.modules["safedpa_services"] = package
+sys.modules["safedpa_lab"] = package
 import importlib
 importlib.import_module("safedpa_lab.benchmarks.peers." + module).main()
 """
@@ -55,7 +55,7 @@ def ask_peer(
             text=True,
             timeout=seconds,
             check=False,
-            env={**os.environ, **_ONE_THREAD},
+            env=_surroundings(),
         )
     except subprocess.TimeoutExpired:
         return {"missing": f"gave no answer within {seconds:.0f} s"}
@@ -66,12 +66,17 @@ def ask_peer(
     return answer
 
 
+def _surroundings() -> dict[str, str]:
+    """Of a peer: one thread, and no path to packages of this Python."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | _ONE_THREAD
+
+
 @cache
 def interpreter_with(package: str, interpreters: tuple[str, ...]) -> str | None:
     """The first Python that finds the package; None where none does."""
     look = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({package!r}) is None)"
     for interpreter in (*interpreters, sys.executable):
-        done = subprocess.run([interpreter, "-c", look], capture_output=True, check=False)
+        done = subprocess.run([interpreter, "-c", look], capture_output=True, check=False, env=_surroundings())
         if done.returncode == 0:
             return interpreter
     return None
