@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from operator import is_
 from typing import Any, Final, NamedTuple, final, overload
 
@@ -71,16 +70,17 @@ class _Order(NamedTuple):
 
     @classmethod
     def of(cls, parts: Sequence[AbstractBarrier]) -> _Order:
-        runs = tuple((part.kind, len(part.names)) for part in parts)
-        rows: dict[str, list[int]] = {}
-        row = 0
-        for kind, count in runs:
-            rows.setdefault(kind, []).extend(range(row, row + count))
-            row += count
-        names = tuple(chain.from_iterable(part.names for part in parts))
-        kinds = tuple(chain.from_iterable([kind] * count for kind, count in runs))
-        at_once: list[bool] = list(chain.from_iterable([part.at_once] * len(part.names) for part in parts))
-        return cls(names, kinds, at_once, {kind: tuple(own) for kind, own in rows.items() if own}, runs)
+        runs = tuple([(part.kind, len(part.names)) for part in parts])
+        names, kinds, at_once = list[str](), list[str](), list[bool]()
+        rows: dict[str, tuple[int, ...]] = {}
+        for part in parts:
+            count = len(part.names)
+            if count:
+                rows[part.kind] = (*rows.get(part.kind, ()), *range(len(names), len(names) + count))
+            names += part.names
+            kinds += [part.kind] * count
+            at_once += [part.at_once] * count
+        return cls(tuple(names), tuple(kinds), at_once, rows, runs)
 
 
 class AbstractStack(Sequence[AbstractBarrier]):

@@ -60,10 +60,10 @@ class AbstractEquationBarrier(AbstractBarrier):
         return None
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return np.array(self._alone(len(state)).heights(state.tolist()))
+        return np.array(self.alone(len(state)).heights(state.tolist()))
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
-        rows, plain = self._alone(len(state)), state.tolist()
+        rows, plain = self.alone(len(state)), state.tolist()
         h = np.array(rows.heights(plain))
         return h, np.array(rows.slopes(plain, range(len(h)))).reshape(len(h), len(state))
 
@@ -74,7 +74,15 @@ class AbstractEquationBarrier(AbstractBarrier):
         other.shared = shared
         return other
 
-    def _alone(self, states: int) -> Any:
+    def holding(self, each: Sequence[tuple[float, ...]], names: tuple[str, ...]) -> Self:
+        """Other items (items, numbers) with the same numbers in common, and their names; nothing is checked again."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__getstate__())
+        other.each, other.names = tuple(each), names
+        return other
+
+    def alone(self, states: int) -> Any:
+        """h and slopes of these items over plain numbers (``heights``, ``slopes``, ``steepest``), of so many states."""
         known: dict[int, Any] = self.__dict__.setdefault("_rows", {})
         if states not in known:
             known[states] = rows_of(pattern_of((self,)), states)((self.shared,), (self.each,))

@@ -25,6 +25,8 @@ _BODY = 4
 """Shared numbers of the body, as ``body_of`` takes them."""
 _OWN = 11
 """Shared numbers without those of what is towed."""
+_FASTEST, _THICK = 7, 9
+"""Which say how fast the fastest disc is, behind it for how long it creeps, and how thick the car itself is."""
 _RATE, _MOST = _OWN + 1, _OWN + 2
 """Which of those of what is towed say how it grows with the way backwards, and by how much at most."""
 _LOAD_AHEAD = 0.05
@@ -104,6 +106,18 @@ class MoverBarrier(AbstractEquationBarrier):
             (x, y, size + kept + speed * period, speed, 0.0 if unseen else speed)
             for (x, y, size, speed), unseen in zip(table.tolist(), hidden, strict=True)
         )
+
+    @property
+    def thick(self) -> float:
+        """m; the radius that counts around the car itself."""
+        return self.shared[_THICK]
+
+    def of_speeds(self, discs: Sequence[tuple[float, ...]], creeps: float | None = None) -> MoverBarrier:
+        """The same with the numbers in common that these ``discs`` bring, whose fourth is their speed [m/s], and with
+        other ``creeps`` [s]."""
+        fastest, shared = max([disc[3] for disc in discs], default=0.0), self.shared
+        slow = shared[_FASTEST + 1] if creeps is None else creeps
+        return self.sharing((*shared[:_FASTEST], fastest, slow, *shared[_FASTEST + 2 :]))
 
     @staticmethod
     def h(given: Given, operations: Operations) -> Sequence[Scalar]:

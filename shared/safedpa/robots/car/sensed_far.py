@@ -20,8 +20,6 @@ from math import isfinite, sqrt
 from typing import Final
 
 from safedpa.bus import StateMessage
-from safedpa.equations import Given
-from safedpa.operations import FLOATS
 from safedpa.robots.car.quickness import Quickness
 from safedpa.safety.equation_barrier import AbstractEquationBarrier
 
@@ -42,11 +40,12 @@ def far_of(
         return float("inf")
     speed = abs(state.values[3]) + car.acceleration * (late + state.period)
     place, arm, change = 0.0, 0.0, 0.0
+    rows = barrier.alone(len(state.values))
     for signed in (speed, -speed):
-        bounds = barrier.steepest(Given((*state.values[:3], signed), barrier.shared, ()), FLOATS)
+        bounds = rows.steepest((*state.values[:3], signed))
         if bounds is None:
             return float("inf")
-        x, y, turned, faster = (float(bound) for bound in bounds)
+        x, y, turned, faster = bounds
         place, arm, change = max(place, x, y), max(arm, turned), max(change, faster)
     each_second = sqrt(2.0) * place * car.reach * speed + arm * car.curvature * speed + change * car.acceleration
     spent = each_second * state.period + _WIDENED * epsilon

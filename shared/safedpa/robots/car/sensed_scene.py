@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from math import isfinite
-from typing import Final, final
+from functools import lru_cache
+from math import inf
+from typing import Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.equations import Given
-from safedpa.errors import InputError
 from safedpa.operations import NUMPY
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, checked_footprint
+from safedpa.robots.car.barriers import Footprint, ObstacleBarrier, checked_footprint
 from safedpa.robots.car.counter_braking import STANDS, CounterBraking
 from safedpa.robots.car.quickness import ORDINARY, Quickness
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_far import far_of
+from safedpa.robots.car.sensed_near import below, discs_near, moving_discs
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.barrier import AbstractStack, RememberingStack
+from safedpa.safety.braking import Braking
 from safedpa.safety.equation_barrier import AbstractEquationBarrier
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.speed_barrier import SpeedBarrier
@@ -30,11 +31,22 @@ from safedpa.safety.stacks import stacked
 __all__ = ["MOST_ROWS", "Sensed", "counter_braking_of", "sensed_barriers"]
 
 Values = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Far: TypeAlias = Callable[[AbstractEquationBarrier], float]
+"""h from which on an item of a barrier need not be looked at."""
 
 MOST_ROWS: Final = 64
 """Discs of each kind, at rest and not, that a decision looks at: those with the least h."""
-_WIDTHS: Final = (("points", 3), ("movers", 6), ("hidden", 4))
+_NUMBERS: Final = (
+    "braking_deceleration",
+    "braking_gain",
+    "clearance",
+    "creeping",
+    "own_radius",
+    "speed_low",
+    "speed_high",
+)
+_ROUNDING: Final = 1e-6
+"""m by which rounding misses a distance at most, and far more."""
 
 
 @final
@@ -71,101 +83,112 @@ def sensed_barriers(
     state. ``quick``: how quick the model of the car is.
     """
     body = checked_footprint(state.footprint)
-    points, movers, places = (_table(seen, name, width) for name, width in _WIDTHS)
-    discs = np.vstack([movers[:, [0, 1, 2, 5]], places])
-    hidden = np.arange(len(discs)) >= len(movers)
-    braking, clearance, own = braking_of(settings), settings.barrier("clearance"), settings.barrier("own_radius")
-
-    def named(row: int) -> str:
-        return f"mover {row}" if row < len(movers) else f"hidden {row - len(movers)}"
-
-    def at_rest(rows: Rows) -> ObstacleBarrier:
-        names = tuple([f"point {row}" for row in rows.tolist()])
-        return ObstacleBarrier(points[rows], body, braking, clearance, names, towed)
-
-    def moving(rows: Rows) -> MoverBarrier:
-        names = tuple(map(named, rows.tolist()))
-        unseen = hidden[rows].tolist()
-        known = body, braking, counter, clearance, state.period, names, towed
-        return MoverBarrier(discs[rows], unseen, *known, creeps=settings.barrier("creeping"), own_radius=own)
-
-    speeds, kept = (settings.barrier("speed_low"), settings.barrier("speed_high")), body[2] + clearance
-    thick = body[2] if towed is None else min(own or body[2], body[2])
-    none, margins = np.arange(0), {**settings.epsilon, **(epsilon or {})}
+    still, able, limits = _nothing_seen(tuple([settings.barrier(name) for name in _NUMBERS]), counter, body, towed)
+    margins = {**settings.epsilon, **(epsilon or {})}
 
     def far(barrier: AbstractEquationBarrier) -> float:
         return far_of(barrier, state, settings.eta, margins.get(barrier.kind, margins.get("default", 0.0)), late, quick)
 
-    resting = at_rest(none)
-    still, _, fewer = _that_matter(resting, (*points[:, :2].T, points[:, 2] + kept), state, speeds, far)
-    x, y, radius, fastest = discs.T
-    everywhere = (x, y, radius + thick + clearance + fastest * state.period, fastest, fastest)
-    each = (*everywhere[:4], np.where(hidden, 0.0, fastest))
-    able = moving(none) if len(discs) else resting
-    # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
-    strict = (*able.shared[:7], float(fastest.max()), 0.0, *able.shared[9:]) if len(discs) else ()
-    swiftest = able.sharing(strict) if len(discs) else able
-    may_move, h, fewer_movers = _that_matter(swiftest, each, state, speeds, far, everywhere)
-    stands = len(state.values) == len(MoverBarrier.reads) and abs(state.values[3]) <= STANDS
+    clearance, speeds = settings.barrier("clearance"), limits.each[0]
+    resting, fewer = _resting(still, state, seen, body[2] + clearance, speeds, far, towed)
+    moving, fewer_movers, who = _moving(able, state, seen, clearance, speeds, far)
     left_out = " and ".join(
         filter(None, (f"{fewer} points" * bool(fewer), f"{fewer_movers} movers" * bool(fewer_movers)))
     )
     return Sensed(
-        RememberingStack(stacked([at_rest(still), moving(may_move), SpeedBarrier(*speeds)])),
-        _who_may_touch(h[: len(movers)] if stands else h, named),
+        RememberingStack(stacked([resting, moving, limits])),
+        who,
         f"Of {left_out} near it, those with the least h were looked at." if left_out else "",
     )
 
 
-def _table(seen: SurroundingsMessage, name: str, width: int) -> Values:
-    rows = getattr(seen, name)
-    if not rows:
-        return np.empty((0, width))
-    if set(map(len, rows)) != {width}:
-        raise InputError(f"{name}: got rows of other lengths, wanted {width} numbers each")
-    table = np.fromiter(chain.from_iterable(rows), np.float64, len(rows) * width).reshape(-1, width)
-    if not isfinite(table.sum()) and not np.isfinite(table).all():
-        raise InputError(f"{name}: got NaN or infinity, wanted finite x, y, radius and speed")
-    if (table[:, [2, -1]] < 0.0).any():  # of points both are the radius
-        raise InputError(f"{name}: got a radius or a speed below 0, wanted 0 or more")
-    return table
+@lru_cache(maxsize=16)
+def _nothing_seen(
+    numbers: tuple[float, ...], counter: CounterBraking, body: Footprint, towed: TowedReach | None
+) -> tuple[ObstacleBarrier, MoverBarrier, SpeedBarrier]:
+    """The barriers of what is at rest, of what is not, and of the speed, with nothing in sight."""
+    deceleration, gain, clearance, creeps, own_radius, low, high = numbers
+    braking = Braking(deceleration, gain)
+    still = ObstacleBarrier((), body, braking, clearance, (), towed)
+    able = MoverBarrier((), (), body, braking, counter, clearance, 0.0, (), towed, creeps, own_radius)
+    return still, able, SpeedBarrier(low, high)
 
 
-def _that_matter(
-    barrier: AbstractEquationBarrier,
-    each: tuple[Values, ...],
+def _resting(
+    still: ObstacleBarrier,
     state: StateMessage,
-    speeds: tuple[float, float],
-    far: Callable[[AbstractEquationBarrier], float],
-    everywhere: tuple[Values, ...] | None = None,
-) -> tuple[Rows, Values, int]:
-    """The rows that can matter in this tick, h of all at the state, and how many there were if not all were taken.
+    seen: SurroundingsMessage,
+    room: float,
+    speeds: Sequence[float],
+    far: Far,
+    towed: TowedReach | None,
+) -> tuple[ObstacleBarrier, int]:
+    """The points that can matter in this tick, and how many there were if not all were taken."""
+    values, limit, within = state.values, inf, inf
+    known = len(values) == len(MoverBarrier.reads)
+    if known and seen.points:
+        limit, arm = far(still), still.alone(len(values)).steepest(values)[2]
+        within = limit + arm + (0.0 if towed is None else towed.most) + _ROUNDING
+    x, y = values[:2] if known else (0.0, 0.0)
+    rows, discs = discs_near(seen.points, x, y, within, room)
+    near = list(range(len(rows)))
+    if known:
+        near = below(still.holding(discs, ()).alone(len(values)).heights(values), limit)
+    taken = _of_least_h(still, discs, near, state, speeds) if known and len(near) > MOST_ROWS else near
+    names = tuple([f"point {rows[place]}" for place in taken])
+    return still.holding([discs[place] for place in taken], names), len(near) if len(taken) < len(near) else 0
 
-    By the equation of a ``barrier`` of the same body, over arrays: ``each`` (numbers, m). Of too many those with the
-    least h at the state or at either end of the speeds: what moves by itself matters to a car that drives off, though
-    it may be far while the car stands. What is far is told by the numbers that hold ``everywhere``, where others hold
-    behind the car alone: a little turn brings a place before it, and h falls there all at once.
+
+def _moving(
+    able: MoverBarrier,
+    state: StateMessage,
+    seen: SurroundingsMessage,
+    clearance: float,
+    speeds: Sequence[float],
+    far: Far,
+) -> tuple[MoverBarrier, int, str]:
+    """What can matter of what may move, how much there was if not all was taken, and who may touch the car.
+
+    What is far is told by the numbers that hold everywhere, where others hold behind the car alone: a little turn
+    brings a place before it, and h falls there all at once.
     """
-    count = len(each[0])
-    if not count or len(state.values) != len(MoverBarrier.reads):
-        return np.arange(count), np.empty(0), 0
-    heights: Values = np.asarray(barrier.h(Given(state.values, barrier.shared, each), NUMPY)[0])
-    lowest = heights
-    if everywhere is not None:
-        lowest = np.asarray(barrier.h(Given(state.values, barrier.shared, everywhere), NUMPY)[0])
-    near = np.flatnonzero(lowest < far(barrier))
-    if len(near) <= MOST_ROWS:
-        return near, heights, 0
+    discs, everywhere = moving_discs(seen.movers, seen.hidden, able.thick + clearance, state.period)
+    values, movers, taken, near, who = state.values, len(seen.movers), list(range(len(discs))), 0, ""
+
+    def named(row: int) -> str:
+        return f"mover {row}" if row < movers else f"hidden {row - movers}"
+
+    if discs and len(values) == len(MoverBarrier.reads):
+        # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
+        swiftest = able.of_speeds(discs, creeps=0.0).holding([*discs, *everywhere], ())
+        heights = swiftest.alone(len(values)).heights(values)
+        taken = below([*heights[:movers], *heights[len(discs) :]], far(swiftest))
+        if len(taken) > MOST_ROWS:
+            near, taken = len(taken), _of_least_h(swiftest, discs, taken, state, speeds)
+        who = _who_may_touch(heights[: movers if abs(values[3]) <= STANDS else len(discs)], named)
+    kept = [discs[place] for place in taken]
+    return able.of_speeds(kept).holding(kept, tuple(map(named, taken))), near, who
+
+
+def _of_least_h(
+    barrier: AbstractEquationBarrier,
+    discs: Sequence[tuple[float, ...]],
+    near: Sequence[int],
+    state: StateMessage,
+    speeds: Sequence[float],
+) -> list[int]:
+    """``MOST_ROWS`` of the places ``near`` in ``discs``, those with the least h at the state or at either end of the
+    ``speeds``: what moves by itself matters to a car that drives off, though it may be far while the car stands."""
     at = np.array([[state.values[3]], *([speed] for speed in speeds)])
-    nearest = tuple(numbers[near] for numbers in each)
-    least: Values = np.asarray(barrier.h(Given((*state.values[:3], at), barrier.shared, nearest), NUMPY)[0]).min(axis=0)
-    chosen = near[np.argpartition(least, MOST_ROWS)[:MOST_ROWS]]
-    return np.sort(chosen), heights, len(near)
+    items = tuple(np.array([discs[place] for place in near]).T)
+    least: Values = np.asarray(barrier.h(Given((*state.values[:3], at), barrier.shared, items), NUMPY)[0]).min(axis=0)
+    return sorted([near[place] for place in np.argpartition(least, MOST_ROWS)[:MOST_ROWS].tolist()])
 
 
-def _who_may_touch(h: Values, named: Callable[[int], str]) -> str:
+def _who_may_touch(h: Sequence[float], named: Callable[[int], str]) -> str:
     """Of movers and, behind them, hidden places: who may be at the car before it stands."""
-    if not len(h) or float(h.min()) >= 0.0:
+    least = min(h, default=0.0)
+    if least >= 0.0:
         return ""
-    who = named(int(np.argmin(h)))
+    who = named(h.index(least))
     return f"{who if who.startswith('mover') else 'somebody whom nobody sees'} may be at the robot before it stands"

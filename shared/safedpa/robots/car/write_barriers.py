@@ -66,7 +66,8 @@ _STATES = 4
 
 
 def text() -> str:
-    """What stands in the module: obstacles and speed, with and without walls and something towed; what sensors see."""
+    """What stands in the module: obstacles and speed, with and without walls and something towed; what sensors
+    see, and of that each kind by itself."""
     found = {}
     for name, towed in (("", None), ("Towing", TowedReach(0.1, 0.5, 0.2, 0.0, (0.0, 0.0, 0.0)))):
         braking = Braking(2.0, 2.5)
@@ -79,6 +80,8 @@ def text() -> str:
             ("Open", (obstacles, speed)),
             ("Walled", (obstacles, field, speed)),
             ("Sensed", (obstacles, movers, speed)),
+            ("Still", (obstacles,)),
+            ("Moving", (movers,)),
         )
         for room, parts in sets:
             pattern = pattern_of(parts)

@@ -8,7 +8,7 @@ from typing import Any, final
 
 from safedpa.equations.chain_rule import chain_rule
 
-__all__ = ["WRITTEN", "Open", "OpenTowing", "Sensed", "SensedTowing", "Walled", "WalledTowing"]
+__all__ = ["WRITTEN", "Moving", "MovingTowing", "Open", "OpenTowing", "Sensed", "SensedTowing", "Still", "StillTowing", "Walled", "WalledTowing"]
 
 
 @final
@@ -674,6 +674,355 @@ class Sensed:
         n136 = (n134 if n134 > n111 else n111)
         n137 = ((1.0) if (1.0) > n136 else n136)
         return (1.0), (1.0), n135, n137
+
+
+@final
+class Still:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n34 = (1.0) / p0_3
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n34: float = n34
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            h.append(n33)
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, _ = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                d_n31 = (n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (n29 / n32 if n32 > 0.0 else 1.0)
+                d_n26 = d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n22, -d_n23, d_n16 * n15 + d_n15 * -n16, d_n19 * n18_3 + d_n21 * n20_3))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n34 = self._n34
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n35 = n1 / p0_2
+        n36 = (n35 if n35 > n34 else n34)
+        n37 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n38 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n39 = (n38 if n38 > n37 else n37)
+        return (1.0), (1.0), n39, n36
+
+
+@final
+class Moving:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n26 = (2.0) * p0_4
+        n30 = p0_5 * p0_5
+        n32 = (2.0) * p0_6
+        n78 = (1.0) / p0_3
+        n88 = (1.0) / p0_6
+        n89 = (1.0) / p0_4
+        n90 = (n89 if n89 > n88 else n88)
+        n95 = p0_7 * ((n90 if n90 > (0.5) else (0.5)))
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_8: float = p0_8
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n26: float = n26
+        self._n30: float = n30
+        self._n32: float = n32
+        self._n78: float = n78
+        self._n90: float = n90
+        self._n95: float = n95
+        self._items0: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[0]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_8 = self._p0_8
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n1 = abs(s3)
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if (s3 > (0.0)) else (-n34))
+        n38 = n17 + (((0.0) if (0.0) < n36 else n36))
+        n40 = p0_1 + (((0.0) if (0.0) > n36 else n36))
+        n53 = s3 >= (0.0)
+        n62 = n22 - (0.1)
+        n66 = n1 - p0_5
+        n69 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n62 else n62)) / p0_4)) + ((((0.0) if (0.0) > n66 else n66)) / p0_6)
+        n73 = p0_8 * ((0.1) - n1)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2, e0_3, e0_4 in self._items0:
+            n41 = e0_0 - s0
+            n42 = e0_1 - s1
+            n45 = (n15 * n41) + (n16 * n42)
+            n48 = (n15 * n42) - (n16 * n41)
+            n50 = n45 - ((n38 if n45 < n38 else n40 if n45 > n40 else n45))
+            n51_square = n50 * n50 + n48 * n48
+            n71 = (((sqrt(n51_square) if 1e-290 < n51_square < 1e+290 else hypot(n50, n48))) - e0_2) - (((e0_4 if ((((n17 - n45) if n53 else (n45 - p0_1))) > (0.0)) else e0_3)) * n69)
+            n77 = (((n73 if n73 > n71 else n71)) if ((p0_8 * (e0_3 - e0_4)) > (0.0)) else n71)
+            h.append(n77)
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_8 = self._p0_8
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n1 = abs(s3)
+        n11 = s3 > (0.0)
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if n11 else (-n34))
+        n38 = n17 + (((0.0) if (0.0) < n36 else n36))
+        n40 = p0_1 + (((0.0) if (0.0) > n36 else n36))
+        n53 = s3 >= (0.0)
+        n62 = n22 - (0.1)
+        n66 = n1 - p0_5
+        n69 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n62 else n62)) / p0_4)) + ((((0.0) if (0.0) > n66 else n66)) / p0_6)
+        n73 = p0_8 * ((0.1) - n1)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n22_3 = (0.0 if p0_5 < n1 else n1_3)
+        n23_3 = (0.0 if p0_5 > n1 else n1_3)
+        n34_3 = ((n1_3 * (0.05)) + ((n22_3 * n22 + n22_3 * n22) / n26)) + ((n23_3 * n23 + n23_3 * n23) / n32)
+        n36_3 = (n34_3 if n11 else 0.0) + (0.0 if n11 else -n34_3)
+        n37_3 = (0.0 if (0.0) < n36 else n36_3)
+        n39_3 = (0.0 if (0.0) > n36 else n36_3)
+        n69_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n62 else n22_3)) / p0_4)) + (((0.0 if (0.0) > n66 else n1_3)) / p0_6)
+        n73_3 = -n1_3 * p0_8
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2, e0_3, e0_4 = self._items0[row - end0]
+                n41 = e0_0 - s0
+                n42 = e0_1 - s1
+                n45 = (n15 * n41) + (n16 * n42)
+                n48 = (n15 * n42) - (n16 * n41)
+                n50 = n45 - ((n38 if n45 < n38 else n40 if n45 > n40 else n45))
+                n51_square = n50 * n50 + n48 * n48
+                n51 = (sqrt(n51_square) if 1e-290 < n51_square < 1e+290 else hypot(n50, n48))
+                n58 = (e0_4 if ((((n17 - n45) if n53 else (n45 - p0_1))) > (0.0)) else e0_3)
+                n71 = (n51 - e0_2) - (n58 * n69)
+                n75 = (p0_8 * (e0_3 - e0_4)) > (0.0)
+                d_n76 = (1.0 if n75 else 0.0)
+                d_n71 = (0.0 if n75 else 1.0) + (0.0 if n73 > n71 else d_n76)
+                d_n50 = (d_n71 * n50 / n51 if n51 > 0.0 else 0.0)
+                d_n48 = (d_n71 * n48 / n51 if n51 > 0.0 else d_n71)
+                d_n45 = d_n50 + (0.0 if n45 <= n38 else (0.0 if n45 >= n40 else -d_n50))
+                d_n42 = d_n48 * n15 + d_n45 * n16
+                d_n41 = -d_n48 * n16 + d_n45 * n15
+                d_n73 = (d_n76 if n73 > n71 else 0.0)
+                d_n69 = -d_n71 * n58
+                d_n38 = (-d_n50 if n45 <= n38 else 0.0)
+                d_n40 = (0.0 if n45 <= n38 else (-d_n50 if n45 >= n40 else 0.0))
+                d_n16 = -d_n48 * n41 + d_n45 * n42
+                d_n15 = d_n48 * n42 + d_n45 * n41
+                found.append((-d_n41, -d_n42, d_n16 * n15 + d_n15 * -n16, d_n73 * n73_3 + d_n69 * n69_3 + d_n38 * n37_3 + d_n40 * n39_3))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        p0_5 = self._p0_5
+        p0_8 = self._p0_8
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n78 = self._n78
+        n90 = self._n90
+        n95 = self._n95
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if n11 else (-n34))
+        n79 = n1 / p0_2
+        n80 = (n79 if n79 > n78 else n78)
+        n81 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n82 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n83 = (n82 if n82 > n81 else n81)
+        n84 = abs((n17 + (((0.0) if (0.0) < n36 else n36))))
+        n85 = abs((p0_1 + (((0.0) if (0.0) > n36 else n36))))
+        n86 = (n85 if n85 > n84 else n84)
+        n87 = (n86 if n86 > n83 else n83)
+        n92 = (0.05) + (n1 * n90)
+        n96 = ((n92 if n92 > n80 else n80)) + n95
+        n97 = (p0_8 if p0_8 > n96 else n96)
+        return (1.0), (1.0), n87, n97
 
 
 @final
@@ -1686,12 +2035,550 @@ class SensedTowing:
         return n206, n206, n207, n209
 
 
+@final
+class StillTowing:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        p0_11: float = shared[0][11]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n53 = (1.0) / p0_3
+        n59 = (1.0) + p0_5
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_7: float = p0_7
+        self._p0_8: float = p0_8
+        self._p0_9: float = p0_9
+        self._p0_10: float = p0_10
+        self._p0_11: float = p0_11
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n53: float = n53
+        self._n59: float = n59
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+            n49_square = n48 * n48 + n29 * n29
+            n51 = (((sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))) - e0_2) - n46
+            n52 = (n51 if n51 < n33 else n33)
+            h.append(n52)
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2 = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                n33 = n32 - e0_2
+                n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+                n49_square = n48 * n48 + n29 * n29
+                n49 = (sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))
+                n51 = (n49 - e0_2) - n46
+                d_n51 = (1.0 if n51 < n33 else 0.0)
+                d_n48 = (d_n51 * n48 / n49 if n49 > 0.0 else 0.0)
+                d_n33 = (0.0 if n51 < n33 else 1.0)
+                d_n31 = (d_n33 * n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (d_n51 * n29 / n49 if n49 > 0.0 else d_n51) + (d_n33 * n29 / n32 if n32 > 0.0 else d_n33)
+                d_n26 = d_n48 + (0.0 if n26 <= n19 else (0.0 if n26 >= n17 else -d_n48)) + d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n48 if n26 <= n19 else 0.0) + (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n51 * n46_0 - d_n22, -d_n51 * n46_1 - d_n23, d_n16 * n15 + d_n15 * -n16, -d_n51 * n46_3 + d_n19 * n18_3 + d_n21 * n20_3))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n53 = self._n53
+        n59 = self._n59
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n54 = n1 / p0_2
+        n56 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n57 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n58 = (n57 if n57 > n56 else n56)
+        n60 = ((n54 if n54 > n53 else n53)) * n59
+        return n59, n59, n58, n60
+
+
+@final
+class MovingTowing:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        p0_11: float = shared[0][11]
+        p0_12: float = shared[0][12]
+        p0_13: float = shared[0][13]
+        p0_14: float = shared[0][14]
+        p0_15: float = shared[0][15]
+        p0_16: float = shared[0][16]
+        p0_17: float = shared[0][17]
+        p0_18: float = shared[0][18]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n26 = (2.0) * p0_4
+        n30 = p0_5 * p0_5
+        n32 = (2.0) * p0_6
+        n79 = p0_9 + p0_10
+        n118 = (1.0) / p0_3
+        n124 = (1.0) + p0_12
+        n130 = (1.0) / p0_6
+        n131 = (1.0) / p0_4
+        n132 = (n131 if n131 > n130 else n130)
+        n138 = (1.0) + ((p0_12 * n79) / p0_13)
+        n140 = (2.0) * n79
+        n145 = p0_7 * ((n132 if n132 > (0.5) else (0.5)))
+        self._p0_0: float = p0_0
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_8: float = p0_8
+        self._p0_9: float = p0_9
+        self._p0_10: float = p0_10
+        self._p0_11: float = p0_11
+        self._p0_12: float = p0_12
+        self._p0_13: float = p0_13
+        self._p0_14: float = p0_14
+        self._p0_15: float = p0_15
+        self._p0_16: float = p0_16
+        self._p0_17: float = p0_17
+        self._p0_18: float = p0_18
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n26: float = n26
+        self._n30: float = n30
+        self._n32: float = n32
+        self._n79: float = n79
+        self._n118: float = n118
+        self._n124: float = n124
+        self._n132: float = n132
+        self._n138: float = n138
+        self._n140: float = n140
+        self._n145: float = n145
+        self._items0: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[0]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_0 = self._p0_0
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        p0_12 = self._p0_12
+        p0_13 = self._p0_13
+        p0_14 = self._p0_14
+        p0_15 = self._p0_15
+        p0_16 = self._p0_16
+        p0_17 = self._p0_17
+        p0_18 = self._p0_18
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n79 = self._n79
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n11 = s3 > (0.0)
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if n11 else (-n34))
+        n38 = n17 + (((0.0) if (0.0) < n36 else n36))
+        n40 = p0_1 + (((0.0) if (0.0) > n36 else n36))
+        n53 = s3 >= (0.0)
+        n61 = (n40 - p0_1) - p0_0
+        n71 = p0_14 - ((p0_17 * (s0 - p0_15)) + (p0_18 * (s1 - p0_16)))
+        n73 = -(((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8)))))
+        n77 = ((((n71 if n71 > (0.0) else (0.0))) + ((n73 if n73 > (0.0) else (0.0)))) - p0_11) * p0_12
+        n83 = ((((0.0) if n77 < (0.0) else p0_13 if n77 > p0_13 else n77)) * n79) / p0_13
+        n96 = n22 - (0.1)
+        n100 = n1 - p0_5
+        n103 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n96 else n96)) / p0_4)) + ((((0.0) if (0.0) > n100 else n100)) / p0_6)
+        n106 = s3 >= (-0.01)
+        n113 = p0_8 * ((0.1) - n1)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2, e0_3, e0_4 in self._items0:
+            n41 = e0_0 - s0
+            n42 = e0_1 - s1
+            n45 = (n15 * n41) + (n16 * n42)
+            n48 = (n15 * n42) - (n16 * n41)
+            n50 = n45 - ((n38 if n45 < n38 else n40 if n45 > n40 else n45))
+            n51_square = n50 * n50 + n48 * n48
+            n52 = ((sqrt(n51_square) if 1e-290 < n51_square < 1e+290 else hypot(n50, n48))) - e0_2
+            n54 = n17 - n45
+            n59 = e0_3 - e0_4
+            n63 = n45 - ((n38 if n45 < n38 else n61 if n45 > n61 else n45))
+            n64_square = n63 * n63 + n48 * n48
+            n65 = ((sqrt(n64_square) if 1e-290 < n64_square < 1e+290 else hypot(n63, n48))) - p0_10
+            n84 = ((n45 - n61) - (0.05)) - n83
+            n86 = (abs(n48)) - n79
+            n87 = ((0.0) if (0.0) > n84 else n84)
+            n88 = ((0.0) if (0.0) > n86 else n86)
+            n89_square = n87 * n87 + n88 * n88
+            n90 = ((sqrt(n89_square) if 1e-290 < n89_square < 1e+290 else hypot(n87, n88))) + p0_9
+            n92 = ((n90 if n90 > n65 else n65)) - e0_2
+            n105 = ((n92 if n92 < n52 else n52)) - (((e0_4 if (((n54 if n53 else (n45 - p0_1))) > (0.0)) else e0_3)) * n103)
+            n111 = ((((0.5) if (0.5) > n105 else n105)) if ((((n54 * n59) if n106 else (0.0))) > (0.0)) else n105)
+            n117 = (((n113 if n113 > n111 else n111)) if ((p0_8 * n59) > (0.0)) else n111)
+            h.append(n117)
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_0 = self._p0_0
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        p0_12 = self._p0_12
+        p0_13 = self._p0_13
+        p0_14 = self._p0_14
+        p0_15 = self._p0_15
+        p0_16 = self._p0_16
+        p0_17 = self._p0_17
+        p0_18 = self._p0_18
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n79 = self._n79
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if n11 else (-n34))
+        n38 = n17 + (((0.0) if (0.0) < n36 else n36))
+        n40 = p0_1 + (((0.0) if (0.0) > n36 else n36))
+        n53 = s3 >= (0.0)
+        n61 = (n40 - p0_1) - p0_0
+        n71 = p0_14 - ((p0_17 * (s0 - p0_15)) + (p0_18 * (s1 - p0_16)))
+        n73 = -(((s3 / p0_3) if n9 else ((n8 if n11 else (-n8)))))
+        n77 = ((((n71 if n71 > (0.0) else (0.0))) + ((n73 if n73 > (0.0) else (0.0)))) - p0_11) * p0_12
+        n83 = ((((0.0) if n77 < (0.0) else p0_13 if n77 > p0_13 else n77)) * n79) / p0_13
+        n96 = n22 - (0.1)
+        n100 = n1 - p0_5
+        n103 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n96 else n96)) / p0_4)) + ((((0.0) if (0.0) > n100 else n100)) / p0_6)
+        n106 = s3 >= (-0.01)
+        n113 = p0_8 * ((0.1) - n1)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n22_3 = (0.0 if p0_5 < n1 else n1_3)
+        n23_3 = (0.0 if p0_5 > n1 else n1_3)
+        n34_3 = ((n1_3 * (0.05)) + ((n22_3 * n22 + n22_3 * n22) / n26)) + ((n23_3 * n23 + n23_3 * n23) / n32)
+        n36_3 = (n34_3 if n11 else 0.0) + (0.0 if n11 else -n34_3)
+        n37_3 = (0.0 if (0.0) < n36 else n36_3)
+        n39_3 = (0.0 if (0.0) > n36 else n36_3)
+        n83_0 = (((0.0 if n77 <= (0.0) else (0.0 if n77 >= p0_13 else (((-p0_17 if n71 > (0.0) else 0.0)) * p0_12)))) * n79) / p0_13
+        n83_1 = (((0.0 if n77 <= (0.0) else (0.0 if n77 >= p0_13 else (((-p0_18 if n71 > (0.0) else 0.0)) * p0_12)))) * n79) / p0_13
+        n83_3 = (((0.0 if n77 <= (0.0) else (0.0 if n77 >= p0_13 else (((-(((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))) if n73 > (0.0) else 0.0)) * p0_12)))) * n79) / p0_13
+        n103_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n96 else n22_3)) / p0_4)) + (((0.0 if (0.0) > n100 else n1_3)) / p0_6)
+        n113_3 = -n1_3 * p0_8
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2, e0_3, e0_4 = self._items0[row - end0]
+                n41 = e0_0 - s0
+                n42 = e0_1 - s1
+                n45 = (n15 * n41) + (n16 * n42)
+                n48 = (n15 * n42) - (n16 * n41)
+                n50 = n45 - ((n38 if n45 < n38 else n40 if n45 > n40 else n45))
+                n51_square = n50 * n50 + n48 * n48
+                n51 = (sqrt(n51_square) if 1e-290 < n51_square < 1e+290 else hypot(n50, n48))
+                n52 = n51 - e0_2
+                n54 = n17 - n45
+                n58 = (e0_4 if (((n54 if n53 else (n45 - p0_1))) > (0.0)) else e0_3)
+                n59 = e0_3 - e0_4
+                n63 = n45 - ((n38 if n45 < n38 else n61 if n45 > n61 else n45))
+                n64_square = n63 * n63 + n48 * n48
+                n64 = (sqrt(n64_square) if 1e-290 < n64_square < 1e+290 else hypot(n63, n48))
+                n65 = n64 - p0_10
+                n84 = ((n45 - n61) - (0.05)) - n83
+                n86 = (abs(n48)) - n79
+                n87 = ((0.0) if (0.0) > n84 else n84)
+                n88 = ((0.0) if (0.0) > n86 else n86)
+                n89_square = n87 * n87 + n88 * n88
+                n89 = (sqrt(n89_square) if 1e-290 < n89_square < 1e+290 else hypot(n87, n88))
+                n90 = n89 + p0_9
+                n92 = ((n90 if n90 > n65 else n65)) - e0_2
+                n105 = ((n92 if n92 < n52 else n52)) - (n58 * n103)
+                n109 = (((n54 * n59) if n106 else (0.0))) > (0.0)
+                n111 = ((((0.5) if (0.5) > n105 else n105)) if n109 else n105)
+                n115 = (p0_8 * n59) > (0.0)
+                d_n116 = (1.0 if n115 else 0.0)
+                d_n111 = (0.0 if n115 else 1.0) + (0.0 if n113 > n111 else d_n116)
+                d_n105 = (0.0 if n109 else d_n111) + (0.0 if (0.5) > n105 else ((d_n111 if n109 else 0.0)))
+                d_n92 = (d_n105 if n92 < n52 else 0.0)
+                d_n90 = (d_n92 if n90 > n65 else 0.0)
+                d_n86 = (0.0 if (0.0) > n86 else ((d_n90 * n88 / n89 if n89 > 0.0 else d_n90)))
+                d_n84 = (0.0 if (0.0) > n84 else ((d_n90 * n87 / n89 if n89 > 0.0 else 0.0)))
+                d_n65 = (0.0 if n90 > n65 else d_n92)
+                d_n63 = (d_n65 * n63 / n64 if n64 > 0.0 else 0.0)
+                d_n52 = (0.0 if n92 < n52 else d_n105)
+                d_n50 = (d_n52 * n50 / n51 if n51 > 0.0 else 0.0)
+                d_n48 = (d_n86 if n48 > 0.0 else (-d_n86 if n48 < 0.0 else 0.0)) + (d_n65 * n48 / n64 if n64 > 0.0 else d_n65) + (d_n52 * n48 / n51 if n51 > 0.0 else d_n52)
+                d_n45 = d_n84 + d_n63 + (0.0 if n45 <= n38 else (0.0 if n45 >= n61 else -d_n63)) + d_n50 + (0.0 if n45 <= n38 else (0.0 if n45 >= n40 else -d_n50))
+                d_n42 = d_n48 * n15 + d_n45 * n16
+                d_n41 = -d_n48 * n16 + d_n45 * n15
+                d_n113 = (d_n116 if n113 > n111 else 0.0)
+                d_n103 = -d_n105 * n58
+                d_n61 = -d_n84 + (0.0 if n45 <= n38 else (-d_n63 if n45 >= n61 else 0.0))
+                d_n38 = (-d_n63 if n45 <= n38 else 0.0) + (-d_n50 if n45 <= n38 else 0.0)
+                d_n40 = (0.0 if n45 <= n38 else (-d_n50 if n45 >= n40 else 0.0))
+                d_n16 = -d_n48 * n41 + d_n45 * n42
+                d_n15 = d_n48 * n42 + d_n45 * n41
+                found.append((-d_n84 * n83_0 - d_n41, -d_n84 * n83_1 - d_n42, d_n16 * n15 + d_n15 * -n16, d_n113 * n113_3 + d_n103 * n103_3 - d_n84 * n83_3 + d_n61 * n39_3 + d_n38 * n37_3 + d_n40 * n39_3))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        p0_5 = self._p0_5
+        p0_8 = self._p0_8
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n26 = self._n26
+        n30 = self._n30
+        n32 = self._n32
+        n118 = self._n118
+        n124 = self._n124
+        n132 = self._n132
+        n138 = self._n138
+        n140 = self._n140
+        n145 = self._n145
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n22 = (p0_5 if p0_5 < n1 else n1)
+        n23 = (p0_5 if p0_5 > n1 else n1)
+        n34 = (((0.05) * n1) + ((n22 * n22) / n26)) + (((n23 * n23) - n30) / n32)
+        n36 = (n34 if n11 else (-n34))
+        n40 = p0_1 + (((0.0) if (0.0) > n36 else n36))
+        n119 = n1 / p0_2
+        n121 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n122 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n123 = (n122 if n122 > n121 else n121)
+        n126 = abs((n17 + (((0.0) if (0.0) < n36 else n36))))
+        n127 = abs(n40)
+        n128 = (n127 if n127 > n126 else n126)
+        n129 = (n128 if n128 > n123 else n123)
+        n134 = (0.05) + (n1 * n132)
+        n141 = (((0.0) if (0.0) > n40 else n40)) + n140
+        n142 = (n141 if n141 > n129 else n129)
+        n143 = (((n119 if n119 > n118 else n118)) * n124) * n138
+        n146 = ((n134 if n134 > n143 else n143)) + n145
+        n147 = (p0_8 if p0_8 > n146 else n146)
+        return n138, n138, n142, n147
+
+
 WRITTEN: dict[str, Any] = {
     "4: ObstacleBarrier 4 3 () -1, SpeedBarrier 0 2 (3,) -1": Open,
     "4: ObstacleBarrier 4 3 () -1, FieldBarrier 4 4 () 0, SpeedBarrier 0 2 (3,) -1": Walled,
     "4: ObstacleBarrier 4 3 () -1, MoverBarrier 11 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
+    "4: ObstacleBarrier 4 3 () -1": Still,
+    "4: MoverBarrier 11 5 () -1": Moving,
     "4: ObstacleBarrier 12 3 () -1, SpeedBarrier 0 2 (3,) -1": OpenTowing,
     "4: ObstacleBarrier 12 3 () -1, FieldBarrier 12 4 () 0, SpeedBarrier 0 2 (3,) -1": WalledTowing,
     "4: ObstacleBarrier 12 3 () -1, MoverBarrier 19 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
+    "4: ObstacleBarrier 12 3 () -1": StillTowing,
+    "4: MoverBarrier 19 5 () -1": MovingTowing,
 }
 """By what was recorded."""
