@@ -24,6 +24,8 @@ class Margins:
         self._of: tuple[str, ...] = ()
         """Kinds of the barriers of the last decision."""
         self._asked: dict[str, float] = {}
+        self._margins: dict[str, Any] | None = None
+        """By kind, of the settings and what was asked for last, if these are such numbers."""
         self._known: tuple[list[float], float] | None = None
         self._kinds = {*known_kinds(), "default", *settings}
         """Of these, and of what was ever in sight, a margin may be asked for."""
@@ -37,17 +39,23 @@ class Margins:
             raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(asked).__name__}")
         if self._known is None or barriers.kinds != self._of or asked != self._asked:
             self._known = None
-            self._kinds.update(barriers.kinds)
-            epsilon = self._checked(barriers, {**self._settings, **asked})
-            self._of, self._asked, self._known = barriers.kinds, dict(asked), (epsilon, max(epsilon))
+            self._kinds.update(barriers.kinds)  # which only become more: what was checked once stays known
+            if self._margins is None or asked != self._asked:
+                self._margins = None
+                self._margins, self._asked = self._checked({**self._settings, **asked}), dict(asked)
+            epsilon = self._of_each(barriers, self._margins)
+            self._of, self._known = barriers.kinds, (epsilon, max(epsilon))
         return self._known
 
-    def _checked(self, barriers: AbstractStack, margins: Mapping[str, Any]) -> list[float]:
+    def _checked(self, margins: dict[str, Any]) -> dict[str, Any]:
         for kind, number in margins.items():
             if kind not in self._kinds:
                 raise DecisionError(f"margin epsilon for '{kind}', which no barrier is: {_meant(kind, self._kinds)}")
             if isinstance(number, bool) or not isinstance(number, Real):
                 raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
+        return margins
+
+    def _of_each(self, barriers: AbstractStack, margins: Mapping[str, Any]) -> list[float]:
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))
         if not all(map(isfinite, epsilon)) or min(epsilon) < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")

@@ -27,19 +27,24 @@ def discs_near(rows: Rows, x: float, y: float, within: float, room: float) -> tu
     """Indices and (x, y, radius + ``room``) [m] of the discs ``rows`` (m, 3) that reach to within ``within`` [m] of
     (x, y), ``room`` added to their radius. Raises InputError for rows of a wrong width, or that are no discs.
     """
-    _check("points", rows, 3)
     kept: list[int] = []
     discs: list[Disc] = []
+    total, negative = 0.0, False
     for index in range(len(rows)):
         row = rows[index]
+        if len(row) != 3:
+            raise _width("points", 3)
         there_x: float = row[0]
         there_y: float = row[1]
         size: float = row[2]
+        total += there_x + there_y + size
+        negative = negative or size < 0.0
         reach = size + room
         apart_x, apart_y, limit = there_x - x, there_y - y, within + reach
         if apart_x * apart_x + apart_y * apart_y < limit * limit:
             kept.append(index)
             discs.append((there_x, there_y, reach))
+    _check("points", rows, total, negative)
     return kept, discs
 
 
@@ -49,19 +54,34 @@ def moving_discs(movers: Rows, hidden: Rows, room: float, period: float) -> tupl
 
     Raises InputError for rows of a wrong width, or that are no discs.
     """
-    _check("movers", movers, 6)
-    _check("hidden", hidden, 4)
     discs: list[Moving] = []
     everywhere: list[Moving] = []
+    total, negative = 0.0, False
     for row in movers:
+        if len(row) != 6:
+            raise _width("movers", 6)
+        x: float = row[0]
+        y: float = row[1]
+        size: float = row[2]
         fast: float = row[5]
-        reach: float = row[2] + room + fast * period
-        discs.append((row[0], row[1], reach, fast, fast))
+        total += x + y + size + row[3] + row[4] + fast
+        negative = negative or size < 0.0 or fast < 0.0
+        discs.append((x, y, size + room + fast * period, fast, fast))
+    _check("movers", movers, total, negative)
+    total, negative = 0.0, False
     for row in hidden:
+        if len(row) != 4:
+            raise _width("hidden", 4)
+        there_x: float = row[0]
+        there_y: float = row[1]
+        radius: float = row[2]
         coming: float = row[3]
-        reach_there: float = row[2] + room + coming * period
-        discs.append((row[0], row[1], reach_there, coming, 0.0))
-        everywhere.append((row[0], row[1], reach_there, coming, coming))
+        total += there_x + there_y + radius + coming
+        negative = negative or radius < 0.0 or coming < 0.0
+        reach = radius + room + coming * period
+        discs.append((there_x, there_y, reach, coming, 0.0))
+        everywhere.append((there_x, there_y, reach, coming, coming))
+    _check("hidden", hidden, total, negative)
     return discs, everywhere
 
 
@@ -75,17 +95,12 @@ def below(heights: Sequence[float], limit: float) -> list[int]:
     return found
 
 
-def _check(name: str, rows: Rows, width: int) -> None:
-    total, negative = 0.0, False
-    for row in rows:
-        if len(row) != width:
-            raise InputError(f"{name}: got rows of other lengths, wanted {width} numbers each")
-        for column in range(width):
-            value: float = row[column]
-            total += value
-        radius: float = row[2]
-        speed: float = row[width - 1]
-        negative = negative or radius < 0.0 or speed < 0.0
+def _width(name: str, width: int) -> InputError:
+    return InputError(f"{name}: got rows of other lengths, wanted {width} numbers each")
+
+
+def _check(name: str, rows: Rows, total: float, negative: bool) -> None:
+    """Of ``rows`` with the sum ``total``, some radius or speed of which is ``negative``."""
     # finite numbers have an infinite sum where they are as large as a float can be
     if total - total != 0.0 and not all(map(isfinite, [value for row in rows for value in row])):
         raise InputError(f"{name}: got NaN or infinity, wanted finite x, y, radius and speed")

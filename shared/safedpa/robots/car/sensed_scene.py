@@ -26,7 +26,7 @@ from safedpa.safety.braking import Braking
 from safedpa.safety.equation_barrier import AbstractEquationBarrier
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.speed_barrier import SpeedBarrier
-from safedpa.safety.stacks import stacked
+from safedpa.safety.stacks import EquationStack
 
 __all__ = ["MOST_ROWS", "Sensed", "counter_braking_of", "sensed_barriers"]
 
@@ -96,7 +96,7 @@ def sensed_barriers(
         filter(None, (f"{fewer} points" * bool(fewer), f"{fewer_movers} movers" * bool(fewer_movers)))
     )
     return Sensed(
-        RememberingStack(stacked([resting, moving, limits])),
+        RememberingStack(EquationStack([resting, moving, limits])),
         who,
         f"Of {left_out} near it, those with the least h were looked at." if left_out else "",
     )
