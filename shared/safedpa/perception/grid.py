@@ -29,16 +29,29 @@ class Grid:
         self.left, self.low = self._corner(x, y)
         index = np.arange(self.size, dtype=np.float64)
         self._index = np.meshgrid(index, index, indexing="ij")
+        self._middles: tuple[Values, Values] | None = None
 
     def _corner(self, x: float, y: float) -> tuple[int, int]:
         return floor(x / CELL) - self.size // 2, floor(y / CELL) - self.size // 2
 
     @property
     def middles(self) -> tuple[Values, Values]:
-        """x and y (size, size) [m] of the cells' middles."""
-        x: Values = (self._index[0] + (0.5 + self.left)) * CELL
-        y: Values = (self._index[1] + (0.5 + self.low)) * CELL
-        return x, y
+        """x and y (size, size) [m] of the cells' middles; not writeable, the same arrays until it moves."""
+        if self._middles is None:
+            x: Values = (self._index[0] + (0.5 + self.left)) * CELL
+            y: Values = (self._index[1] + (0.5 + self.low)) * CELL
+            x.flags.writeable = y.flags.writeable = False
+            self._middles = x, y
+        return self._middles
+
+    def around(self, x: float, y: float, reach: float) -> tuple[slice, slice]:
+        """Of columns and rows those whose cells come within ``reach`` [m] of x and of y."""
+
+        def near(place: float, first: int) -> slice:
+            low, high = floor((place - reach) / CELL) - first, floor((place + reach) / CELL) - first
+            return slice(max(low, 0), max(high + 1, 0))
+
+        return near(x, self.left), near(y, self.low)
 
     def cells(self, places: Values) -> tuple[Whole, Whole, Flags]:
         """Indices of the cells that ``places`` (n, 2) [m] lie in, and which of them lie in one at all."""
@@ -54,7 +67,7 @@ class Grid:
 
     def move(self, way: tuple[int, int]) -> None:
         """By whole cells; every array is to be moved by ``moved``, too."""
-        self.left, self.low = self.left + way[0], self.low + way[1]
+        self.left, self.low, self._middles = self.left + way[0], self.low + way[1], None
 
 
 def moved(cells: _A, way: tuple[int, int], new: Any) -> _A:
@@ -87,11 +100,36 @@ def shrunk(cells: Flags, radius: float, *, beyond: bool) -> Flags:
 
 
 def _joined(cells: Flags, radius: float, *, beyond: bool) -> Flags:
-    pad = floor(radius / CELL + 1e-9)
-    size = len(cells)
-    wide = np.full((size + 2 * pad, size + 2 * pad), beyond)
-    wide[pad : pad + size, pad : pad + size] = cells
-    found = cells.copy()
-    for i, j, _ in disc_offsets(radius)[1:]:
-        found |= wide[pad + i : pad + i + size, pad + j : pad + j + size]
-    return found
+    """As one whole number of many bits, row after row with room between them: a shift moves all cells at once.
+
+    A disc is rows of cells, the shorter the farther they are from its middle: from the outermost row on, the cells grow
+    along their rows to its length, and are moved to it.
+    """
+    lengths, size = _row_lengths(radius), len(cells)
+    pad = len(lengths) - 1
+    if not pad:
+        return cells.copy()
+    wide = np.full((size + 2 * pad, size + pad), beyond)  # what lies beyond one row's end lies before the next
+    wide[pad : pad + size, :size] = cells
+    row, margin = size + pad, pad * (size + pad + 1)
+    length = 0
+    grown_along = bits = int.from_bytes(np.packbits(wide, bitorder="little").tobytes(), "little") << margin
+    found = 0
+    for away in range(pad, -1, -1):
+        while length < lengths[away]:
+            length += 1
+            grown_along |= (bits << length) | (bits >> length)
+        found |= (grown_along << (away * row)) | (grown_along >> (away * row))
+    found >>= margin + pad * row
+    packed = (found & ((1 << (size * row)) - 1)).to_bytes((size * row + 7) // 8, "little")
+    flags = np.unpackbits(np.frombuffer(packed, np.uint8), count=size * row, bitorder="little")
+    return flags.reshape(size, row)[:, :size].view(np.bool_).copy()
+
+
+@cache
+def _row_lengths(radius: float) -> tuple[int, ...]:
+    """By rows from the middle of a disc of this radius [m]: how many cells it reaches to either side there."""
+    near: dict[int, int] = {}
+    for i, j, _ in disc_offsets(radius):
+        near[abs(i)] = max(near.get(abs(i), 0), abs(j))
+    return tuple(near[row] for row in range(len(near)))

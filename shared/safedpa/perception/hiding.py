@@ -20,6 +20,7 @@ and limited sensor range with set-based safety verification, ITSC 2018); here on
 
 from __future__ import annotations
 
+from functools import cache
 from math import floor, inf
 from typing import final
 
@@ -120,7 +121,20 @@ class Hiding:
         start[self.nobody] = inf
         pad, size = floor(_FRONT / CELL + 1e-9), len(start)
         wide = np.pad(start, pad, constant_values=-inf)
-        for i, j, distance in disc_offsets(_FRONT):
-            there = wide[pad + i : pad + i + size, pad + j : pad + j + size]
-            begins = np.maximum(there, self._shown) + distance / self._fastest
-            np.minimum(self._earliest, begins, out=self._earliest)
+        for distance, offsets in _offsets_by_distance(_FRONT):
+            nearest = [wide[pad + i : pad + i + size, pad + j : pad + j + size] for i, j in offsets]
+            there = nearest[0].copy()  # the later of two moments grows with each of them, so the least may come first
+            for other in nearest[1:]:
+                np.minimum(there, other, out=there)
+            np.maximum(there, self._shown, out=there)
+            there += distance / self._fastest
+            np.minimum(self._earliest, there, out=self._earliest)
+
+
+@cache
+def _offsets_by_distance(radius: float) -> tuple[tuple[float, tuple[tuple[int, int], ...]], ...]:
+    """Those of ``disc_offsets`` of which one distance [m] is true."""
+    found: dict[float, list[tuple[int, int]]] = {}
+    for i, j, distance in disc_offsets(radius):
+        found.setdefault(distance, []).append((i, j))
+    return tuple((distance, tuple(offsets)) for distance, offsets in found.items())

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections import deque
 from functools import lru_cache
 from math import floor, inf
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import MessageError
-from safedpa.perception.grid import CELL
-from safedpa.perception.odometry import Odometry
+from safedpa.perception.grid import CELL, Grid
+from safedpa.perception.odometry import Odometry, Pose
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.sources import Sources
 from safedpa.perception.sweep import Sweep, check_scan, hitch_at, within_body
@@ -135,9 +135,7 @@ class Surroundings:
         if not self.sources.believes(scan, state) or pose is None:
             return
         sweep = Sweep(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
-        middles = np.column_stack([part.ravel() for part in things.grid.middles])
-        own = within_body(middles, pose, state, CELL).reshape(things.grid.size, -1)
-        things.take(sweep, own)
+        things.take(sweep, _own_cells(things.grid, pose, state))
         self._looked = scan.robot_time  # however late it comes: from there on the front is drawn anew
         self.sources.looked(scan, sweep, things.contradicted)
         if len(state.towed) == 3 and len(state.footprint) == 3 and len(things.lost):
@@ -161,7 +159,8 @@ class Surroundings:
         own, now = self.settings, state.robot_time
         x, y, yaw = state.values[:3]
         here = np.array((x, y))
-        at_rest = self._told_of(things, things.at_rest(now))
+        may_move = things.moving(now)
+        at_rest = self._told_of(things, things.at_rest(now, may_move))
         rest, ago = things.places(at_rest), things.driven - things.seen_at[at_rest]
         outside = ~within_body(rest, (x, y, yaw), state, 0.0)
         places, radii = rest[outside], own.point_radius + own.drift * ago[outside]
@@ -169,7 +168,7 @@ class Surroundings:
             closed = closed_discs(self._closed, x, y, own.reach)
             places, radii = np.vstack([places, closed[:, :2]]), np.append(radii, closed[:, 2])
         points = covering(places, radii, here, own.most)
-        moving = self._told_of(things, things.moving_now(now))
+        moving = self._told_of(things, things.moving_now(now, may_move))
         age = np.maximum(now - things.last[moving], 0.0)
         beside = self._beside_load(state)
         radii = own.point_radius + own.fastest * age
@@ -197,13 +196,27 @@ class Surroundings:
         return cells
 
 
+def _own_cells(grid: Grid, pose: Pose, state: StateMessage) -> Flags:
+    """(size, size) cells whose middle lies within the robot or a cell beside it, or where what it tows may be."""
+    own = np.zeros((grid.size, grid.size), dtype=bool)
+    if len(state.footprint) != 3:
+        return own
+    rear, front, radius = state.footprint
+    reach = max(abs(rear), abs(front)) + max([radius, *state.towed[2:]]) + 2.0 * CELL
+    columns, rows = grid.around(pose[0], pose[1], reach)
+    places = [part[columns, rows] for part in grid.middles]
+    inside = within_body(np.column_stack([part.ravel() for part in places]), pose, state, CELL)
+    own[columns, rows] = inside.reshape(places[0].shape)
+    return own
+
+
 @lru_cache(maxsize=16)
 def _closed_discs(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> Values:
     places, depth = closed_cells(zones, column, row, reach)
     if not len(places):
         return np.empty((0, 3))
     level = np.sum([depth >= 2.0**deeper * CELL for deeper in range(1, _DEEPEST + 1)], axis=0)
-    return _blocks(places, np.full(len(places), HALF_DIAGONAL), level)
+    return _Blocks.of(places, level).discs(places, np.full(len(places), HALF_DIAGONAL))
 
 
 def closed_discs(zones: tuple[Zone, ...], x: float, y: float, reach: float) -> Values:
@@ -224,23 +237,41 @@ def covering(places: Values, radii: Values, here: Values, most: int) -> Values:
         return np.empty((0, 3))
     ring = np.floor(np.hypot(*(places - here).T) / _NEAR).astype(np.int64)
     level, coarser = np.minimum(ring, _LEVELS), 0
-    while len(found := _blocks(places, radii, level)) > most:
+    while len((blocks := _Blocks.of(places, level)).starts) > most:
         coarser += 1  # the far ones first
         level = np.minimum(np.maximum(ring + coarser - _LEVELS, 0), _LEVELS + coarser)
         level = np.maximum(level, np.minimum(ring, _LEVELS))
         if coarser > _APART:  # each ring would keep blocks of its own, up to four where they meet
             level = np.full_like(ring, coarser)
+    found = blocks.discs(places, radii)
     order = np.argsort(np.hypot(found[:, 0] - here[0], found[:, 1] - here[1]) - found[:, 2])
     return found[order]
 
 
-def _blocks(places: Values, radii: Values, level: NDArray[np.int64]) -> Values:
-    """One disc for all places of a level in the same block of 2^level x 2^level cells."""
-    edge = CELL * 2.0**level
-    column, row = (np.floor(places[:, axis] / edge).astype(np.int64) for axis in (0, 1))
-    key = (level * _SPAN + column % _SPAN) * _SPAN + row % _SPAN
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    low, high = np.minimum.reduceat(places[order], starts), np.maximum.reduceat(places[order], starts)
-    middle, reach = 0.5 * (low + high), np.maximum.reduceat(radii[order], starts)
-    return np.column_stack([middle, reach + 0.5 * np.hypot(*(high - low).T)])
+class _Blocks(NamedTuple):
+    """Which places are in the same block of 2^level x 2^level cells, and of the same level."""
+
+    order: NDArray[np.int64]
+    """Of the places, block after block."""
+    starts: NDArray[np.int64]
+    """Where in that order each block begins."""
+
+    @classmethod
+    def of(cls, places: Values, level: NDArray[np.int64]) -> _Blocks:
+        edge = CELL * 2.0**level
+        column, row = (np.floor(places[:, axis] / edge).astype(np.int64) for axis in (0, 1))
+        key = (level * _SPAN + column % _SPAN) * _SPAN + row % _SPAN
+        order = np.argsort(key)
+        sorted_keys = key[order]
+        begins = np.empty(len(key), dtype=bool)
+        begins[0], begins[1:] = True, sorted_keys[1:] != sorted_keys[:-1]
+        return cls(order, np.flatnonzero(begins))
+
+    def discs(self, places: Values, radii: Values) -> Values:
+        """One disc (blocks, 3) x, y, radius [m] for all places in each."""
+        there = places[self.order]
+        low, high = np.minimum.reduceat(there, self.starts), np.maximum.reduceat(there, self.starts)
+        found = np.empty((len(self.starts), 3))
+        found[:, :2] = 0.5 * (low + high)
+        found[:, 2] = np.maximum.reduceat(radii[self.order], self.starts) + 0.5 * np.hypot(*(high - low).T)
+        return found

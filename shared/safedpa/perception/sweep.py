@@ -96,7 +96,7 @@ class Sweep:
         for level in range(_DEEPEST + 1):
             shift = 1 if level == 0 else 2 ** (level - 1)
             known = rows[-1]
-            sides = [np.roll(known, shift), np.roll(known, -shift)]
+            sides = [_rolled(known, shift), _rolled(known, -shift)]
             if not self._around:
                 sides[0][:shift] = 0.0
                 sides[1][len(known) - shift :] = 0.0
@@ -108,7 +108,7 @@ class Sweep:
         distance, _, ray, seen_at_all = self._from_here(x, y)
         aside = np.maximum(width / np.maximum(distance, width) / self._step, 1.0)
         level = np.minimum(np.ceil(np.log2(aside)).astype(np.int64), _DEEPEST)
-        return distance, np.where(seen_at_all, self._least[level, ray], 0.0)
+        return distance, np.where(seen_at_all, _looked_up(self._least, level, ray), 0.0)
 
     def farthest_past(self, x: Values, y: Values, width: float) -> Values:
         """How far the sensor sees on any one ray that passes places (x, y) [m] within ``width``; 0 where none does."""
@@ -116,19 +116,40 @@ class Sweep:
         within = np.arcsin(np.minimum(width / np.maximum(distance, 1e-9), 1.0)) / self._step
         spare = within - np.abs(turn / self._step - np.rint(turn / self._step))
         level = np.where(spare >= 1.0, np.floor(np.log2(np.maximum(spare, 1.0))) + 1.0, 0.0).astype(np.int64)
-        found = self._most[np.minimum(level, _DEEPEST + 1), ray]
+        found = _looked_up(self._most, np.minimum(level, _DEEPEST + 1), ray)
         return np.where(seen_at_all & (spare >= 0.0), found, 0.0)
 
     def _from_here(self, x: Values, y: Values) -> _Bearings:
         """Of places (x, y) [m]; asked for the same arrays once more, what was found."""
         if self._known is None or self._known[0] is not x or self._known[1] is not y:
             apart_x, apart_y = x - self.x, y - self.y
-            turn = np.mod(np.arctan2(apart_y, apart_x) - self._first, 2.0 * pi)
+            turn = _within_a_turn(np.arctan2(apart_y, apart_x) - self._first)
             ray, count = np.rint(turn / self._step).astype(np.int64), len(self._sight)
             seen_at_all = np.ones(np.shape(turn), dtype=bool) if self._around else ray < count
             nearest = ray % count if self._around else np.minimum(ray, count - 1)
             self._known = x, y, _Bearings(np.hypot(apart_x, apart_y), turn, nearest, seen_at_all)
         return self._known[2]
+
+
+def _rolled(row: Values, shift: int) -> Values:
+    """``np.roll`` of one row, in a tenth of its time."""
+    place = -shift % len(row)
+    return np.concatenate((row[place:], row[:place]))
+
+
+def _looked_up(table: Values, row: NDArray[np.int64], column: NDArray[np.int64]) -> Values:
+    """table[row, column], in a third of its time."""
+    found: Values = table.ravel().take(row * table.shape[1] + column)
+    return found
+
+
+def _within_a_turn(angles: Values) -> Values:
+    """``np.mod`` of ``angles`` [rad] by a whole turn, to the last bit: less than two turns away it takes no division,
+    which takes ten times as long."""
+    turn = 2.0 * pi
+    if not (angles.min(initial=0.0) >= -turn and angles.max(initial=0.0) < 2.0 * turn):
+        return np.mod(angles, turn)
+    return np.where(angles < 0.0, angles + turn, np.where(angles >= turn, angles - turn, angles))
 
 
 def within_body(places: Values, pose: Pose, state: StateMessage, beyond: float = 0.03) -> Flags:

@@ -67,7 +67,7 @@ class Things:
         """By source: the cells whose content it has hit, and not seen through since."""
         self._emptied: dict[str, Flags] = {}
         """By source: the cells that it ever saw empty."""
-        self._x, self._y = self.grid.middles
+        self._x, self._y = (middles.copy() for middles in self.grid.middles)
         self.contradicted = 0.0
         """Share of the cells hit by the last sweep whose content may move; 0 while nobody knows what is at rest."""
         self.lost: Values = np.empty((0, 2))
@@ -120,14 +120,15 @@ class Things:
         past = sweep.farthest_past(*middles, self.hiding.width)
         looked_through = (distance < past - BEHIND) & ~hit
         looked_through |= grown(hit & moving, CELL, beyond=False) & (distance < sight)
-        self.hiding.look(time, looked_through, self._solid(time), own, moving)
+        self.hiding.look(time, looked_through, self._solid(time, self.at_rest(time, moving)), own, moving)
         self._emptied[sweep.source] |= empty
-        self._clear(moving & (self.last < time - _UNSEEN))
+        unseen = moving & (self.last < time - _UNSEEN)
+        self._clear(unseen)
         gone = moved_before & (self.first == inf)  # not seen for long, or a ray goes on past where he was
-        self.lost = self.places(gone & ~grown(self.moving(time), _GOES_ON, beyond=False))
+        self.lost = self.places(gone & ~grown(moving & ~unseen, _GOES_ON, beyond=False))
 
-    def _solid(self, time: float) -> Flags:
-        return self.at_rest(time) & (self.first <= time - _LONG)
+    def _solid(self, time: float, at_rest: Flags) -> Flags:
+        return at_rest & (self.first <= time - _LONG)
 
     def _forget(self, empty: Flags, sweep: Sweep) -> None:
         """What a source sees through is gone once every source that hit it does: one may look over a low thing."""
@@ -149,8 +150,9 @@ class Things:
         """Says of each cell that is hit for the first time what it holds."""
         own, time, emptied = self.settings, sweep.time, self._emptied[sweep.source]
         new = hit & (self.first == inf)
-        beside = grown(self._solid(time), _BESIDE, beyond=False)
-        beside |= grown(self.at_rest(time), _BESIDE, beyond=False) & ~emptied
+        at_rest = self.at_rest(time, self.moving(time))
+        beside = grown(self._solid(time, at_rest), _BESIDE, beyond=False)
+        beside |= grown(at_rest, _BESIDE, beyond=False) & ~emptied
         appeared = new & ~beside & emptied
         came = new & ~beside & ~appeared & grown(self.hiding.reached(time), own.widest, beyond=True)
         restless = grown(self._moved > time - own.restless, _BESIDE, beyond=False)
@@ -178,17 +180,18 @@ class Things:
         doubtful = self._doubtful & (time - self.first < own.still_after)
         return (self.first < inf) & (doubtful | (self._moved > time - own.restless))
 
-    def moving_now(self, time: float) -> Flags:
+    def moving_now(self, time: float, moving: Flags | None = None) -> Flags:
         """Those of ``moving`` that the newest sweep of a source saw, and those missed of which none saw anything near:
         what is seen to have gone on is not told twice. Each source sees its own side of what stands between them."""
-        moving, fresh = self.moving(time), np.zeros_like(self._doubtful)
+        moving = self.moving(time) if moving is None else moving
+        fresh = np.zeros_like(self._doubtful)
         for source, newest in self._newest.items():
             fresh |= moving & self._by[source] & (self.last >= newest)
         return fresh | (moving & ~grown(fresh, _GOES_ON, beyond=False))
 
-    def at_rest(self, time: float) -> Flags:
-        """(size, size) cells that hold something at rest."""
-        return (self.first < inf) & ~self.moving(time)
+    def at_rest(self, time: float, moving: Flags | None = None) -> Flags:
+        """(size, size) cells that hold something at rest; ``moving``: what is known to move at that time."""
+        return (self.first < inf) & ~(self.moving(time) if moving is None else moving)
 
     def places(self, cells: Flags) -> Values:
         """(n, 2) m; where the things in ``cells`` are."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from safedpa.equations import Given
 from safedpa.errors import InputError
-from safedpa.operations import Operations, Scalar
+from safedpa.operations import FLOATS, Operations, Scalar
 from safedpa.robots.car.barriers import Footprint
 from safedpa.robots.car.counter_braking import STANDS, CounterBraking
 from safedpa.robots.car.swept import Body, body_of, hitch_of
@@ -112,12 +112,20 @@ class MoverBarrier(AbstractEquationBarrier):
         """m; the radius that counts around the car itself."""
         return self.shared[_THICK]
 
-    def of_speeds(self, discs: Sequence[tuple[float, ...]], creeps: float | None = None) -> MoverBarrier:
-        """The same with the numbers in common that these ``discs`` bring, whose fourth is their speed [m/s], and with
-        other ``creeps`` [s]."""
-        fastest, shared = max([disc[3] for disc in discs], default=0.0), self.shared
-        slow = shared[_FASTEST + 1] if creeps is None else creeps
-        return self.sharing((*shared[:_FASTEST], fastest, slow, *shared[_FASTEST + 2 :]))
+    @property
+    def tows(self) -> bool:
+        """Whether something is towed."""
+        return len(self.shared) > _OWN
+
+    def seconds(self, speed: float) -> float:
+        """T(speed) [s] until the car stands."""
+        soft, corner, hard = self.shared[_BODY:_FASTEST]
+        return float(CounterBraking.seconds(speed, (hard, soft, corner), FLOATS))
+
+    def with_speed(self, fastest: float, creeps: float | None = None) -> MoverBarrier:
+        """The same for discs of which the ``fastest`` [m/s] is given, and with other ``creeps`` [s]."""
+        slow = self.shared[_FASTEST + 1] if creeps is None else creeps
+        return self.sharing((*self.shared[:_FASTEST], fastest, slow, *self.shared[_FASTEST + 2 :]))
 
     @staticmethod
     def h(given: Given, operations: Operations) -> Sequence[Scalar]:

@@ -5,6 +5,8 @@ body is farther from the car's place p than the longest arm L, so h >= |c - p| -
 
     |c - p| >= f + L + reach.
 
+What moves by itself at up to w counts the more the longer the car takes to stand: w T(v) on top.
+
 As everything in here is a loop over what one message tells, it is compiled with the rest.
 """
 
@@ -16,7 +18,7 @@ from typing import TypeAlias
 
 from safedpa.errors import InputError
 
-__all__ = ["below", "discs_near", "moving_discs"]
+__all__ = ["below", "discs_near", "fastest_of", "moving_near"]
 
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 Disc: TypeAlias = tuple[float, float, float]
@@ -48,41 +50,43 @@ def discs_near(rows: Rows, x: float, y: float, within: float, room: float) -> tu
     return kept, discs
 
 
-def moving_discs(movers: Rows, hidden: Rows, room: float, period: float) -> tuple[list[Moving], list[Moving]]:
-    """Of ``movers`` (m, 6) and behind them ``hidden`` places (k, 4): x, y, radius + ``room`` + w ``period`` [m], the
-    speed w [m/s], and the one that counts behind the car; of the hidden ones alone the same with w behind it as well.
+def fastest_of(movers: Rows, hidden: Rows) -> float:
+    """The greatest speed w [m/s] of ``movers`` (m, 6) and ``hidden`` places (k, 4), whose last number it is; 0 of none.
 
     Raises InputError for rows of a wrong width, or that are no discs.
     """
+    one, other = _fastest("movers", movers, 6), _fastest("hidden", hidden, 4)
+    return one if one > other else other
+
+
+def moving_near(
+    movers: Rows, hidden: Rows, place: Sequence[float], within: float, room: float, period: float
+) -> tuple[list[int], list[Moving], list[Moving]]:
+    """Of movers and behind them hidden places those that may reach to within ``within`` [m] of a ``place`` (x, y, s) in
+    s seconds: their indices; x, y, radius + ``room`` + w ``period`` [m], w, and the speed that counts behind the car;
+    and of the hidden ones alone the same with w behind it as well. The rows are ones that ``fastest_of`` took.
+    """
+    x: float = place[0]
+    y: float = place[1]
+    seconds: float = place[2]
+    kept: list[int] = []
     discs: list[Moving] = []
     everywhere: list[Moving] = []
-    total, negative = 0.0, False
-    for row in movers:
-        if len(row) != 6:
-            raise _width("movers", 6)
-        x: float = row[0]
-        y: float = row[1]
-        size: float = row[2]
-        fast: float = row[5]
-        total += x + y + size + row[3] + row[4] + fast
-        negative = negative or size < 0.0 or fast < 0.0
-        discs.append((x, y, size + room + fast * period, fast, fast))
-    _check("movers", movers, total, negative)
-    total, negative = 0.0, False
-    for row in hidden:
-        if len(row) != 4:
-            raise _width("hidden", 4)
+    count = len(movers)
+    for index in range(count + len(hidden)):
+        row = movers[index] if index < count else hidden[index - count]
         there_x: float = row[0]
         there_y: float = row[1]
-        radius: float = row[2]
-        coming: float = row[3]
-        total += there_x + there_y + radius + coming
-        negative = negative or radius < 0.0 or coming < 0.0
-        reach = radius + room + coming * period
-        discs.append((there_x, there_y, reach, coming, 0.0))
-        everywhere.append((there_x, there_y, reach, coming, coming))
-    _check("hidden", hidden, total, negative)
-    return discs, everywhere
+        size: float = row[2]
+        fast: float = row[5] if index < count else row[3]
+        reach = size + room + fast * period
+        apart_x, apart_y, limit = there_x - x, there_y - y, within + reach + fast * seconds
+        if apart_x * apart_x + apart_y * apart_y < limit * limit:
+            kept.append(index)
+            discs.append((there_x, there_y, reach, fast, fast if index < count else 0.0))
+            if index >= count:
+                everywhere.append((there_x, there_y, reach, fast, fast))
+    return kept, discs, everywhere
 
 
 def below(heights: Sequence[float], limit: float) -> list[int]:
@@ -93,6 +97,22 @@ def below(heights: Sequence[float], limit: float) -> list[int]:
         if height < limit:
             found.append(index)
     return found
+
+
+def _fastest(name: str, rows: Rows, width: int) -> float:
+    fastest, total, negative = 0.0, 0.0, False
+    for row in rows:
+        if len(row) != width:
+            raise _width(name, width)
+        for column in range(width):
+            value: float = row[column]
+            total += value
+        size: float = row[2]
+        fast: float = row[width - 1]
+        negative = negative or size < 0.0 or fast < 0.0
+        fastest = fast if fast > fastest else fastest
+    _check(name, rows, total, negative)
+    return fastest
 
 
 def _width(name: str, width: int) -> InputError:

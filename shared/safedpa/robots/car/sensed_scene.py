@@ -19,7 +19,7 @@ from safedpa.robots.car.counter_braking import STANDS, CounterBraking
 from safedpa.robots.car.quickness import ORDINARY, Quickness
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_far import far_of
-from safedpa.robots.car.sensed_near import below, discs_near, moving_discs
+from safedpa.robots.car.sensed_near import below, discs_near, fastest_of, moving_near
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.barrier import AbstractStack, RememberingStack
 from safedpa.safety.braking import Braking
@@ -152,22 +152,35 @@ def _moving(
     What is far is told by the numbers that hold everywhere, where others hold behind the car alone: a little turn
     brings a place before it, and h falls there all at once.
     """
-    discs, everywhere = moving_discs(seen.movers, seen.hidden, able.thick + clearance, state.period)
-    values, movers, taken, near, who = state.values, len(seen.movers), list(range(len(discs))), 0, ""
+    if not (seen.movers or seen.hidden):
+        return able, 0, ""
+    values, fastest = state.values, fastest_of(seen.movers, seen.hidden)
+    known = len(values) == len(MoverBarrier.reads)
+    # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
+    swiftest = able.with_speed(fastest, creeps=0.0)
+    limit, within, place = inf, inf, (0.0, 0.0, 0.0)
+    if known:
+        limit, place = far(swiftest), (values[0], values[1], able.seconds(values[3]))
+        if not able.tows:  # of what is towed more than the body counts
+            within = limit + swiftest.alone(len(values)).steepest(values)[2] + _ROUNDING
+    room = able.thick + clearance
+    rows, discs, everywhere = moving_near(seen.movers, seen.hidden, place, within, room, state.period)
+    taken, near, who = list(range(len(discs))), 0, ""
 
-    def named(row: int) -> str:
-        return f"mover {row}" if row < movers else f"hidden {row - movers}"
+    def named(place: int) -> str:
+        row = rows[place]
+        return f"mover {row}" if row < len(seen.movers) else f"hidden {row - len(seen.movers)}"
 
-    if discs and len(values) == len(MoverBarrier.reads):
-        # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
-        swiftest = able.of_speeds(discs, creeps=0.0).holding([*discs, *everywhere], ())
-        heights = swiftest.alone(len(values)).heights(values)
-        taken = below([*heights[:movers], *heights[len(discs) :]], far(swiftest))
+    if known and discs:
+        heights = swiftest.holding([*discs, *everywhere], ()).alone(len(values)).heights(values)
+        movers = len(discs) - len(everywhere)
+        taken = below([*heights[:movers], *heights[len(discs) :]], limit)
         if len(taken) > MOST_ROWS:
             near, taken = len(taken), _of_least_h(swiftest, discs, taken, state, speeds)
         who = _who_may_touch(heights[: movers if abs(values[3]) <= STANDS else len(discs)], named)
     kept = [discs[place] for place in taken]
-    return able.of_speeds(kept).holding(kept, tuple(map(named, taken))), near, who
+    chosen = able.with_speed(max([disc[3] for disc in kept], default=0.0))
+    return chosen.holding(kept, tuple(map(named, taken))), near, who
 
 
 def _of_least_h(
