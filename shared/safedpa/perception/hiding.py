@@ -119,16 +119,30 @@ class Hiding:
         start = np.where(leaves, time, inf)
         start = np.where(self.present, np.minimum(self._earliest, start), start)
         start[self.nobody] = inf
-        pad, size = floor(_FRONT / CELL + 1e-9), len(start)
-        wide = np.pad(start, pad, constant_values=-inf)
-        for distance, offsets in _offsets_by_distance(_FRONT):
-            nearest = [wide[pad + i : pad + i + size, pad + j : pad + j + size] for i, j in offsets]
-            there = nearest[0].copy()  # the later of two moments grows with each of them, so the least may come first
-            for other in nearest[1:]:
-                np.minimum(there, other, out=there)
-            np.maximum(there, self._shown, out=there)
-            there += distance / self._fastest
-            np.minimum(self._earliest, there, out=self._earliest)
+        np.minimum(self._earliest, _reached(start, self._shown, self._fastest), out=self._earliest)
+
+
+def _reached(start: Values, shown: Values, fastest: float) -> Values:
+    """(size, size) min over c' near c of max(start(c'), shown(c)) + |c - c'| / fastest, start = -infinity beyond.
+
+    Of all c' as far away the least start comes first: the later of two moments, and a sum, grow with each of them.
+    One row after the other, with room between them, so that every neighbour is the same few numbers away.
+    """
+    pad, size = floor(_FRONT / CELL + 1e-9), len(start)
+    row = size + pad
+    wide, seen = np.full((size + 2 * pad + 1, row), -inf), np.full((size, row), inf)
+    wide[pad : pad + size, :size], seen[:, :size] = start, shown
+    line, least = wide.ravel(), seen.ravel()
+    count = len(least)
+    found, there = np.full(count, inf), np.empty(count)
+    for distance, offsets in _offsets_by_distance(_FRONT):
+        first, *others = (line[(pad + i) * row + j : (pad + i) * row + j + count] for i, j in offsets)
+        for other in others:
+            first = np.minimum(first, other, out=there)
+        np.maximum(first, least, out=there)
+        there += distance / fastest
+        np.minimum(found, there, out=found)
+    return found.reshape(size, row)[:, :size]
 
 
 @cache
