@@ -12,6 +12,7 @@ from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import FilterSettings, Prediction
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.search import DecisionError
+from safedpa.safety.speed_barrier import SpeedBarrier
 from safedpa.safety.stacks import stacked
 
 SETTINGS = {"obstacle": 0.1, "default": 0.02}
@@ -64,3 +65,15 @@ def test_a_learned_model_with_effects_is_not_taken_for_affine() -> None:
 
     model = load_model("car_learned").with_effect(effect("car", "quadratic_drag"), {})
     assert not Prediction.of_model(model).affine
+
+
+def test_what_was_ever_in_sight_may_be_named_though_nothing_was_asked_when_it_came() -> None:
+    margins, bare = Margins(SETTINGS), stacked([SpeedBarrier(-1.0, 1.0)])
+    strange = SpeedBarrier(-1.0, 1.0)
+    strange.kind = "wheel"
+    with pytest.raises(DecisionError, match="'wheel', which no barrier is"):
+        margins.of(bare, {"wheel": 0.3})
+    assert margins.of(bare, {}) == ([0.02, 0.02], 0.02)
+    assert margins.of(stacked([strange]), {}) == ([0.02, 0.02], 0.02)
+    assert margins.of(bare, {"wheel": 0.3}) == ([0.02, 0.02], 0.02)
+    assert margins.of(stacked([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)
