@@ -25,6 +25,8 @@ SETTINGS = settings_named("car")
 COUNTER, BRAKING, CLEARANCE = counter_braking_of(SETTINGS), braking_of(SETTINGS), SETTINGS.barrier("clearance")
 BODY = (0.08, 0.40, 0.17)
 TOWED = TowedReach(0.1, 0.5, 0.2, 0.3, (0.0, 0.0, 0.0))
+FOLDED = TowedReach(0.1, 0.5, 0.9, 0.5, (0.0, 0.0, 0.0))
+"""A large load that was pushed back as far as it folds."""
 MARGINS = {"obstacle": 0.02, "mover": 0.03}
 POINTS, MOVERS, HIDDEN = 3, 6, 4
 Rows = tuple[tuple[float, ...], ...]
@@ -49,12 +51,12 @@ def seen_by(state: StateMessage, points: Rows = (), movers: Rows = (), hidden: R
 
 
 def scene(draw: np.random.Generator, count: int) -> tuple[StateMessage, SurroundingsMessage]:
-    """A car near the origin, and ``count`` discs of each kind up to 4 m around."""
+    """A car near the origin, and ``count`` discs of each kind up to 6 m around."""
     values = (*draw.uniform(-0.3, 0.3, 2), draw.uniform(-4.0, 4.0), draw.uniform(-0.6, 2.0))
     state = state_of(tuple(float(value) for value in values))
 
     def rows(*more: float) -> Rows:
-        angle, distance = draw.uniform(-np.pi, np.pi, count), draw.uniform(0.2, 4.0, count)
+        angle, distance = draw.uniform(-np.pi, np.pi, count), draw.uniform(0.2, 6.0, count)
         sizes = draw.uniform(0.0, 0.3, count)
         table = np.column_stack([distance * np.cos(angle), distance * np.sin(angle), sizes])
         return tuple((*row, *more) for row in table.tolist())
@@ -78,7 +80,7 @@ def every_height(state: StateMessage, seen: SurroundingsMessage, towed: TowedRea
     return dict(zip(names, found, strict=True))
 
 
-@pytest.mark.parametrize("towed", [None, TOWED])
+@pytest.mark.parametrize("towed", [None, TOWED, FOLDED])
 @pytest.mark.parametrize("count", [1, 12, 30])
 def test_all_that_is_near_is_looked_at_and_nothing_else(count: int, towed: TowedReach | None) -> None:
     draw, near, far = np.random.default_rng([4, count]), 0, 0
@@ -104,6 +106,30 @@ def test_of_too_many_those_with_the_least_h_are_looked_at() -> None:
     wanted = sorted(np.argsort(least)[:MOST_ROWS].tolist())
     assert found.barriers.parts[0].names == tuple(f"point {row}" for row in wanted)
     assert found.left_out.startswith("Of ")
+
+
+def test_the_barriers_are_those_of_the_discs_that_are_kept_alone() -> None:
+    state = state_of((0.0, 0.0, 0.0, 0.5))
+    near, away = (1.2, 0.2, 0.1, 0.0, 0.0, 0.5), (30.0, 0.0, 0.1, 0.0, 0.0, 1.5)
+    found = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, ((0.9, 0.5, 0.1),), (away, near)), None)
+    creeps, own = SETTINGS.barrier("creeping"), SETTINGS.barrier("own_radius")
+    known = BODY, BRAKING, COUNTER, CLEARANCE, state.period
+    able = MoverBarrier([(1.2, 0.2, 0.1, 0.5)], [False], *known, ["mover 1"], creeps=creeps, own_radius=own)
+    still = ObstacleBarrier([(0.9, 0.5, 0.1)], BODY, BRAKING, CLEARANCE, ["point 0"])
+    for one, wanted in zip(found.barriers.parts[:2], (still, able), strict=True):
+        assert (one.names, one.shared, one.each) == (wanted.names, wanted.shared, wanted.each)
+
+
+@pytest.mark.parametrize(("speed", "told"), [(0.1, ""), (0.11, "somebody whom nobody sees may be")])
+def test_only_a_car_that_moves_yields_to_whom_nobody_sees(speed: float, told: str) -> None:
+    state, place = state_of((0.0, 0.0, 0.0, speed)), (0.6, 0.0, 0.1)
+    assert sensed_barriers(SETTINGS, COUNTER, state, seen_by(state), None).yields_to == ""
+    hidden = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, hidden=((*place, 1.5),)), None)
+    assert hidden.yields_to.startswith(told)
+    assert bool(hidden.yields_to) is bool(told)
+    away, near = (30.0, 0.0, 0.1, 0.0, 0.0, 1.5), (*place, 0.0, 0.0, 1.5)
+    seen = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, (), (away, near)), None)
+    assert seen.yields_to == "mover 1 may be at the robot before it stands"
 
 
 def test_of_a_state_of_another_length_every_disc_is_kept() -> None:
