@@ -9,7 +9,7 @@ __all__ = ["MODULES", "compiled_modules"]
 MODULES = (
     "safedpa.networks.plain_rows",
     "safedpa.safety.affine_motion",
-    "safedpa.robots.car.sensed_near",
+    "safedpa.robots.car.sensed_far",
     "safedpa.robots.car.written_barriers",
     "safedpa.equations.chain_rule",
     "safedpa.safety.conditions",

@@ -7,7 +7,7 @@ from math import hypot, inf, pi
 
 import numpy as np
 import pytest
-from tests.sensing.test_sensed_near import state_of
+from tests.sensing.test_sensed_far import state_of
 
 from safedpa.perception.grid import CELL, Grid, disc_offsets, grown, shrunk
 from safedpa.perception.hiding import _FRONT, _reached

@@ -18,8 +18,7 @@ from safedpa.robots.car.barriers import Footprint, ObstacleBarrier, checked_foot
 from safedpa.robots.car.counter_braking import STANDS, CounterBraking
 from safedpa.robots.car.quickness import ORDINARY, Quickness
 from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_far import far_of
-from safedpa.robots.car.sensed_near import below, discs_near, fastest_of, moving_near
+from safedpa.robots.car.sensed_far import below, discs_near, far_of, fastest_of, moving_near
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.barrier import AbstractStack, RememberingStack
 from safedpa.safety.braking import Braking

@@ -13,8 +13,7 @@ from safedpa.errors import InputError
 from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
 from safedpa.robots.car.quickness import ORDINARY
 from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_far import far_of
-from safedpa.robots.car.sensed_near import below, discs_near, fastest_of, moving_near
+from safedpa.robots.car.sensed_far import below, discs_near, far_of, fastest_of, moving_near
 from safedpa.robots.car.sensed_scene import MOST_ROWS, counter_braking_of, sensed_barriers
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.shipped import settings_named
