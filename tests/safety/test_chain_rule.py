@@ -6,7 +6,7 @@ import pytest
 from safedpa.equations.chain_rule import chain_rule
 
 
-@pytest.mark.parametrize(("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2)])
+@pytest.mark.parametrize(("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2), (3, 5, 2), (3, 3, 2), (2, 4, 1)])
 def test_it_is_the_product_of_both(rows: int, states: int, actions: int) -> None:
     random = np.random.default_rng(rows)
     slopes, g = random.normal(size=(rows, states)), random.normal(size=(states, actions))

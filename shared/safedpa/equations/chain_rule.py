@@ -9,7 +9,7 @@ __all__ = ["chain_rule"]
 
 def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
     """p'g (rows, actions) of slopes p (rows, states), g (states, actions). Raises ValueError where they do not fit."""
-    if len(g) == 4 and len(g[0]) == 2:
+    if len(g[0]) == 2 and len(g) == 4:
         return _of_a_car(slopes, g)
     states = len(g)
     found: list[list[float]] = []
