@@ -10,6 +10,7 @@ MODULES = (
     "safedpa.networks.plain_rows",
     "safedpa.safety.affine_motion",
     "safedpa.robots.car.written_barriers",
+    "safedpa.robots.car.written_steps",
     "safedpa.equations.chain_rule",
     "safedpa.safety.conditions",
     "safedpa.safety.decision",

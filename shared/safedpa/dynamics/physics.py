@@ -23,6 +23,7 @@ from safedpa.dynamics.straight import (
     straight_arrays,
     straight_sensitivity,
     straight_step,
+    straight_texts,
 )
 from safedpa.dynamics.tangent import StraightTangent, batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
@@ -171,10 +172,9 @@ class PhysicsModel(AbstractDynamics):
 
         Recorded when it is first asked for. None as ``straight``, and where a network is asked on the way.
         """
-        if self._commands or not (self._takes_complex and self.base.straight):
+        if self._commands or not self._straight.recorded:
             return None
-        names = self.system.state_names, self.system.action_names, self.latent_names
-        return straight_sensitivity(self._equations(self.period), *names)
+        return straight_sensitivity(self._equations(self.period), *self._names, self.base.written)
 
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
@@ -183,12 +183,15 @@ class PhysicsModel(AbstractDynamics):
         as near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot
         at a time.
         """
-        if self._commands or not (self._takes_complex and self.base.straight):
+        if self._commands or not self._straight.recorded:
             return None
-        names = self.system.state_names, self.system.action_names, self.latent_names
-        if period is not None:
-            return straight_arrays(self._equations(period), *names)
-        return straight_arrays(paced(self._equations), names[0], names[1], (*names[2], "period"))
+        states, actions, latents = self._names
+        equations, more = (paced(self._equations), ("period",)) if period is None else (self._equations(period), ())
+        return straight_arrays(equations, states, actions, (*latents, *more))
+
+    def straight_texts(self) -> tuple[str, ...]:
+        """What the mechanics' straight lines over one period are as Python; none where there are none."""
+        return straight_texts(self._equations(self.period), *self._names) if self._straight.recorded else ()
 
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
@@ -299,11 +302,9 @@ class PhysicsModel(AbstractDynamics):
             # Python's math refuses sin(inf) and exp(1000), where numpy and torch answer NaN and inf: so does this model
             if operations is not FLOATS:
                 raise
-            operations = NUMPY
+            operations, numbers = NUMPY, {name: np.float64(value) for name, value in state.items()}
             with np.errstate(all="ignore"):
-                after = self.base.integrate(
-                    derivative, {name: np.float64(value) for name, value in state.items()}, time, period
-                )
+                after = self.base.integrate(derivative, numbers, time, period)
         for sensor in reversed(self._sensors):
             after = sensor.measure(after, values[sensor.name])
         return [after[name] for name in self.system.state_names]
@@ -340,12 +341,14 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _straight(self) -> StraightSteps:
         """The project's own equations can be recorded; a user's may do what a recording does not see."""
-        straight = self._takes_complex and self.base.straight
-        return StraightSteps(self._recorded if straight else None)
+        return StraightSteps(self._recorded if self._takes_complex and self.base.straight else None)
 
     def _recorded(self, period: float) -> Straight | None:
-        names = self.system.state_names, self.system.action_names, self.latent_names
-        return straight_step(self._equations(period), *names)
+        return straight_step(self._equations(period), *self._names, self.base.written)
+
+    @property
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+        return self.system.state_names, self.system.action_names, self.latent_names
 
     def _equations(self, period: float) -> Equations:
         """One period without actuators that remember, as ``straight`` records it."""

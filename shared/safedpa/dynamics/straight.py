@@ -15,7 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, final
 
-from safedpa.dynamics.tangent import StraightTangent, compiled_tangent
+from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text
+from safedpa.dynamics.written_ahead import written_ahead
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
@@ -30,6 +31,7 @@ __all__ = [
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
+    "straight_texts",
 ]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -80,6 +82,11 @@ class StraightSteps:
         self._complex: dict[float, StraightStep] = {}
         self._tangents: dict[float, StraightTangent] = {}
 
+    @property
+    def recorded(self) -> bool:
+        """Whether there are any, as far as is known."""
+        return self._record is not None
+
     def floats(self, period: float) -> StraightStep | None:
         """For Python floats; None: take the other road."""
         return self._floats.get(period) or self._considered(period)
@@ -112,21 +119,34 @@ class StraightSteps:
 
 
 def straight_step(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str], ahead: str = ""
 ) -> Straight | None:
     """The equations as straight-line functions; None where they cannot be recorded.
 
-    Of the names only the number counts.
+    Of the names only the number counts. ``ahead`` is the module that holds some of these functions, compiled perhaps.
     """
     taped = _taped(equations, states, actions, latents)
     if taped is None:
         return None
     tape, head, names = taped
     return (
-        _compiled(head, tape, names, FLOAT_FORMS, FLOATS),
+        _compiled(head, tape, names, FLOAT_FORMS, FLOATS, ahead),
         _compiled(head, tape, names, {}, COMPLEX),
-        compiled_tangent(head, tape.lines, tape.calls, names, [f"a{index}" for index in range(len(actions))]),
+        compiled_tangent(head, tape.lines, tape.calls, names, _varied(actions, "a"), ahead),
     )
+
+
+def straight_texts(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> tuple[str, ...]:
+    """What the step, its tangent and its sensitivity are for floats, as Python; none where networks are called."""
+    taped = _taped(equations, states, actions, latents)
+    if taped is None or taped[0].calls:
+        return ()
+    tape, head, names = taped
+    varied = _varied(actions, "a"), [*_varied(states, "s"), *_varied(actions, "a")]
+    tangents = [tangent_text(head, tape.lines, names, entries) for entries in varied]
+    return _step_text(head, tape, names, FLOAT_FORMS), *tangents
 
 
 def straight_arrays(
@@ -159,7 +179,7 @@ def paced(equations_of: Callable[[float], Equations]) -> Equations:
 
 
 def straight_sensitivity(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str], ahead: str = ""
 ) -> StraightTangent | None:
     """The values and their slopes in state and action (states, states + actions), as ``straight_step`` has the tangent.
 
@@ -169,8 +189,11 @@ def straight_sensitivity(
     if taped is None or taped[0].calls:
         return None
     tape, head, names = taped
-    varied = [*(f"s{index}" for index in range(len(states))), *(f"a{index}" for index in range(len(actions)))]
-    return compiled_tangent(head, tape.lines, tape.calls, names, varied)
+    return compiled_tangent(head, tape.lines, tape.calls, names, [*_varied(states, "s"), *_varied(actions, "a")], ahead)
+
+
+def _varied(entries: Sequence[str], letter: str) -> list[str]:
+    return [f"{letter}{index}" for index in range(len(entries))]
 
 
 def _taped(
@@ -201,9 +224,24 @@ def _compiled(
     after: Sequence[str],
     forms: Mapping[str, str],
     table: Operations,
+    ahead: str = "",
     *,
     freeing: bool = False,
 ) -> StraightStep:
+    text = _step_text(head, tape, after, forms, freeing=freeing)
+    known = written_ahead(ahead, text)
+    if known is not None:
+        return known
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
+    scope.update({name: getattr(table, name) for name in FUNCTIONS})
+    exec(text, scope)  # arithmetic on names of our own, nothing from outside
+    step: StraightStep = scope["step"]
+    return step
+
+
+def _step_text(
+    head: Sequence[str], tape: Tape, after: Sequence[str], forms: Mapping[str, str], *, freeing: bool = False
+) -> str:
     """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
     last_use = {name: index for index, (_, _, operands) in enumerate(tape.lines) for name in operands}
     computed = {name for name, _, _ in tape.lines}
@@ -220,11 +258,7 @@ def _compiled(
         if freeing and spent:
             lines.append(f"del {', '.join(sorted(spent))}")
     lines.append(f"return [{', '.join(after)}]")
-    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
-    scope.update({name: getattr(table, name) for name in FUNCTIONS})
-    exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
-    step: StraightStep = scope["step"]
-    return step
+    return "\n    ".join(lines)
 
 
 def _term(form: str, operands: Sequence[str], forms: Mapping[str, str]) -> str:

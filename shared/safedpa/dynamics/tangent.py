@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
+from safedpa.dynamics.written_ahead import written_ahead
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "forward_mode",
     "intercept",
     "single_tangent",
+    "tangent_text",
 ]
 
 StraightTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
@@ -103,8 +105,26 @@ def compiled_tangent(
     calls: Mapping[str, Callable[..., Any]],
     after: Sequence[str],
     actions: Sequence[str],
+    ahead: str = "",
 ) -> StraightTangent:
-    """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name."""
+    """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name.
+
+    ``ahead`` is the module that may hold it already.
+    """
+    text = tangent_text(head, tape, after, actions)
+    known = written_ahead(ahead, text)
+    if known is not None:
+        return known
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
+    scope.update({name: getattr(FLOATS, name) for name in _FUNCTIONS})
+    scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in _FUNCTIONS})
+    exec(text, scope)  # arithmetic on names of our own, nothing from outside
+    tangent: StraightTangent = scope["tangent"]
+    return tangent
+
+
+def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str], actions: Sequence[str]) -> str:
+    """That function as Python."""
     written = _Slopes(tape)
     slopes = [written.of(action, index) for index, action in enumerate(actions)]
     wanted = [*after, *(named[name] for named in slopes for name in after if name in named)]
@@ -114,12 +134,7 @@ def compiled_tangent(
     ]
     text = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(written.lines, wanted), wanted)]
     text.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
-    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
-    scope.update({name: getattr(FLOATS, name) for name in _FUNCTIONS})
-    scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in _FUNCTIONS})
-    exec("\n    ".join(text), scope)  # arithmetic on names of our own, nothing from outside
-    tangent: StraightTangent = scope["tangent"]
-    return tangent
+    return "\n    ".join(text)
 
 
 @final
