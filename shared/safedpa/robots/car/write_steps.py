@@ -36,7 +36,7 @@ def text() -> str:
 
 def written_steps(subject: str, writer: str, models: Mapping[str, PhysicsModel]) -> str:
     """The text of the module, for models by name; each must be arithmetic alone. Raises ValueError where one is not."""
-    functions, keys = list[str](), list[str]()
+    functions, keys, names = list[str](), list[str](), ["WRITTEN"]
     for name, model in models.items():
         texts = model.straight_texts()
         if not texts or any("complex" in text or "**" in text for text in texts):
@@ -47,6 +47,7 @@ def written_steps(subject: str, writer: str, models: Mapping[str, PhysicsModel])
             _, body = text.split("\n", 1)
             functions += ["", "", f"def {name}_{kind}({_ARGUMENTS}) -> {result}:", f'    """{words}"""', body]
             keys.append(f'    "{text_key(text)}": {name}_{kind},')
+            names.append(f"{name}_{kind}")
     whole = "\n".join(functions)
     used = [name for name in _FUNCTIONS if re.search(rf"\b{name}\b", whole)]
     head = [
@@ -58,7 +59,7 @@ def written_steps(subject: str, writer: str, models: Mapping[str, PhysicsModel])
         f"from math import {', '.join(used)}",
         "from typing import Any",
         "",
-        '__all__ = ["WRITTEN"]',
+        "__all__ = [" + ", ".join(f'"{name}"' for name in sorted(names)) + "]",
     ]
     tail = ["", "", "WRITTEN: dict[str, Callable[..., Any]] = {", *keys, "}", '"""By what was recorded."""', ""]
     return "\n".join([*head, whole, *tail])

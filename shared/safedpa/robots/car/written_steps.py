@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from math import atan, cos, cosh, sin, tan, tanh
 from typing import Any
 
-__all__ = ["WRITTEN"]
+__all__ = ["WRITTEN", "car_measured_step", "car_measured_tangent", "car_sensitivity", "car_step", "car_tangent"]
 
 
 def car_step(state: Sequence[float], action: Sequence[float], latent: Sequence[float], time: float) -> list[float]:
