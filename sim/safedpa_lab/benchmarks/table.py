@@ -81,9 +81,20 @@ def _target_cells(row: Document) -> Iterator[str]:
     for target in row["targets"]:
         sign = "at most" if target["better"] == "less" else "at least"
         wanted, got = (figure_text(target[key], target["unit"]) for key in ("wanted", "got"))
-        yield f"{target['what']} | {sign} {wanted} | {got} | {'reached' if target['reached'] else 'not reached'}"
+        yield f"{target['what']} | {sign} {wanted} | {got} | {_judged(target)}"
     if not row["targets"]:
         yield f"{row['work']} | printed | see below |"
+
+
+def _judged(target: Document) -> str:
+    """Whether it was reached, and beside what is missed the floor under it."""
+    if target["reached"]:
+        return "reached"
+    floor = target.get("floor")
+    if floor is None:
+        return "not reached"
+    link = "forbidden by" if target["forbidden"] else "floor:"
+    return f"not reached; {link} {floor['name']}, {figure_text(floor['value'], target['unit'])}"
 
 
 def _section(row: Document) -> Iterator[str]:
