@@ -72,7 +72,7 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
         all_ticks = decisions(problem, load_model(model), calls, seconds, every=True)
         found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
     note = "no decision can do without; timed in turn with the decisions"
-    return [*found, *(microseconds(f"safedpa, {name}", times[name], f"{named}, {name}", note) for name in FLOORS)]
+    return [*found, *(microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS)]
 
 
 def _source(calls: int, seconds: float) -> Entry:
@@ -94,7 +94,7 @@ def _targets(ours: Sequence[Entry], peers: Sequence[Entry], counts: Sequence[int
             notes.append(f"no target with {named}: it is half of {_BEST}'s time, which is not there")
             continue
         for what, part in zip(MODELS.values(), (BOTH, PROGRAM), strict=True):
-            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {part}", f"{named}, {part}")
+            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {part}", f"{named}, floor")
             targets += [_half(figure, entry, known, floor) for figure in ("p50", "p99")]
     learned, physics = (_of(ours, f"safedpa, {what}", "8 obstacles") for what in MODELS.values())
     wanted = learned.figures["p99"]
