@@ -22,7 +22,7 @@ class Listed(NamedTuple):
 
 
 ROWS: Final = {
-    "filter": Listed("one decision of the safety filter", 3.5),
+    "filter": Listed("one decision of the safety filter", 9.0),
     "sensed": Listed("one decision among what a laser sees, and from a scan to an action", 1.0),
     "adaptation": Listed("one step of the learned adaptation", 0.2),
     "batch": Listed("many robots through adaptation, policy and filter in one process", 1.0),
