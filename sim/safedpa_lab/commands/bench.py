@@ -204,7 +204,8 @@ def _show_row(name: str, row: dict[str, Any]) -> None:
         for line in lines:
             table.add_row(*line)
         console.print(table)
-    absent = [f"{entry['name']}: {entry['missing']}" for entry in row.get("peers", ()) if entry["missing"]]
+    entries = (*row.get("ours", ()), *row.get("peers", ()))
+    absent = [f"{entry['name']}: {entry['missing']}" for entry in entries if entry["missing"]]
     for words in (*target_texts(row), *row.get("notes", ()), *dict.fromkeys(absent)):
         console.print(f"  {words}", markup=False)
 

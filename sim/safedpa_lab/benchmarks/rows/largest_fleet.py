@@ -102,7 +102,7 @@ def _used(found: Mapping[str, Any]) -> Sequence[Mapping[str, float]]:
 def _cost(found: Mapping[str, Any]) -> float:
     """us of processor a robot-tick, of the services without the simulation; 0 where the system does not tell."""
     told = [each for name, each in found["processes"].items() if each and name != "robots"]
-    return round(sum(each.get("us_per_robot_tick", 0.0) for each in told), 1)
+    return round(float(sum(each.get("us_per_robot_tick", 0.0) for each in told)), 1)
 
 
 def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = None) -> int:
