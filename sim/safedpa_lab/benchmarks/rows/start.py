@@ -19,6 +19,8 @@ from safedpa_lab.benchmarks.usage import usage_of
 __all__ = ["measure"]
 
 _SERVICES: Final = ("adaptation", "policy", "safety_filter", "recorder", "diagnosis", "dashboard")
+_ACTING: Final = ("adaptation", "policy", "safety_filter")
+"""Without these there is no action."""
 _LOOK_SECONDS = 0.2
 _DRIVEN_SECONDS = 3.0
 _RECORDED_SECONDS: Final = 20.0
@@ -52,10 +54,9 @@ def measure(effort: Effort) -> Row:
     ours += _import_entries(imports, alone)
     largest = {name: max(known.get(name, 0.0) for known in memory) for known in memory for name in known}
     ours += [Entry(f"memory of {name}", {"mib": mib}, "", problem="memory") for name, mib in sorted(largest.items())]
-    slowest = max(imports, key=lambda name: imports[name][0])
-    needed, dashboard = imports[slowest][0], imports["dashboard"][0]
+    needed, dashboard = max(_ACTING, key=lambda name: imports[name][0]), imports["dashboard"][0]
     targets = (
-        Target("start to the first action", 2.0, first, "s", floor=Floor(f"import of {slowest}", needed)),
+        Target("start to the first action", 2.0, first, "s", floor=Floor(f"import of {needed}", imports[needed][0])),
         Target("start to the live view", 4.0, pages["live view"], "s", floor=Floor("import of dashboard", dashboard)),
         Target("safedpa compare of a recording", 2.0, compared, "s", floor=Floor("import of numpy", numpy)),
         Target("import safedpa", 0.15, alone, "s"),
