@@ -28,8 +28,6 @@ class AbstractBase(ABC):
     of whatever makes the base."""
     straight: ClassVar[bool] = True
     """Whether the equations are the same arithmetic on named scalars whatever their values."""
-    written: ClassVar[str] = ""
-    """The module in which the straight-line functions of shipped models stand; empty: none does."""
 
     @abstractmethod
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:

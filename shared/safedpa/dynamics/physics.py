@@ -23,7 +23,6 @@ from safedpa.dynamics.straight import (
     straight_arrays,
     straight_sensitivity,
     straight_step,
-    straight_texts,
 )
 from safedpa.dynamics.tangent import StraightTangent, batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
@@ -172,9 +171,10 @@ class PhysicsModel(AbstractDynamics):
 
         Recorded when it is first asked for. None as ``straight``, and where a network is asked on the way.
         """
-        if self._commands or not self._straight.recorded:
+        if self._commands or not (self._takes_complex and self.base.straight):
             return None
-        return straight_sensitivity(self._equations(self.period), *self._names, self.base.written)
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        return straight_sensitivity(self.equations(self.period), *names)
 
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
@@ -183,15 +183,12 @@ class PhysicsModel(AbstractDynamics):
         as near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot
         at a time.
         """
-        if self._commands or not self._straight.recorded:
+        if self._commands or not (self._takes_complex and self.base.straight):
             return None
-        states, actions, latents = self._names
-        equations, more = (paced(self._equations), ("period",)) if period is None else (self._equations(period), ())
-        return straight_arrays(equations, states, actions, (*latents, *more))
-
-    def straight_texts(self) -> tuple[str, ...]:
-        """What the mechanics' straight lines over one period are as Python; none where there are none."""
-        return straight_texts(self._equations(self.period), *self._names) if self._straight.recorded else ()
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        if period is not None:
+            return straight_arrays(self.equations(period), *names)
+        return straight_arrays(paced(self.equations), names[0], names[1], (*names[2], "period"))
 
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
@@ -302,9 +299,11 @@ class PhysicsModel(AbstractDynamics):
             # Python's math refuses sin(inf) and exp(1000), where numpy and torch answer NaN and inf: so does this model
             if operations is not FLOATS:
                 raise
-            operations, numbers = NUMPY, {name: np.float64(value) for name, value in state.items()}
+            operations = NUMPY
             with np.errstate(all="ignore"):
-                after = self.base.integrate(derivative, numbers, time, period)
+                after = self.base.integrate(
+                    derivative, {name: np.float64(value) for name, value in state.items()}, time, period
+                )
         for sensor in reversed(self._sensors):
             after = sensor.measure(after, values[sensor.name])
         return [after[name] for name in self.system.state_names]
@@ -341,16 +340,14 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _straight(self) -> StraightSteps:
         """The project's own equations can be recorded; a user's may do what a recording does not see."""
-        return StraightSteps(self._recorded if self._takes_complex and self.base.straight else None)
+        straight = self._takes_complex and self.base.straight
+        return StraightSteps(self._recorded if straight else None)
 
     def _recorded(self, period: float) -> Straight | None:
-        return straight_step(self._equations(period), *self._names, self.base.written)
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        return straight_step(self.equations(period), *names)
 
-    @property
-    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-        return self.system.state_names, self.system.action_names, self.latent_names
-
-    def _equations(self, period: float) -> Equations:
+    def equations(self, period: float) -> Equations:
         """One period without actuators that remember, as ``straight`` records it."""
 
         def equations(

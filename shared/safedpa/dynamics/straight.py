@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, final
 
 from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text
-from safedpa.dynamics.written_ahead import written_ahead
+from safedpa.dynamics.written_key import written
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
@@ -28,10 +28,10 @@ __all__ = [
     "called",
     "is_recorded",
     "paced",
+    "step_texts",
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
-    "straight_texts",
 ]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -82,11 +82,6 @@ class StraightSteps:
         self._complex: dict[float, StraightStep] = {}
         self._tangents: dict[float, StraightTangent] = {}
 
-    @property
-    def recorded(self) -> bool:
-        """Whether there are any, as far as is known."""
-        return self._record is not None
-
     def floats(self, period: float) -> StraightStep | None:
         """For Python floats; None: take the other road."""
         return self._floats.get(period) or self._considered(period)
@@ -119,34 +114,21 @@ class StraightSteps:
 
 
 def straight_step(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str], ahead: str = ""
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
 ) -> Straight | None:
     """The equations as straight-line functions; None where they cannot be recorded.
 
-    Of the names only the number counts. ``ahead`` is the module that holds some of these functions, compiled perhaps.
+    Of the names only the number counts.
     """
     taped = _taped(equations, states, actions, latents)
     if taped is None:
         return None
     tape, head, names = taped
     return (
-        _compiled(head, tape, names, FLOAT_FORMS, FLOATS, ahead),
+        _compiled(head, tape, names, FLOAT_FORMS, FLOATS),
         _compiled(head, tape, names, {}, COMPLEX),
-        compiled_tangent(head, tape.lines, tape.calls, names, _varied(actions, "a"), ahead),
+        compiled_tangent(head, tape.lines, tape.calls, names, [f"a{index}" for index in range(len(actions))]),
     )
-
-
-def straight_texts(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> tuple[str, ...]:
-    """What the step, its tangent and its sensitivity are for floats, as Python; none where networks are called."""
-    taped = _taped(equations, states, actions, latents)
-    if taped is None or taped[0].calls:
-        return ()
-    tape, head, names = taped
-    varied = _varied(actions, "a"), [*_varied(states, "s"), *_varied(actions, "a")]
-    tangents = [tangent_text(head, tape.lines, names, entries) for entries in varied]
-    return _step_text(head, tape, names, FLOAT_FORMS), *tangents
 
 
 def straight_arrays(
@@ -179,7 +161,7 @@ def paced(equations_of: Callable[[float], Equations]) -> Equations:
 
 
 def straight_sensitivity(
-    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str], ahead: str = ""
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
 ) -> StraightTangent | None:
     """The values and their slopes in state and action (states, states + actions), as ``straight_step`` has the tangent.
 
@@ -189,11 +171,8 @@ def straight_sensitivity(
     if taped is None or taped[0].calls:
         return None
     tape, head, names = taped
-    return compiled_tangent(head, tape.lines, tape.calls, names, [*_varied(states, "s"), *_varied(actions, "a")], ahead)
-
-
-def _varied(entries: Sequence[str], letter: str) -> list[str]:
-    return [f"{letter}{index}" for index in range(len(entries))]
+    varied = [*(f"s{index}" for index in range(len(states))), *(f"a{index}" for index in range(len(actions)))]
+    return compiled_tangent(head, tape.lines, tape.calls, names, varied)
 
 
 def _taped(
@@ -218,18 +197,33 @@ def _taped(
     return tape, head, names
 
 
+def step_texts(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> tuple[str, str] | None:
+    """What ``straight_step`` makes of the equations for floats: the step, and its tangent in the action, as text.
+
+    None where they cannot be recorded, or call what no text says.
+    """
+    taped = _taped(equations, states, actions, latents)
+    if taped is None or taped[0].calls:
+        return None
+    tape, head, names = taped
+    varied = [f"a{index}" for index in range(len(actions))]
+    return _text(head, tape, names, FLOAT_FORMS), tangent_text(head, tape.lines, names, varied)
+
+
 def _compiled(
     head: Sequence[str],
     tape: Tape,
     after: Sequence[str],
     forms: Mapping[str, str],
     table: Operations,
-    ahead: str = "",
     *,
     freeing: bool = False,
 ) -> StraightStep:
-    text = _step_text(head, tape, after, forms, freeing=freeing)
-    known = written_ahead(ahead, text)
+    """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
+    text = _text(head, tape, after, forms, freeing=freeing)
+    known: StraightStep | None = written(text, tape.calls) if table is FLOATS else None
     if known is not None:
         return known
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
@@ -239,19 +233,18 @@ def _compiled(
     return step
 
 
-def _step_text(
+def _text(
     head: Sequence[str], tape: Tape, after: Sequence[str], forms: Mapping[str, str], *, freeing: bool = False
 ) -> str:
-    """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
     last_use = {name: index for index, (_, _, operands) in enumerate(tape.lines) for name in operands}
     computed = {name for name, _, _ in tape.lines}
     lines = ["def step(state, action, latent, time):", *head]
     nested = set[str]() if freeing else _used_once(tape, after)
-    written: dict[str, str] = {}
+    terms: dict[str, str] = {}
     for index, (name, form, operands) in enumerate(tape.lines):
-        term = _term(form, [written.get(operand, operand) for operand in operands], forms)
+        term = _term(form, [terms.get(operand, operand) for operand in operands], forms)
         if name in nested and term.count("(") <= _DEEPEST:
-            written[name] = f"({term})"
+            terms[name] = f"({term})"
             continue
         lines.append(f"{name} = {term}")
         spent = {other for other in operands if other in computed and last_use[other] == index and other not in after}

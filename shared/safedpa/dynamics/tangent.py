@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
-from safedpa.dynamics.written_ahead import written_ahead
+from safedpa.dynamics.written_key import written
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 __all__ = [
@@ -105,14 +105,10 @@ def compiled_tangent(
     calls: Mapping[str, Callable[..., Any]],
     after: Sequence[str],
     actions: Sequence[str],
-    ahead: str = "",
 ) -> StraightTangent:
-    """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name.
-
-    ``ahead`` is the module that may hold it already.
-    """
+    """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name."""
     text = tangent_text(head, tape, after, actions)
-    known = written_ahead(ahead, text)
+    known: StraightTangent | None = written(text, calls)
     if known is not None:
         return known
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
@@ -124,17 +120,17 @@ def compiled_tangent(
 
 
 def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str], actions: Sequence[str]) -> str:
-    """That function as Python."""
-    written = _Slopes(tape)
-    slopes = [written.of(action, index) for index, action in enumerate(actions)]
-    wanted = [*after, *(named[name] for named in slopes for name in after if name in named)]
+    """The same function as Python's own text."""
+    slopes = _Slopes(tape)
+    columns = [slopes.of(action, index) for index, action in enumerate(actions)]
+    wanted = [*after, *(named[name] for named in columns for name in after if name in named)]
     rows = [
-        "[" + ", ".join(f"{named[name]} / {_IMAGINARY!r}" if name in named else "0.0" for named in slopes) + "]"
+        "[" + ", ".join(f"{named[name]} / {_IMAGINARY!r}" if name in named else "0.0" for named in columns) + "]"
         for name in after
     ]
-    text = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(written.lines, wanted), wanted)]
-    text.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
-    return "\n    ".join(text)
+    lines = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(slopes.lines, wanted), wanted)]
+    lines.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
+    return "\n    ".join(lines)
 
 
 @final

@@ -45,7 +45,6 @@ class KinematicBicycle(AbstractBase):
     )
     source = "Rajamani, Vehicle Dynamics and Control, section 2.2"
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"drive": ("speed_servo", "throttle")}
-    written = "safedpa.robots.car.written_steps"
 
     def __init__(self, drive: Drive = "speed_servo") -> None:
         self.drive = drive
