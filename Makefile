@@ -72,13 +72,15 @@ environment: $(INSTALLED)  ## creates .venv, or brings it up to date
 
 # Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
 # Links, not copies, of the product and its laboratory are installed, so the environment changes only with these files.
+# Bytecode is made beside the installing, by the other core: pip would make it file after file.
+BYTECODE := $(BIN)/python -m compileall -qq -j 2 $(ENVIRONMENT)/lib || true
 $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "$(PYTHON): wanted Python 3.11; say make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@echo "Installing into $(ENVIRONMENT); the first time this takes two to three minutes."
 	@$(PYTHON) -m venv $(ENVIRONMENT)
-	@$(PIP) torch==2.13.0
-	@$(PIP) --editable '.[test,lint]' --editable sim
+	@$(PIP) --no-compile torch==2.13.0
+	@($(BYTECODE)) & $(PIP) --no-compile --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
 	@touch $@
 
 bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json

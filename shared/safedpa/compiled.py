@@ -7,16 +7,23 @@ import importlib
 __all__ = ["MODULES", "compiled_modules"]
 
 MODULES = (
+    "safedpa.dynamics.written_steps",
     "safedpa.networks.plain_rows",
     "safedpa.safety.affine_motion",
+    "safedpa.robots.car.compensated_seeker",
+    "safedpa.robots.car.goal_seeker",
+    "safedpa.robots.car.perception",
     "safedpa.robots.car.sensed_far",
     "safedpa.robots.car.written_barriers",
     "safedpa.equations.chain_rule",
     "safedpa.safety.conditions",
     "safedpa.safety.decision",
+    "safedpa.safety.ceiling",
+    "safedpa.safety.found_delay",
     "safedpa.safety.inputs",
     "safedpa.safety.lattice",
     "safedpa.safety.least_unsafe",
+    "safedpa.safety.margin",
     "safedpa.safety.nearest",
     "safedpa.safety.prediction",
     "safedpa.safety.program_rows",
@@ -25,6 +32,7 @@ MODULES = (
     "safedpa.safety.search",
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
+    "safedpa.safety.watched_margin",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

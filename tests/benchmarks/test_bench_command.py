@@ -24,6 +24,7 @@ def test_the_rows_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--quick", "--full"], "choose one"),
         (["--only", "filters"], "filter"),
+        (["--data", "nowhere"], "--data nowhere: no such folder"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:

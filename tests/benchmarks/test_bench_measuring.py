@@ -148,6 +148,15 @@ def test_the_table_says_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert figure_text(5.1e6, "steps/s") == "5.10 Msteps/s"
 
 
+def test_results_of_before_there_were_floors_are_still_told() -> None:
+    document = read_document(Path(__file__).parents[2] / "docs" / "results" / "speed.json")
+    for row in document["rows"].values():
+        for target in row.get("targets", ()):
+            for name in ("floor", "forbidden"):
+                target.pop(name, None)
+    assert "| not reached |" in markdown(document)
+
+
 def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 

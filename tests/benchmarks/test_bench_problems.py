@@ -174,3 +174,13 @@ def test_calls_in_turn_are_each_given_their_own_inputs_as_often() -> None:
     assert asked["one"].count(1) + asked["one"].count(2) == len(asked["other"]) == 33
     assert set(asked["other"]) == {3}
     assert {own["calls"] for own in found.values()} == {30}
+
+
+def test_nobody_always_follows_the_same_call() -> None:
+    called: list[str] = []
+    names = ("one", "other", "third")
+    in_turn({name: (called.append, [name]) for name in names}, 30, 60.0)
+    turns = [tuple(called[begin : begin + 3]) for begin in range(0, len(called), 3)]
+    assert all(set(turn) == set(names) for turn in turns)
+    assert {turn[0] for turn in turns} == set(names)
+    assert len(set(turns)) > 3

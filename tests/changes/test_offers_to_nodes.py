@@ -202,7 +202,7 @@ def test_a_drop_of_another_change_leaves_the_offer_as_it_is(ticking: Ticking, pr
 def _memory_of(node: Any) -> Any:
     """What the node would lose if it began anew with the robot."""
     if isinstance(node, PolicyNode):
-        return node._controllers["r1"]
+        return node._controllers["r1"].controller
     return getattr(node._robots["r1"], "estimator", None) or node._robots["r1"].filter
 
 

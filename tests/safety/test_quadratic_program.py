@@ -1,6 +1,5 @@
 """PIQP, in the filter's form, against quadprog and against the optimality conditions."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,7 @@ def problem(random: np.random.Generator) -> tuple[QuadraticProgram, np.ndarray, 
 def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
     """The solution for arrays, in arrays."""
     found = program.solve(A.tolist(), b.tolist(), wish.tolist())
-    return replace(found, action=np.array(found.action), slack=np.array(found.slack))
+    return Solution(np.array(found.action), np.array(found.slack), found.solved, found.status)
 
 
 def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, wish: Any) -> float:

@@ -174,7 +174,7 @@ class PhysicsModel(AbstractDynamics):
         if self._commands or not (self._takes_complex and self.base.straight):
             return None
         names = self.system.state_names, self.system.action_names, self.latent_names
-        return straight_sensitivity(self._equations(self.period), *names)
+        return straight_sensitivity(self.equations(self.period), *names)
 
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
@@ -187,8 +187,8 @@ class PhysicsModel(AbstractDynamics):
             return None
         names = self.system.state_names, self.system.action_names, self.latent_names
         if period is not None:
-            return straight_arrays(self._equations(period), *names)
-        return straight_arrays(paced(self._equations), names[0], names[1], (*names[2], "period"))
+            return straight_arrays(self.equations(period), *names)
+        return straight_arrays(paced(self.equations), names[0], names[1], (*names[2], "period"))
 
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
@@ -345,9 +345,9 @@ class PhysicsModel(AbstractDynamics):
 
     def _recorded(self, period: float) -> Straight | None:
         names = self.system.state_names, self.system.action_names, self.latent_names
-        return straight_step(self._equations(period), *names)
+        return straight_step(self.equations(period), *names)
 
-    def _equations(self, period: float) -> Equations:
+    def equations(self, period: float) -> Equations:
         """One period without actuators that remember, as ``straight`` records it."""
 
         def equations(

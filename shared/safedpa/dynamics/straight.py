@@ -15,7 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, final
 
-from safedpa.dynamics.tangent import StraightTangent, compiled_tangent
+from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text
+from safedpa.dynamics.written_key import written
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
@@ -27,6 +28,7 @@ __all__ = [
     "called",
     "is_recorded",
     "paced",
+    "step_texts",
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
@@ -195,6 +197,21 @@ def _taped(
     return tape, head, names
 
 
+def step_texts(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> tuple[str, str] | None:
+    """What ``straight_step`` makes of the equations for floats: the step, and its tangent in the action, as text.
+
+    None where they cannot be recorded, or call what no text says.
+    """
+    taped = _taped(equations, states, actions, latents)
+    if taped is None or taped[0].calls:
+        return None
+    tape, head, names = taped
+    varied = [f"a{index}" for index in range(len(actions))]
+    return _text(head, tape, names, FLOAT_FORMS), tangent_text(head, tape.lines, names, varied)
+
+
 def _compiled(
     head: Sequence[str],
     tape: Tape,
@@ -205,26 +222,36 @@ def _compiled(
     freeing: bool = False,
 ) -> StraightStep:
     """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
+    text = _text(head, tape, after, forms, freeing=freeing)
+    known: StraightStep | None = written(text, tape.calls) if table is FLOATS else None
+    if known is not None:
+        return known
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
+    scope.update({name: getattr(table, name) for name in FUNCTIONS})
+    exec(text, scope)  # arithmetic on names of our own, nothing from outside
+    step: StraightStep = scope["step"]
+    return step
+
+
+def _text(
+    head: Sequence[str], tape: Tape, after: Sequence[str], forms: Mapping[str, str], *, freeing: bool = False
+) -> str:
     last_use = {name: index for index, (_, _, operands) in enumerate(tape.lines) for name in operands}
     computed = {name for name, _, _ in tape.lines}
     lines = ["def step(state, action, latent, time):", *head]
     nested = set[str]() if freeing else _used_once(tape, after)
-    written: dict[str, str] = {}
+    terms: dict[str, str] = {}
     for index, (name, form, operands) in enumerate(tape.lines):
-        term = _term(form, [written.get(operand, operand) for operand in operands], forms)
+        term = _term(form, [terms.get(operand, operand) for operand in operands], forms)
         if name in nested and term.count("(") <= _DEEPEST:
-            written[name] = f"({term})"
+            terms[name] = f"({term})"
             continue
         lines.append(f"{name} = {term}")
         spent = {other for other in operands if other in computed and last_use[other] == index and other not in after}
         if freeing and spent:
             lines.append(f"del {', '.join(sorted(spent))}")
     lines.append(f"return [{', '.join(after)}]")
-    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
-    scope.update({name: getattr(table, name) for name in FUNCTIONS})
-    exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
-    step: StraightStep = scope["step"]
-    return step
+    return "\n    ".join(lines)
 
 
 def _term(form: str, operands: Sequence[str], forms: Mapping[str, str]) -> str:

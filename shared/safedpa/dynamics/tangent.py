@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
+from safedpa.dynamics.written_key import written
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "forward_mode",
     "intercept",
     "single_tangent",
+    "tangent_text",
 ]
 
 StraightTangent = Callable[[Sequence[float], Sequence[float], Sequence[float], float], tuple[list[float], list[Any]]]
@@ -105,21 +107,30 @@ def compiled_tangent(
     actions: Sequence[str],
 ) -> StraightTangent:
     """The function for recorded lines, whose entries ``after`` one period depend on ``actions``, all by name."""
-    written = _Slopes(tape)
-    slopes = [written.of(action, index) for index, action in enumerate(actions)]
-    wanted = [*after, *(named[name] for named in slopes for name in after if name in named)]
-    rows = [
-        "[" + ", ".join(f"{named[name]} / {_IMAGINARY!r}" if name in named else "0.0" for named in slopes) + "]"
-        for name in after
-    ]
-    text = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(written.lines, wanted), wanted)]
-    text.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
+    text = tangent_text(head, tape, after, actions)
+    known: StraightTangent | None = written(text, calls)
+    if known is not None:
+        return known
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, "cosh": math.cosh, **calls}
     scope.update({name: getattr(FLOATS, name) for name in _FUNCTIONS})
     scope.update({f"complex_{name}": getattr(COMPLEX, name) for name in _FUNCTIONS})
-    exec("\n    ".join(text), scope)  # arithmetic on names of our own, nothing from outside
+    exec(text, scope)  # arithmetic on names of our own, nothing from outside
     tangent: StraightTangent = scope["tangent"]
     return tangent
+
+
+def tangent_text(head: Sequence[str], tape: Sequence[Line], after: Sequence[str], actions: Sequence[str]) -> str:
+    """The same function as Python's own text."""
+    slopes = _Slopes(tape)
+    columns = [slopes.of(action, index) for index, action in enumerate(actions)]
+    wanted = [*after, *(named[name] for named in columns for name in after if name in named)]
+    rows = [
+        "[" + ", ".join(f"{named[name]} / {_IMAGINARY!r}" if name in named else "0.0" for named in columns) + "]"
+        for name in after
+    ]
+    lines = ["def tangent(state, action, latent, time):", *head, *_nested(_needed(slopes.lines, wanted), wanted)]
+    lines.append(f"return [{', '.join(after)}], [{', '.join(rows)}]")
+    return "\n    ".join(lines)
 
 
 @final

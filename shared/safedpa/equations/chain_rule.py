@@ -9,19 +9,20 @@ __all__ = ["chain_rule"]
 
 def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
     """p'g (rows, actions) of slopes p (rows, states), g (states, actions). Raises ValueError where they do not fit."""
-    if len(g[0]) == 2 and len(g) == 4:
+    states, actions = len(g), len(g[0]) if g else 0
+    if states == 4 and actions == 2:
         return _of_a_car(slopes, g)
-    states = len(g)
     found: list[list[float]] = []
     for p in slopes:
         if len(p) != states:
             raise ValueError(f"h has slopes of {len(p)} states, the model of {states}")
-        row = [0.0] * len(g[0])
-        for state in range(states):
-            slope: float = p[state]
-            entries = g[state]
-            for column in range(len(row)):
-                row[column] += slope * entries[column]
+        entries: list[float] = list(p)
+        row: list[float] = []
+        for column in range(actions):
+            total = 0.0
+            for state in range(states):
+                total += entries[state] * g[state][column]
+            row.append(total)
         found.append(row)
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,14 @@ class _Held:
     make: Callable[[], Controller]
 
 
+class _Wishes(NamedTuple):
+    """What one robot's wishes come from."""
+
+    controller: Controller
+    looks: LooksAround | None
+    """The same, if it looks around; asked once, since asking takes as long as a wish."""
+
+
 @final
 class PolicyNode(AbstractNode):
     """Wishes for actions that lead each robot to its goal, by one of the robot's controllers.
@@ -71,7 +79,7 @@ class PolicyNode(AbstractNode):
         first = self._held(model)
         self._looks = isinstance(first.make(), LooksAround)
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
-        self._controllers: dict[str, Controller] = {}
+        self._controllers: dict[str, _Wishes] = {}
         self._states: dict[str, StateMessage] = {}
 
     def needs(self, state: StateMessage) -> tuple[Topic, ...]:
@@ -83,13 +91,14 @@ class PolicyNode(AbstractNode):
             self._controllers.pop(robot, None)
         held = self._versions.of(robot)
         self._states[robot] = state
-        if robot not in self._controllers:
-            self._controllers[robot] = held.make()
-        wishes = self._controllers[robot]
-        if isinstance(wishes, LooksAround):
+        wishes = self._controllers.get(robot)
+        if wishes is None:
+            made = held.make()
+            wishes = self._controllers[robot] = _Wishes(made, made if isinstance(made, LooksAround) else None)
+        if wishes.looks is not None:
             seen = inputs.get(SURROUNDINGS)
-            wishes.look(seen if isinstance(seen, SurroundingsMessage) else None)
-        values, controller = wishes.wish(state, _latent(held, inputs))
+            wishes.looks.look(seen if isinstance(seen, SurroundingsMessage) else None)
+        values, controller = wishes.controller.wish(state, _latent(held, inputs))
         message = WishMessage(
             epoch=state.epoch,
             tick=state.tick,

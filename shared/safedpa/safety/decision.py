@@ -69,18 +69,22 @@ class Tools:
 
 
 @final
-@dataclass(eq=False)
 class Request:
     """What one tick brings; nothing of it is trusted."""
 
-    state: Any
-    wish: Any
-    latent: Any
-    memory: Any
-    barriers: Sequence[AbstractBarrier]
-    epsilon: Mapping[str, float]
-    stale: Sequence[str]
-    time: Any = None
+    def __init__(
+        self,
+        state: Any,
+        wish: Any,
+        latent: Any,
+        memory: Any,
+        barriers: Sequence[AbstractBarrier],
+        epsilon: Mapping[str, float],
+        stale: Sequence[str],
+        time: Any = None,
+    ) -> None:
+        self.state, self.wish, self.latent, self.memory = state, wish, latent, memory
+        self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
 
 
 @final

@@ -21,10 +21,6 @@ PARALLEL: Final = 1e-9
 MOST: Final = 8
 """Conditions that are taken in; then others have to answer."""
 
-_UNIT_A: Final[list[float]] = [1.0, -1.0, 0.0, 0.0]
-_UNIT_B: Final[list[float]] = [0.0, 0.0, 1.0, -1.0]
-_UNIT_LIMIT: Final[list[float]] = [0.0, -1.0, 0.0, -1.0]
-
 
 @final
 class NearestKept:
@@ -33,9 +29,9 @@ class NearestKept:
     def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
         self._wish_x, self._wish_y = wish_x, wish_y
         self._weight_x, self._weight_y = weight_x, weight_y
-        self._a: list[float] = _UNIT_A.copy()
-        self._b: list[float] = _UNIT_B.copy()
-        self._limit: list[float] = _UNIT_LIMIT.copy()
+        self._a: list[float] = [1.0, -1.0, 0.0, 0.0]
+        self._b: list[float] = [0.0, 0.0, 1.0, -1.0]
+        self._limit: list[float] = [0.0, -1.0, 0.0, -1.0]
         self._sum = 0.0
         self._taken: list[int] = []
         self.x, self.y = wish_x, wish_y

@@ -40,6 +40,8 @@ class Prediction:
         """Of a model of this project; functions alone do not say of which they are."""
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
+        self._recorded_step: Any = None
+        self._recorded_tangent: Any = None
         self._learned: LearnedBase | None = None
         self._actuators: Actuators | None = None
         self.affine = step is None and "around" not in self._affine_words
@@ -132,14 +134,19 @@ class Prediction:
         self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[float]:
         """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
-        physics = self._physics
-        if physics is not None and (step := physics.straight(physics.period)) is not None:
+        physics, step = self._physics, self._recorded_step
+        if step is None and physics is not None:  # once there is one it stays
+            step = self._recorded_step = physics.straight(physics.period)
+        if step is not None and physics is not None:
             try:
-                return step(state, action, self._fixed if latent is None else latent, physics.clock.seconds)
+                after: list[float] = step(
+                    state, action, self._fixed if latent is None else latent, physics.clock.seconds
+                )
+                return after
             except (ValueError, ArithmeticError):  # numbers that Python's math refuses
                 pass
-        free = None if latent is None else _unwritten(latent)
-        found = self.next_state(_unwritten(state), _unwritten(action), free, memory)
+        given = None if latent is None else _unwritten(latent)
+        found = self.next_state(_unwritten(state), _unwritten(action), given, memory)
         reached: list[float] = _plain("predicted state", found, (len(state),))
         return reached
 
@@ -147,14 +154,18 @@ class Prediction:
         self, state: tuple[float, ...], around: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[list[float]]:
         """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
-        physics = self._physics
-        if physics is not None and (tangent := physics.straight_tangent()) is not None:
+        physics, tangent = self._physics, self._recorded_tangent
+        if tangent is None and physics is not None:
+            tangent = self._recorded_tangent = physics.straight_tangent()
+        if tangent is not None and physics is not None:
             try:
-                return tangent(state, around, self._fixed if latent is None else latent, physics.clock.seconds)[1]
+                free = self._fixed if latent is None else latent
+                slopes: list[list[float]] = tangent(state, around, free, physics.clock.seconds)[1]
+                return slopes
             except (ValueError, ArithmeticError):
                 pass
-        free = None if latent is None else _unwritten(latent)
-        found = self.slopes(_unwritten(state), _unwritten(around), free, memory)
+        given = None if latent is None else _unwritten(latent)
+        found = self.slopes(_unwritten(state), _unwritten(around), given, memory)
         g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))
         return g
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from safedpa.safety.nearest import NearestKept
+from safedpa.safety.solution import Solution
 
-__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "cornered", "within"]
+__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "cornered", "solved_at_once", "within"]
 
 ScaledRow = tuple[list[float], float, int, float]
 """Slopes (actions,), limit, index and reach of a condition: slopes u >= limit, the slopes' sizes summing to 1.
@@ -20,6 +21,28 @@ Side = tuple[float, float, float]
 
 _BEYOND: Final = 2.0
 """No action within the bounds reaches a limit of more than 1; how far beyond it lies does not matter."""
+
+
+def solved_at_once(
+    A: Sequence[Sequence[float]],
+    b: Sequence[float],
+    wish: Sequence[float],
+    sides: tuple[Side, ...],
+    weights: Sequence[float],
+) -> tuple[Solution | None, list[ScaledRow]]:
+    """The minimiser where it needs no slack and one or two actions have it in closed form, and the ``breakable`` rows.
+
+    None: ask a solver.
+    """
+    finite, rows = breakable(A, b, sides)
+    if not finite:
+        return Solution([side[0] for side in sides], [0.0] * len(b), False, "numbers not finite"), rows
+    if not rows:
+        return Solution(within(wish, sides), [0.0] * len(b), True, "not needed"), rows
+    if len(sides) > 2:
+        return None, rows
+    action = closest(rows, wish, sides, weights)
+    return None if action is None else Solution(action, [0.0] * len(b), True, "solved"), rows
 
 
 def breakable(

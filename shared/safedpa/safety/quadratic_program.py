@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, cornered, within
+from safedpa.safety.program_rows import ScaledRow, Side, apart, cornered, solved_at_once
 from safedpa.safety.solution import Solution
 
 __all__ = ["LINEAR", "QUADRATIC", "QuadraticProgram", "Solution"]
@@ -47,25 +47,13 @@ class QuadraticProgram:
         self.weights = weights / weights.max()
         self.sides: tuple[Side, ...] = tuple(zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True))
         """Lowest, highest and range of each action, as plain numbers."""
-        self._lowest: tuple[float, ...] = tuple(low.tolist())
         self._weights: tuple[float, ...] = tuple(self.weights.tolist())
         self._workspaces: dict[tuple[int, float], _Workspace] = {}
 
     def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
-        finite, rows = breakable(A, b, self.sides)
-        if not finite:
-            return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
-        if not rows:
-            return Solution(within(wish, self.sides), (0.0,) * len(b), True, "not needed")
-        action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
-        if action is not None:
-            return Solution(action, (0.0,) * len(b), True, "solved")
-        return self._cornered(rows, wish, len(b)) or self._with_slack(rows, wish, len(b))
-
-    def _without_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float]) -> list[float] | None:
-        """The minimiser in closed form, if it needs no slack; None: ask the solver."""
-        return closest(rows, wish, self.sides, self._weights)
+        answer, rows = solved_at_once(A, b, wish, self.sides, self._weights)
+        return answer or self._cornered(rows, wish, len(b)) or self._with_slack(rows, wish, len(b))
 
     def _cornered(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution | None:
         """The minimiser where it is a corner of two actions' range: what conditions out of reach mostly lead to."""

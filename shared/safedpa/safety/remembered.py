@@ -20,18 +20,28 @@ class Remembered:
 
     def __init__(self, barriers: Any) -> None:
         self._barriers = barriers
-        self._known: dict[tuple[float, ...], list[float]] = {}
+        self._firsts: list[float] = []
+        self._states: list[tuple[float, ...]] = []
+        self._heights: list[list[float]] = []
+        self._oldest = 0
 
     def heights(self, state: Sequence[float]) -> list[float]:
         """h (m,) at ``state`` (states,)."""
+        first: float = state[0]
+        firsts = self._firsts
+        for place in range(len(firsts)):  # mostly the first entry tells states apart, and nothing has to be hashed
+            if firsts[place] == first and self._states[place] == tuple(state):
+                return self._heights[place]
         key = tuple(state)
-        known = self._known
-        h: list[float] | None = known.get(key)
-        if h is None:
-            if len(known) >= _STATES:
-                del known[next(iter(known))]
-            h = self._barriers.heights(key)
-            known[key] = h
+        h: list[float] = self._barriers.heights(key)
+        if len(firsts) < _STATES:
+            firsts.append(first)
+            self._states.append(key)
+            self._heights.append(h)
+            return h
+        place = self._oldest
+        firsts[place], self._states[place], self._heights[place] = first, key, h
+        self._oldest = place + 1 if place + 1 < _STATES else 0
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Any:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import final
 
 __all__ = ["Solution"]
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class Solution:
-    """Minimiser; ``solved`` is False when the solver did not vouch for it: then it must not be used."""
+    """Minimiser ``action`` (actions,), its ``slack`` (m,) in the conditions' units, and the solver's word, ``status``.
 
-    action: Sequence[float]
-    """(actions,)."""
-    slack: Sequence[float]
-    """(m,) in the conditions' units."""
-    solved: bool
-    status: str
+    ``solved`` is False when the solver did not vouch for it: then it must not be used.
+    """
+
+    def __init__(self, action: Sequence[float], slack: Sequence[float], solved: bool, status: str) -> None:
+        self.action, self.slack, self.solved, self.status = action, slack, solved, status

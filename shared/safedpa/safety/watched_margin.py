@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import isfinite, isnan, nan
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from safedpa.safety.trail import Foretold
 
 __all__ = ["Seen", "WatchedMargin"]
 
-Values = NDArray[np.float64]
+Values: TypeAlias = NDArray[np.float64]
 
 _RATE = 0.002
 """Of the miss level per step: at 99 % coverage five misses at once bring the widest margin, a single one does not."""

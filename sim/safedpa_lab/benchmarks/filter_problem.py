@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety import FilterSettings, SafetyFilter, Status
+from safedpa.safety.barrier import RememberingStack
+from safedpa.safety.scene import MOST_OBSTACLES
 from safedpa.safety.shipped import settings_named
+from safedpa.safety.stacks import stacked
 
 __all__ = ["FilterProblem", "car_message", "problem_with", "wedged"]
 
@@ -47,7 +51,13 @@ class FilterProblem:
     """(n, 4): all states of the same drives, as they came."""
 
     def barriers(self) -> Any:
-        """As the service builds them for a scene: obstacles, four walls far away, two limits of speed."""
+        """As the service builds them for a scene: obstacles, four walls far away, two limits of speed.
+
+        A robot may tell the service no more than ``MOST_OBSTACLES``; of more they are built without its scene.
+        """
+        if len(self.obstacles) > MOST_OBSTACLES:
+            told = self.obstacles.tolist()
+            return RememberingStack(stacked(car_barriers(self.settings, _FOOTPRINT, told, _FIELD, None)))
         found = CarScene(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
         assert not isinstance(found, str), found
         return found

@@ -45,16 +45,30 @@ def latency_benchmark(seconds: float, rate: float) -> dict[str, Any]:
     }
 
 
-def real_loop(seconds: float, rate: float) -> dict[str, float]:
-    """What the robot of ``safedpa up`` measures, in real time with every service in its own process."""
+def real_loop(seconds: float, rate: float, *, watched: bool = False) -> dict[str, float]:
+    """What the robot of ``safedpa up`` measures, in real time with every service in its own process.
+
+    The recorder and the diagnosis run beside it; where it is ``watched``, the dashboard and the workbench do too.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--out", folder]
+        command = [sys.executable, "-m", "safedpa_services", "up", "--json", "--out", folder]
+        command += [] if watched else ["--headless"]
         command += ["--seconds", repr(seconds), "--rate", repr(rate), "--load", "box"]
         finished = subprocess.run(command, capture_output=True, text=True, check=False)
         if finished.returncode != 0:
             raise SafedpaError(f"safedpa up: {finished.stderr.strip()}")
         summary = json.loads(finished.stdout)
+        if watched:
+            _check_watched(summary)
         return {**summary["latency_us"], "watchdog_ticks": summary["watchdog_ticks"]}
+
+
+def _check_watched(summary: dict[str, Any]) -> None:
+    """Raises SafedpaError where somebody who should have watched was not there."""
+    there = {service["name"] for service in summary["services"]}
+    absent = [name for name in ("dashboard", "diagnosis", "recorder", "workbench") if name not in there]
+    if absent:
+        raise SafedpaError(f"safedpa up: ran without {', '.join(absent)}; pip install 'safedpa[view,workbench]'")
 
 
 def bare_chain(seconds: float, rate: float) -> dict[str, float]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Literal, final
 
-__all__ = ["Curve", "Effort", "Entry", "Row", "Target", "microseconds", "missing"]
+__all__ = ["Curve", "Effort", "Entry", "Floor", "Row", "Target", "microseconds", "missing"]
 
 
 @final
@@ -18,6 +19,8 @@ class Effort:
     full: bool = False
     interpreters: tuple[str, ...] = ()
     """Pythons in which peers are looked for, before this one."""
+    recordings: Path | None = None
+    """Folder with recordings of real robots; None: what needs them is left out, and says so."""
 
     def of(self, quick: Any, usual: Any, full: Any = None) -> Any:
         """The one that belongs to this effort; ``full`` is as ``usual`` unless given."""
@@ -47,6 +50,15 @@ class Entry:
 
 @final
 @dataclass(frozen=True)
+class Floor:
+    """What a part costs that nothing can do without, in the unit of the target that it stands beside."""
+
+    name: str
+    value: float
+
+
+@final
+@dataclass(frozen=True)
 class Target:
     """What was asked, and what came out."""
 
@@ -55,11 +67,20 @@ class Target:
     got: float
     unit: str
     better: Literal["less", "more"] = "less"
+    floor: Floor | None = None
 
     @property
     def reached(self) -> bool:
         """Whether it is at least as good."""
-        return self.got <= self.wanted if self.better == "less" else self.got >= self.wanted
+        return self._good(self.got)
+
+    @property
+    def forbidden(self) -> bool:
+        """Whether the floor alone already misses it."""
+        return self.floor is not None and not self._good(self.floor.value)
+
+    def _good(self, value: float) -> bool:
+        return value <= self.wanted if self.better == "less" else value >= self.wanted
 
 
 @final
@@ -105,7 +126,7 @@ class Row:
             ratio = self.ratio(peer)
             entry["ratio"] = None if ratio is None else round(ratio, 3)
         for entry, target in zip(document["targets"], self.targets, strict=True):
-            entry["reached"] = target.reached
+            entry["reached"], entry["forbidden"] = target.reached, target.forbidden
         return document
 
 

@@ -8,6 +8,16 @@ from typing import Any, Final
 __all__ = ["figure_text", "markdown", "row_lines", "target_texts"]
 
 _SHOWN: Final = {"p50": "p50", "p99": "p99", "p999": "p99.9"}
+_UNITS: Final = {
+    "right": "",
+    "mib": "MiB",
+    "mib_gained": "MiB",
+    "minutes": "min",
+    "pairs_per_second": "",
+    "late_percent": "%",
+    "p99_ms": "ms",
+    "us_a_robot_tick": "us",
+}
 _INTRODUCTION: Final = (
     "Written by `safedpa bench all`. `times ahead`: how many times better this project's first line on the same "
     "problem is; below 1 the other one is ahead. `processor`: time of all threads."
@@ -34,7 +44,7 @@ def row_lines(row: Document) -> tuple[list[str], list[Line]]:
 
 def _unit(figure: str, unit: str) -> str:
     """Some figures stand beside those that the entry's unit belongs to."""
-    return {"right": "", "mib": "MiB", "minutes": "min", "pairs_per_second": ""}.get(figure, unit)
+    return _UNITS.get(figure, unit)
 
 
 def _filled(columns: list[str], lines: list[Line]) -> tuple[list[str], list[Line]]:
@@ -81,9 +91,20 @@ def _target_cells(row: Document) -> Iterator[str]:
     for target in row["targets"]:
         sign = "at most" if target["better"] == "less" else "at least"
         wanted, got = (figure_text(target[key], target["unit"]) for key in ("wanted", "got"))
-        yield f"{target['what']} | {sign} {wanted} | {got} | {'reached' if target['reached'] else 'not reached'}"
+        yield f"{target['what']} | {sign} {wanted} | {got} | {_judged(target)}"
     if not row["targets"]:
         yield f"{row['work']} | printed | see below |"
+
+
+def _judged(target: Document) -> str:
+    """Whether it was reached, and beside what is missed the floor under it."""
+    if target["reached"]:
+        return "reached"
+    floor = target.get("floor")
+    if floor is None:
+        return "not reached"
+    link = "forbidden by" if target["forbidden"] else "floor:"
+    return f"not reached; {link} {floor['name']}, {figure_text(floor['value'], target['unit'])}"
 
 
 def _section(row: Document) -> Iterator[str]:

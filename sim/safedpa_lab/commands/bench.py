@@ -153,6 +153,12 @@ def list_rows() -> None:
 @click.option(
     "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
 )
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder with the DART drives, for the row diagnosis; see docs/real-logs.md",
+)
 @click.option("--json", "file", type=click.Path(path_type=Path, dir_okay=False), help="results, kept up to date")
 @click.option("--markdown", type=click.Path(path_type=Path, dir_okay=False), help="the same as a page")
 @click.option("--pictures", type=click.Path(path_type=Path, file_okay=False), help="folder for speed*.png")
@@ -169,7 +175,9 @@ def all_rows(file: Path | None, markdown: Path | None, pictures: Path | None, **
 
     if options["quick"] and options["full"]:
         raise InputError("--quick: got --full too; choose one")
-    effort = Effort(options["quick"], options["full"], options["peers"])
+    if options["data"] is not None and not options["data"].is_dir():
+        raise InputError(f"--data {options['data']}: no such folder; see docs/real-logs.md for where the drives are")
+    effort = Effort(options["quick"], options["full"], options["peers"], options["data"])
     names = chosen_rows(options["only"], effort)
     document = run_rows(names, effort, file, _show_row, resume=options["resume"])
     if markdown is not None:
@@ -196,7 +204,8 @@ def _show_row(name: str, row: dict[str, Any]) -> None:
         for line in lines:
             table.add_row(*line)
         console.print(table)
-    absent = [f"{entry['name']}: {entry['missing']}" for entry in row.get("peers", ()) if entry["missing"]]
+    entries = (*row.get("ours", ()), *row.get("peers", ()))
+    absent = [f"{entry['name']}: {entry['missing']}" for entry in entries if entry["missing"]]
     for words in (*target_texts(row), *row.get("notes", ()), *dict.fromkeys(absent)):
         console.print(f"  {words}", markup=False)
 

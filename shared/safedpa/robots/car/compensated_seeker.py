@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from typing import Any, Final, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from safedpa.robots.car.throttle import throttle_for
 
 __all__ = ["CompensatedGoalSeeker", "SpeedCompensation", "ThrottledGoalSeeker"]
 
-Values = NDArray[np.float64]
+Values: TypeAlias = NDArray[np.float64]
 
 _NUDGE = 1e-3
 """m/s of target speed, for the slope."""

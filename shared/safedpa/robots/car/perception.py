@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +137,7 @@ def _to_walls(pose: tuple[float, float, float, float], middle: float, radius: fl
     return there + back
 
 
-Values = NDArray[np.floating[Any]]
+Values: TypeAlias = NDArray[np.floating[Any]]
 
 
 def _observed_car(state: StateMessage, latent: Values) -> Values:

@@ -22,18 +22,19 @@ class Listed(NamedTuple):
 
 
 ROWS: Final = {
-    "filter": Listed("one decision of the safety filter", 3.5),
+    "filter": Listed("one decision of the safety filter", 9.0),
+    "decision-parts": Listed("where the time of one decision goes", 0.8),
     "sensed": Listed("one decision among what a laser sees, and from a scan to an action", 1.0),
     "adaptation": Listed("one step of the learned adaptation", 0.2),
     "batch": Listed("many robots through adaptation, policy and filter in one process", 1.0),
-    "sense-to-act": Listed("sense to act over Zenoh, at 20 and 200 Hz", 1.5),
+    "sense-to-act": Listed("sense to act over Zenoh, at 20 and 200 Hz, and watched", 2.0),
     "largest-fleet": Listed("the largest fleet at 20 Hz", 12.0, long=True),
     "car-steps": Listed("simulated car steps for training", 0.3),
     "point-steps": Listed("steps of the point robot", 0.3),
     "training": Listed("training data and phase 1a", 1.0),
     "diagnosis": Listed("diagnosis of 6 runs of 40 s", 3.0),
     "long-logs": Listed("diagnosis of ten hours at 100 Hz", 15.0, long=True),
-    "start": Listed("start to the first tick, imports, memory", 1.0),
+    "start": Listed("start to the first tick and page, a comparison, imports, memory", 2.0),
 }
 
 

@@ -17,6 +17,7 @@ from safedpa_lab.benchmarks.diagnosis_cases import (
     written,
 )
 from safedpa_lab.benchmarks.peer_process import ask_peer
+from safedpa_lab.benchmarks.real_drives import dart_drives
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, missing
 
 __all__ = ["measure"]
@@ -38,10 +39,15 @@ def measure(effort: Effort) -> Row:
         offered = _offered(logs[0])
         peers = _peers(cases, [told(log) for log in logs], effort)
         curves = (_over_length(Path(name), effort), _over_effects(logs[-1], effort))
-    target = Target("the longest of the cases", 10.0, own.figures["longest"], "s")
+    real, real_targets = dart_drives(effort)
+    targets = (
+        Target("the longest of the cases", 10.0, own.figures["longest"], "s"),
+        Target("the cases on average", 5.0, own.figures["seconds"], "s"),
+        *real_targets,
+    )
     work = f"diagnosis of {runs} runs of {seconds:g} s, {candidates} candidates and their pairs, {len(cases)} cases"
     notes = (f"hidden: {', '.join(case.name for case in cases)}", offered)
-    return Row("diagnosis", work, "seconds", (own,), tuple(peers), (target,), curves, notes=notes)
+    return Row("diagnosis", work, "seconds", (own, real), tuple(peers), targets, curves, notes=notes)
 
 
 def _offered(log: Any) -> str:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.effects import effect
+from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter
+from safedpa_lab.benchmarks.filter_decisions import BOTH, FLOORS, MODELS, PROGRAM, decisions, with_floors
+from safedpa_lab.benchmarks.filter_growth import over_effects, over_obstacles
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
 from safedpa_lab.benchmarks.peer_process import ask_peer
-from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, microseconds, missing
-from safedpa_lab.benchmarks.timing import timed
+from safedpa_lab.benchmarks.python_source import of_source
+from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row, Target, microseconds, missing
 
 __all__ = ["measure"]
 
-MODELS: Final = {"car_learned": "networks f and g", "car": "physics"}
 _LACKS = "no networks, no prediction beyond the tangent, no verdict, no margin"
 _PEERS: Final = (
     ("cbfpy, elastiqp", "cbfpy", "elastiqp", "filter_cbfpy", "compiled by jax; never reads whether it converged"),
@@ -32,57 +32,96 @@ _CBFKIT = "no release in the package index; 715 us (p50) and 1100 us (p99) where
 _EVERY: Final = "8, all ticks"
 _QUICK = ("cbfpy, elastiqp", "cvxpy, Clarabel", "IPOPT (casadi)")
 """Peers that are asked in a quick run: the others take half a minute to compile."""
-_EFFECTS = ("quadratic_drag", "rolling_resistance", "steering_offset", "understeer", "viscous_drag", "turning_drag")
+_GROWING: Final = ("cbfpy, elastiqp", "cbfpy, qpax", "run-time-assurance", "cvxpy, Clarabel")
+"""Peers whose cost is shown over the number of obstacles."""
+_BEST: Final = "cbfpy"
+_SHARE: Final = 0.5
+"""Of the best cbfpy backend's time, at most."""
+_SOURCE_TIMES: Final = 2.0
+"""As long as the compiled modules, at most."""
 
 
 def measure(effort: Effort) -> Row:
-    """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick."""
+    """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick.
+
+    f and g alone, the program alone and both are timed in turn with the decisions: the floor under them.
+    """
     counts = effort.of((8,), (1, 8, 32))
     problems = {count: problem_with(count) for count in counts}
     calls, seconds = effort.of((300, 0.3), (20_000, 4.0))
     ours = [entry for count in counts for entry in _ours(problems[count], calls, seconds)]
+    source = _source(calls, seconds)
     peers = _peers(problems, effort)
-    learned = next(entry for entry in ours if entry.problem == "8 obstacles")
-    targets = (
-        Target("p50 with networks, 8 obstacles", 50.0, learned.figures["p50"], "us"),
-        Target("p99 with networks, 8 obstacles", 100.0, learned.figures["p99"], "us"),
-    )
+    targets, without_target = _targets([*ours, source], peers, counts)
     hopeless = {entry.name: entry.more["wedged"] for entry in peers if entry.more.get("wedged")}
     notes: tuple[str, ...] = (f"a car wedged in, where no action keeps every condition: this filter {_hopeless()}",)
     notes += tuple(f"there {name} {words}" for name, words in hopeless.items())
-    curves = (_over_obstacles(problems, peers, effort), _over_effects(problems[8], effort))
+    growing = [peer[:4] for peer in _PEERS if peer[0] in _GROWING and (not effort.quick or peer[0] in _QUICK)]
+    curves = (over_obstacles(growing, effort), over_effects(problems[8], effort))
     work = "one decision of the safety filter that has to change the wish: model, barriers, QP, verdict"
-    return Row("filter", work, "p50", tuple(ours), tuple(peers), targets, curves, notes=notes)
+    own, notes = (*ours, source), (*notes, *without_target)
+    return Row("filter", work, "p50", own, tuple(peers), tuple(targets), curves, notes=notes)
 
 
 def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
     count = len(problem.obstacles)
     named = _named(count)
-    found = []
-    for model, what in MODELS.items():
-        times = _decisions(problem, load_model(model), calls, seconds)
-        found.append(microseconds(f"safedpa, {what}", times, named))
-    if count == 8:
-        for model, what in MODELS.items():
-            times = _decisions(problem, load_model(model), calls, seconds, every=True)
-            found.append(microseconds(f"safedpa, {what}", times, _EVERY, "all ticks: also those that need no program"))
-    return found
+    times = with_floors(problem, calls, len(MODELS) * seconds)
+    found = [microseconds(f"safedpa, {what}", times[what], named) for what in MODELS.values()]
+    for model, what in MODELS.items() if count == 8 else ():
+        all_ticks = decisions(problem, load_model(model), calls, seconds, every=True)
+        found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
+    note = "no decision can do without; timed in turn with the decisions"
+    return [*found, *(microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS)]
+
+
+def _source(calls: int, seconds: float) -> Entry:
+    """The first line of eight obstacles once more, by the Python source in a process of its own."""
+    name, problem = "safedpa, Python source", "8, Python source"
+    found = of_source(calls, seconds)
+    if "missing" in found:
+        return missing(name, found["missing"], problem)
+    return microseconds(name, found, problem, "networks f and g; nothing compiled, in a process of its own")
+
+
+def _targets(ours: Sequence[Entry], peers: Sequence[Entry], counts: Sequence[int]) -> tuple[list[Target], list[str]]:
+    """Half of the best cbfpy backend's times of the same run, and why there is no target where that is not there."""
+    targets, notes = list[Target](), list[str]()
+    for count in counts:
+        named = _named(count)
+        known = [entry for entry in peers if entry.name.startswith(_BEST) and entry.problem == named and entry.figures]
+        if not known:
+            notes.append(f"no target with {named}: it is half of {_BEST}'s time, which is not there")
+            continue
+        for what, part in zip(MODELS.values(), (BOTH, PROGRAM), strict=True):
+            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {part}", f"{named}, floor")
+            targets += [_half(figure, entry, known, floor) for figure in ("p50", "p99")]
+    learned, physics = (_of(ours, f"safedpa, {what}", "8 obstacles") for what in MODELS.values())
+    wanted = learned.figures["p99"]
+    targets.append(Target("p99 of physics, that of the networks, 8 obstacles", wanted, physics.figures["p99"], "us"))
+    source = next((entry for entry in ours if entry.name.endswith("Python source") and entry.figures), None)
+    if source is not None:
+        wanted = _SOURCE_TIMES * learned.figures["p50"]
+        words = f"p50 of the Python source, {_SOURCE_TIMES:g} times the compiled one's"
+        targets.append(Target(words, wanted, source.figures["p50"], "us"))
+    return targets, notes
+
+
+def _of(entries: Sequence[Entry], name: str, problem: str) -> Entry:
+    return next(entry for entry in entries if entry.name == name and entry.problem == problem)
+
+
+def _half(figure: str, entry: Entry, known: Sequence[Entry], floor: Entry) -> Target:
+    """Half of what the best of ``known`` takes, beside what the parts of a decision take."""
+    best = min(known, key=lambda peer: peer.figures[figure])
+    what = f"{figure} of {entry.name.removeprefix('safedpa, ')}, {entry.problem}, half of {best.name}"
+    wanted = round(_SHARE * best.figures[figure], 2)
+    part = Floor(floor.name.removeprefix("safedpa, "), floor.figures[figure])
+    return Target(what, wanted, entry.figures[figure], "us", floor=part)
 
 
 def _named(count: int) -> str:
     return f"{count} obstacles" if count > 1 else "1 obstacle"
-
-
-def _decisions(
-    problem: FilterProblem, model: PhysicsModel, calls: int, seconds: float, *, every: bool = False
-) -> dict[str, Any]:
-    one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
-    return timed(
-        lambda asked: one.decide(asked[0], asked[1], asked[2], barriers=barriers),
-        problem.requests(model, every=every),
-        calls,
-        seconds,
-    )
 
 
 def _hopeless() -> str:
@@ -128,30 +167,3 @@ def _difference(problem: FilterProblem, actions: list[list[float]]) -> float:
     own = np.array([one.decide(*asked).action for asked in problem.requests(model)])
     reach = np.subtract(problem.settings.action_high, problem.settings.action_low)
     return round(float((np.abs(own - np.array(actions)) / reach).max(axis=1).mean()), 4)
-
-
-def _over_obstacles(problems: Mapping[int, FilterProblem], peers: list[Entry], effort: Effort) -> Curve:
-    counts = effort.of((1, 8), (1, 2, 4, 8, 16, 32, 64))
-    calls, seconds = effort.of((100, 0.2), (3000, 1.0))
-    series: dict[str, tuple[float | None, ...]] = {}
-    scenes = [problems.get(count) or problem_with(count) for count in counts]
-    for model, what in MODELS.items():
-        times = [_decisions(scene, load_model(model), calls, seconds)["wall"]["p50"] for scene in scenes]
-        series[f"safedpa, {what}"] = tuple(times)
-    for name in dict.fromkeys(entry.name for entry in peers if entry.figures):
-        known = {entry.problem: entry.figures["p50"] for entry in peers if entry.name == name and entry.figures}
-        series[name] = tuple(known.get(_named(count)) for count in counts)
-    return Curve("filter_obstacles", "obstacles", "one decision, p50 [us]", tuple(counts), series)
-
-
-def _over_effects(problem: FilterProblem, effort: Effort) -> Curve:
-    """The physics model with more and more of the library's effects in it."""
-    model, times = load_model("car"), []
-    calls, seconds = effort.of((100, 0.2), (3000, 1.0))
-    names = _EFFECTS[: effort.of(1, len(_EFFECTS))]
-    for name in ("", *names):
-        model = model.with_effect(effect("car", name), {}) if name else model
-        times.append(_decisions(problem, model, calls, seconds)["wall"]["p50"])
-    x = tuple(float(1 + number) for number in range(len(times)))
-    series: dict[str, tuple[float | None, ...]] = {"safedpa, physics with effects": tuple(times)}
-    return Curve("filter_effects", "effects in the model", "one decision, p50 [us]", x, series)

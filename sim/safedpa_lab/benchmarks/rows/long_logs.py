@@ -13,6 +13,8 @@ from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
 __all__ = ["measure"]
 
 _PERIOD = 0.01
+_MOST_SECONDS = 60.0
+"""By the clock, of ten hours."""
 
 
 def measure(effort: Effort) -> Row:
@@ -24,15 +26,17 @@ def measure(effort: Effort) -> Row:
     hours, last = list(found.items())[-1]
     before, shorter = list(found.items())[-2]
     growth = (last["seconds"] / shorter["seconds"]) / (hours / before)
-    targets = (
+    targets = [
         Target(f"memory, {hours:.3g} h", 2048.0, float(last["memory_mebibytes"]), "MiB"),
         Target(f"growth of time over growth of data, {before:.3g} to {hours:.3g} h", 1.0, growth, ""),
-    )
+    ]
+    if not effort.quick:
+        targets.insert(0, Target(f"seconds, {hours:.3g} h", _MOST_SECONDS, float(last["seconds"]), "s"))
     series: dict[str, tuple[float | None, ...]] = {"seconds": tuple(float(row["seconds"]) for row in found.values())}
     series["memory [MiB]"] = tuple(float(row["memory_mebibytes"]) for row in found.values())
     curve = Curve("long_logs", "hours of logs at 100 Hz", "seconds; MiB", tuple(found), series)
     work = f"diagnosis of {hours:.3g} h of logs at 100 Hz, from files to report"
-    return Row("long-logs", work, "seconds", ours, targets=targets, curves=(curve,))
+    return Row("long-logs", work, "seconds", ours, targets=tuple(targets), curves=(curve,))
 
 
 def _entry(hours: float, row: dict[str, Any]) -> Entry:

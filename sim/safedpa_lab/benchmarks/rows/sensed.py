@@ -17,8 +17,8 @@ from safedpa.compiled import compiled_modules
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.conditions import Conditions
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.benchmarks.filter_decisions import first_program
 from safedpa_lab.benchmarks.filter_problem import car_message, problem_with
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds
 from safedpa_lab.benchmarks.sensed_chain import chain_times
@@ -151,15 +151,10 @@ def _alone(places: Values) -> tuple[Callable[[Any], Any], list[tuple[Any, Any]]]
     """The first quadratic program of each of the same decisions."""
     model, settings = load_model("car"), settings_named("car")
     one, scene = SafetyFilter.for_model(model, settings), CarScene(settings)
-    tools, posed = one.tools, []
+    solve, posed = one.tools.program.solve, []
+    latent, margins = tuple(model.latent.tolist()), _margins(model)
     for state, seen in _sensed(places)[1]:
-        barriers = scene.around(state, seen, _margins(model))
+        barriers = scene.around(state, seen, margins)
         assert not isinstance(barriers, str), barriers
-        epsilon, _ = tools.margins.of(barriers, _margins(model))
-        latent = tuple(model.latent.tolist())
-        conditions = Conditions(
-            barriers, tools.prediction, state.values, latent, None, settings.eta, epsilon, tools.program.sides
-        )
-        about = conditions.outcome(_WISH)
-        posed.append(conditions.linearised(about).at(about.residual, _WISH, 0.0))
-    return lambda rows: tools.program.solve(rows[0], rows[1], _WISH), posed
+        posed.append(first_program(one, barriers, state.values, _WISH, latent, margins))
+    return lambda rows: solve(rows[0], rows[1], _WISH), posed

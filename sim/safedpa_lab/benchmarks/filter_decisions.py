@@ -1,0 +1,98 @@
+"""A decision of the filter, and what no decision can do without: the networks, and the quadratic program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
+from safedpa.safety import SafetyFilter
+from safedpa.safety.conditions import Conditions
+from safedpa_lab.benchmarks.filter_problem import FilterProblem
+from safedpa_lab.benchmarks.timing import in_turn, timed
+
+__all__ = [
+    "BOTH",
+    "FLOORS",
+    "MODELS",
+    "NETWORKS",
+    "PROGRAM",
+    "decided",
+    "decisions",
+    "first_program",
+    "networks_alone",
+    "program_alone",
+    "with_floors",
+]
+
+MODELS: Final = {"car_learned": "networks f and g", "car": "physics"}
+NETWORKS: Final = "the networks alone"
+PROGRAM: Final = "the program alone"
+BOTH: Final = "the networks and the program"
+FLOORS: Final = (NETWORKS, PROGRAM, BOTH)
+"""Parts that no decision with networks can do without; with physics, the program."""
+Asked = tuple[Callable[[Any], Any], Sequence[Any]]
+"""A call and its inputs."""
+
+
+def decided(problem: FilterProblem, model: PhysicsModel, *, every: bool = False) -> Asked:
+    """What decides, and about what: states with a program, or ``every`` state of the same drives."""
+    one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
+    decide: Callable[[Any], Any] = lambda asked: one.decide(asked[0], asked[1], asked[2], barriers=barriers)  # noqa: E731
+    return decide, problem.requests(model, every=every)
+
+
+def decisions(
+    problem: FilterProblem, model: PhysicsModel, calls: int, seconds: float, *, every: bool = False
+) -> dict[str, Any]:
+    """Microseconds of ``decided``, as ``timed`` tells them."""
+    decide, requests = decided(problem, model, every=every)
+    return timed(decide, requests, calls, seconds)
+
+
+def with_floors(problem: FilterProblem, calls: int, seconds: float) -> dict[str, dict[str, Any]]:
+    """Decisions of both models, and in turn with them the ``FLOORS``; each by its name."""
+    model = load_model("car_learned")
+    asked = {what: decided(problem, load_model(name)) for name, what in MODELS.items()}
+    (networks, known), (solve, posed) = networks_alone(problem, model), program_alone(problem, model)
+    asked |= {NETWORKS: (networks, known), PROGRAM: (solve, posed)}
+    asked[BOTH] = (lambda pair: (networks(pair[0]), solve(pair[1])), list(zip(known, posed, strict=True)))
+    return in_turn(asked, calls, seconds)
+
+
+def networks_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
+    """f (states,) and g (states, actions) of one state and latent as the filter asks for them: once a decision."""
+    base = model.base
+    assert isinstance(base, LearnedBase)
+    networks = base.networks  # behind ``known_at``, which would hand out what it told the decision before
+    states = [(tuple(state.tolist()), tuple(latent.tolist())) for state, _, latent in problem.requests(model)]
+    return lambda known: networks.row_of_one(known[0], known[1]), states
+
+
+def program_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
+    """The first program of each of the decisions: the closed form where there is one, else PIQP."""
+    one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
+    solve, posed = one.tools.program.solve, []
+    for state, wish, latent in problem.requests(model):
+        plain = tuple(wish.tolist())
+        A, b = first_program(one, barriers, tuple(state.tolist()), plain, tuple(latent.tolist()), {})
+        posed.append((A, b, plain))
+    return lambda rows: solve(rows[0], rows[1], rows[2]), posed
+
+
+def first_program(
+    one: SafetyFilter,
+    barriers: Any,
+    state: tuple[float, ...],
+    wish: tuple[float, ...],
+    latent: tuple[float, ...],
+    epsilon: Mapping[str, float],
+) -> tuple[list[list[float]], list[float]]:
+    """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the wish, as a decision poses them."""
+    tools = one.tools
+    stack = tools.stacks.of(barriers, len(state))
+    margins, _ = tools.margins.of(stack, dict(epsilon))
+    sides = tools.program.sides
+    conditions = Conditions(stack, tools.prediction, state, latent, None, tools.settings.eta, margins, sides)
+    about = conditions.outcome(wish)
+    return conditions.linearised(about).at(about.residual, wish, 0.0)

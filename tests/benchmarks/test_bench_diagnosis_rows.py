@@ -1,0 +1,80 @@
+"""The diagnosis' rows: their targets, and drives of a real car where their folder is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa_lab.benchmarks.real_drives import dart_drives
+from safedpa_lab.benchmarks.results import Effort, Entry
+from safedpa_lab.benchmarks.rows import diagnosis, long_logs
+from safedpa_lab.experiments.real_logs_data import CAR
+
+
+def _drives(folder: Path, count: int, seconds: float = 12.0) -> Path:
+    """Recordings in the car's own columns: throttle and steering that wander, a car that follows them."""
+    for number in range(count):
+        t = 0.01 * np.arange(round(100.0 * seconds))
+        throttle, steer = 0.3 + 0.1 * np.sin(0.7 * t + number), 0.6 * np.sin(0.5 * t)
+        speed = 1.0 + np.cumsum(0.01 * (throttle - 0.3))
+        yaw = np.cumsum(0.01 * speed * np.tan(0.372 * steer) / 0.175)
+        x, y = np.cumsum(0.01 * speed * np.cos(yaw)), np.cumsum(0.01 * speed * np.sin(yaw))
+        table = np.column_stack([t + 0.01, throttle, steer, t + 1e9, x, y, yaw])
+        head = "elapsed time sensors,throttle,steering,vicon time,vicon x,vicon y,vicon yaw"
+        np.savetxt(folder / CAR.replace("*", f"10_0{number}_00"), table, delimiter=",", header=head, comments="")
+    return folder
+
+
+def test_drives_that_nobody_names_are_left_out() -> None:
+    entry, targets = dart_drives(Effort())
+    assert "--data" in entry.missing
+    assert not targets
+
+
+def test_a_folder_without_the_drives_is_refused(tmp_path: Path) -> None:
+    _drives(tmp_path, 3)
+    with pytest.raises(InputError, match=r"got 3 files .* wanted 4"):
+        dart_drives(Effort(quick=True, recordings=tmp_path))
+
+
+@pytest.mark.slow
+def test_drives_are_diagnosed_from_their_files(tmp_path: Path) -> None:
+    assert "quick" in dart_drives(Effort(quick=True, recordings=_drives(tmp_path, 4)))[0].missing
+    entry, targets = dart_drives(Effort(recordings=tmp_path))
+    assert entry.figures["seconds"] > 0.0
+    assert "4 drives, 47 s together" in entry.note
+    assert (targets[0].wanted, targets[0].got) == (30.0, entry.processor["seconds"])
+
+
+def test_the_cases_have_a_target_on_average_and_one_for_the_longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Entry("safedpa", {"seconds": 5.5, "longest": 9.0, "right": 9.0}, "s", {"seconds": 5.0})
+    real = Entry("safedpa, DART drives", {"seconds": 20.0}, "s", {"seconds": 19.0}, "four drives of a real car")
+    monkeypatch.setattr(diagnosis, "written", lambda *_: None)
+    monkeypatch.setattr(diagnosis, "told", lambda *_: {})
+    monkeypatch.setattr(diagnosis, "_offered", lambda *_: "candidates")
+    monkeypatch.setattr(diagnosis, "_ours", lambda *_: (own, 22))
+    monkeypatch.setattr(diagnosis, "_peers", lambda *_: [])
+    monkeypatch.setattr(diagnosis, "dart_drives", lambda _: (real, []))
+    for name in ("_over_length", "_over_effects"):
+        monkeypatch.setattr(diagnosis, name, lambda *_: None)
+    row = diagnosis.measure(Effort())
+    assert [(target.wanted, target.got, target.reached) for target in row.targets] == [
+        (10.0, 9.0, True),
+        (5.0, 5.5, False),
+    ]
+    assert row.ours == (own, real)
+
+
+def test_ten_hours_have_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diagnosed(runs: int, seconds: float) -> dict[str, Any]:
+        hours = runs * seconds / 3600.0
+        return {"seconds": 7.0 * hours, "processor_seconds": 6.0, "memory_mebibytes": 300.0, "added": ["drag"]}
+
+    monkeypatch.setattr(long_logs, "_diagnosed", diagnosed)
+    first = long_logs.measure(Effort(full=True)).targets[0]
+    assert (first.what, first.wanted, first.got, first.reached) == ("seconds, 10 h", 60.0, 70.0, False)
+    assert all("seconds" not in target.what for target in long_logs.measure(Effort(quick=True)).targets)

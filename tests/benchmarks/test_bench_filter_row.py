@@ -1,0 +1,170 @@
+"""The filter's row: floors under a decision, targets from the peers of the same run, the source beside the compiled."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import LearnedBase, load_model
+from safedpa_lab.benchmarks import filter_growth, python_source
+from safedpa_lab.benchmarks.filter_decisions import (
+    BOTH,
+    FLOORS,
+    MODELS,
+    decided,
+    networks_alone,
+    program_alone,
+    with_floors,
+)
+from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with
+from safedpa_lab.benchmarks.python_source import of_source, without
+from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row, Target, missing
+from safedpa_lab.benchmarks.rows import filter as row
+from safedpa_lab.benchmarks.table import target_texts
+
+NETWORKS, PHYSICS = MODELS.values()
+
+
+@pytest.fixture(scope="module")
+def eight() -> FilterProblem:
+    return problem_with(8)
+
+
+def test_the_networks_alone_tell_what_the_model_knows(eight: FilterProblem) -> None:
+    model = load_model("car_learned")
+    assert isinstance(model.base, LearnedBase)
+    call, asked = networks_alone(eight, model)
+    assert len(asked) == len(eight.states)
+    for known in asked[:5]:
+        assert call(known) == pytest.approx(model.base.known_at(*known))
+
+
+def test_the_program_alone_keeps_the_rows_that_the_wish_breaks(eight: FilterProblem) -> None:
+    model = load_model("car_learned")
+    solve, posed = program_alone(eight, model)
+    for A, b, wish in posed:
+        solution = solve((A, b, wish))
+        assert solution.status == "solved"
+        assert (np.array(A) @ wish < np.array(b)).any()
+        assert (np.array(A) @ np.array(solution.action) >= np.array(b) - 1e-9).all()
+
+
+def test_floors_are_timed_as_often_as_decisions(eight: FilterProblem) -> None:
+    found = with_floors(eight, 30, 60.0)
+    assert set(found) == {*MODELS.values(), *FLOORS}
+    assert {times["calls"] for times in found.values()} == {30}
+
+
+@pytest.mark.parametrize("count", [64, 1024])
+def test_scenes_beyond_what_a_robot_may_tell_are_decided(count: int, eight: FilterProblem) -> None:
+    problem = problem_with(count)
+    assert len(problem.barriers().names) - count == len(eight.barriers().names) - 8
+    decide, requests = decided(problem, load_model("car"))
+    assert {decide(asked).solver for asked in requests} == {"solved"}
+
+
+def test_barriers_of_a_large_scene_are_those_of_a_small_one(eight: FilterProblem, monkeypatch: Any) -> None:
+    state = eight.states[0]
+    told = eight.barriers().values(state)
+    monkeypatch.setattr("safedpa_lab.benchmarks.filter_problem.MOST_OBSTACLES", 7)
+    assert eight.barriers().values(state).tobytes() == told.tobytes()
+
+
+def _entries(*, peers: bool) -> tuple[list[Entry], list[Entry]]:
+    at = "8 obstacles"
+    ours = [
+        Entry(f"safedpa, {NETWORKS}", {"p50": 50.0, "p99": 90.0}, problem=at),
+        Entry(f"safedpa, {PHYSICS}", {"p50": 40.0, "p99": 91.0}, problem=at),
+        *(Entry(f"safedpa, {name}", {"p50": 31.0, "p99": 44.0}, problem=f"{at}, floor") for name in FLOORS),
+        Entry("safedpa, Python source", {"p50": 101.0, "p99": 200.0}, problem="8, Python source"),
+    ]
+    slow = Entry("cbfpy, qpax", {"p50": 80.0, "p99": 180.0}, problem=at)
+    quick = Entry("cbfpy, elastiqp", {"p50": 60.0, "p99": 400.0}, problem=at)
+    foreign = Entry("cvxpy, Clarabel", {"p50": 1.0, "p99": 1.0}, problem=at)
+    return ours, [quick, slow, foreign] if peers else [missing("cbfpy, qpax", "not installed", at), foreign]
+
+
+def test_targets_are_half_of_the_best_backend_of_the_same_run() -> None:
+    targets, notes = row._targets(*_entries(peers=True), (8,))
+    assert [target.wanted for target in targets] == [30.0, 90.0, 30.0, 90.0, 90.0, 100.0]
+    assert [target.got for target in targets] == [50.0, 90.0, 40.0, 91.0, 91.0, 101.0]
+    assert [target.reached for target in targets] == [False, True, False, False, False, False]
+    assert targets[0].floor == Floor(BOTH, 31.0)
+    assert [target.forbidden for target in targets[:4]] == [True, False, True, False]
+    assert "cbfpy, elastiqp" in targets[0].what
+    assert "cbfpy, qpax" in targets[1].what
+    assert not notes
+
+
+def test_without_the_peer_there_is_no_target_and_a_note_says_so() -> None:
+    targets, notes = row._targets(*_entries(peers=False), (8,))
+    assert not any("half" in target.what for target in targets)
+    assert "8 obstacles" in notes[0]
+    assert "cbfpy" in notes[0]
+
+
+def test_what_is_missed_stands_beside_its_floor() -> None:
+    forbidden = Target("p50", 10.0, 40.0, "us", floor=Floor("the program alone", 11.0))
+    free = Target("p99", 10.0, 40.0, "us", floor=Floor("the program alone", 9.0))
+    reached = Target("p10", 50.0, 40.0, "us", floor=Floor("the program alone", 9.0))
+    more = Target("robots", 200.0, 150.0, "robots", "more", Floor("two cores", 180.0))
+    document = Row("filter", "one thing", "p50", (), targets=(forbidden, free, reached, more)).as_document()
+    said = target_texts(document)
+    assert said[0].endswith("not reached; forbidden by the program alone, 11.0 us")
+    assert said[1].endswith("not reached; floor: the program alone, 9.00 us")
+    assert said[2].endswith(", reached")
+    assert said[3].endswith("forbidden by two cores, 180 robots")
+
+
+def test_a_path_is_left_out_of_the_others(tmp_path: Path) -> None:
+    (tmp_path / "compiled").mkdir()
+    paths = os.pathsep.join(["/one", str(tmp_path / "x" / ".." / "compiled"), "", "/other"])
+    assert without(tmp_path / "compiled", paths) == os.pathsep.join(["/one", "/other"])
+
+
+def test_the_source_says_that_it_is_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(python_source, "compiled_modules", tuple)
+    assert "is the Python source" in of_source(30, 0.1)["missing"]
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_the_source_is_asked_where_the_compiled_modules_are_not_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "safedpa"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise ImportError('the compiled modules')", encoding="utf-8")
+    folders = [tmp_path, *(Path(__file__).parents[2] / name for name in ("shared", "services", "sim"))]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, folders)))
+    monkeypatch.setattr(python_source, "compiled_modules", lambda: ("all",))
+    monkeypatch.setattr(python_source, "safedpa", SimpleNamespace(__file__=str(package / "__init__.py")))
+    found = of_source(30, 0.1)
+    assert found["calls"] >= 20
+    assert found["wall"]["p50"] > 0.0
+
+
+def test_a_peer_that_gives_up_is_not_asked_about_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def ask(script: str, package: str, question: dict[str, Any], *_: Any) -> dict[str, Any]:
+        asked.append(len(question["problems"][0]["obstacles"]))
+        if package == "absent" or asked[-1] > 4:
+            return {"missing": "gave no answer within 60 s"}
+        return {"answers": [{"wall": {"p50": 7.0}}]}
+
+    nothing = {"wall": {"p50": 1.0}}
+    monkeypatch.setattr(filter_growth, "ask_peer", ask)
+    monkeypatch.setattr(filter_growth, "_COUNTS", (1, 4, 16, 64))
+    monkeypatch.setattr(filter_growth, "decisions", lambda *_: nothing)
+    peers = [("there", "there", "", "script"), ("absent", "absent", "", "script")]
+    curve = filter_growth.over_obstacles(peers, Effort())
+    assert curve.series["there"] == (7.0, 7.0, None, None)
+    assert "absent" not in curve.series
+    assert asked == [1, 4, 16, 1]
+    assert curve.x == (1.0, 4.0, 16.0, 64.0)

@@ -1,0 +1,157 @@
+"""Rows that start processes: sense to act and the start. What they ask for, without starting any."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.errors import SafedpaError
+from safedpa_lab.benchmarks import first_page, latency
+from safedpa_lab.benchmarks.first_page import answers, seconds_to_pages
+from safedpa_lab.benchmarks.results import Effort, Floor, Row
+from safedpa_lab.benchmarks.rows import sense_to_act, start
+
+LOOP = {"p50": 900.0, "p99": 1210.0, "p999": 3000.0, "watchdog_ticks": 2}
+
+
+def _sense_to_act(monkeypatch: pytest.MonkeyPatch, effort: Effort, watched: Any) -> tuple[Row, list[Any]]:
+    asked: list[Any] = []
+
+    def both(seconds: float, rate: float) -> dict[str, Any]:
+        asked.append((seconds, rate))
+        return {"real_loop_us": LOOP, "bare_chain_us": {"p50": 800.0, "p99": 10.0 * rate + 800.0, "p999": 2000.0}}
+
+    monkeypatch.setattr(sense_to_act, "latency_benchmark", both)
+    monkeypatch.setattr(sense_to_act, "real_loop", watched)
+    return sense_to_act.measure(effort), asked
+
+
+def test_the_loop_is_held_beside_the_bare_chain_of_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Any] = []
+
+    def watched(seconds: float, rate: float, *, watched: bool) -> dict[str, Any]:
+        looked.append((seconds, rate, watched))
+        return {**LOOP, "watchdog_ticks": 0}
+
+    row, asked = _sense_to_act(monkeypatch, Effort(full=True), watched)
+    assert asked == [(600.0, 20.0), (600.0, 200.0)]
+    assert looked == [(120.0, 20.0, True)]
+    wanted = [(target.wanted, target.got) for target in row.targets]
+    assert wanted == [(1200.0, 1210.0), (0.0, 2.0), (3360.0, 1210.0), (0.0, 2.0), (1200.0, 1210.0), (0.0, 0.0)]
+    assert [target.reached for target in row.targets] == [False, False, True, False, False, True]
+    assert row.targets[0].floor == Floor("the bare chain", 1000.0)
+    assert not row.targets[0].forbidden
+    assert [entry.problem for entry in row.ours] == ["20 Hz", "200 Hz", "20 Hz, watched"]
+    assert "workbench" in row.ours[-1].note
+
+
+def test_a_watched_loop_that_does_not_come_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def watched(*_: Any, **__: Any) -> dict[str, Any]:
+        raise SafedpaError("safedpa up: ran without workbench")
+
+    row, _ = _sense_to_act(monkeypatch, Effort(), watched)
+    assert "without workbench" in row.ours[-1].missing
+    assert len(row.targets) == 4
+    quick, asked = _sense_to_act(monkeypatch, Effort(quick=True), watched)
+    assert asked == [(2.0, 20.0)]
+    assert len(quick.ours) == 1
+
+
+def test_who_should_watch_has_to_be_there() -> None:
+    names = ("robot", "recorder", "diagnosis", "dashboard", "workbench")
+    services = [{"name": name} for name in names]
+    latency._check_watched({"services": services})
+    with pytest.raises(SafedpaError, match="without dashboard, workbench"):
+        latency._check_watched({"services": services[:3]})
+
+
+class _Site(BaseHTTPRequestHandler):
+    """``/page`` is a page, ``/door`` lets in whoever comes back with its cookie, nothing else is there."""
+
+    def do_GET(self) -> None:
+        let_in = self.path == "/page" or "key=1" in (self.headers.get("Cookie") or "")
+        at_door = self.path == "/door" and not let_in
+        self.send_response(303 if at_door else 200 if let_in else 404)
+        if at_door:
+            self.send_header("Set-Cookie", "key=1; Path=/")
+            self.send_header("Location", "/inside")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Says nothing."""
+
+
+@pytest.fixture
+def site() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Site)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_page_answers_when_a_browser_would_see_it(site: str) -> None:
+    assert answers(f"{site}/page")
+    assert answers(f"{site}/door")
+    assert not answers(f"{site}/absent")
+    assert not answers("http://127.0.0.1:9/page")
+
+
+def _up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> None:
+    """A stand-in for ``safedpa up``."""
+    package = tmp_path / "safedpa_services"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "__main__.py").write_text(program, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+
+def test_the_first_page_is_waited_for(site: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = f"recording r\\nlive view {site}/page\\nworkbench {site}/door\\n"
+    _up(tmp_path, monkeypatch, f"import sys, time\nsys.stderr.write('{words}')\nsys.stderr.flush()\ntime.sleep(60)\n")
+    found = seconds_to_pages()
+    assert set(found) == {"live view", "workbench"}
+    assert all(0.0 < seconds < 60.0 for seconds in found.values())
+
+
+def test_a_start_that_ends_or_shows_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _up(tmp_path, monkeypatch, "import sys\nsys.exit('no room for a page')\n")
+    with pytest.raises(SafedpaError, match="ended with exit code 1"):
+        seconds_to_pages()
+    (tmp_path / "safedpa_services" / "__main__.py").write_text("import time\ntime.sleep(60)\n", encoding="utf-8")
+    monkeypatch.setattr(first_page, "_PATIENCE_SECONDS", 0.2)
+    with pytest.raises(SafedpaError, match="no answer of live view, workbench"):
+        seconds_to_pages()
+
+
+def test_the_start_has_a_target_of_each_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start, "_started", lambda: (1.9, {"policy": 50.0}))
+    monkeypatch.setattr(start, "seconds_to_pages", lambda: {"live view": 4.5, "workbench": 5.0})
+    monkeypatch.setattr(start, "_compared", lambda _: 1.5)
+    monkeypatch.setattr(
+        start,
+        "_imported",
+        lambda module, _: (0.3 if "dashboard" in module else 0.2 if "policy" in module else 0.1, False),
+    )
+    row = start.measure(Effort(quick=True))
+    got = {target.what: (target.wanted, target.got, target.reached) for target in row.targets}
+    assert got["start to the first action"] == (2.0, 1.9, True)
+    assert got["start to the live view"] == (4.0, 4.5, False)
+    assert got["safedpa compare of a recording"] == (2.0, 1.5, True)
+    assert got["import safedpa"] == (0.15, 0.1, True)
+    assert row.targets[0].floor == Floor("import of policy", 0.2)  # an action needs no dashboard
+    assert row.targets[1].floor == Floor("import of dashboard", 0.3)
+    assert {entry.name for entry in row.ours if entry.problem == "start"} >= {"safedpa up to the workbench"}
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_a_comparison_is_timed_on_a_drive_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start, "_RECORDED_SECONDS", 4.0)
+    assert start._compared(1) > 0.0
