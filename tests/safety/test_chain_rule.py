@@ -6,7 +6,9 @@ import pytest
 from safedpa.equations.chain_rule import chain_rule
 
 
-@pytest.mark.parametrize(("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2), (3, 5, 2), (3, 3, 2), (2, 4, 1)])
+@pytest.mark.parametrize(
+    ("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2), (3, 5, 2), (3, 3, 2), (2, 4, 1)]
+)
 def test_it_is_the_product_of_both(rows: int, states: int, actions: int) -> None:
     random = np.random.default_rng(rows)
     slopes, g = random.normal(size=(rows, states)), random.normal(size=(states, actions))
@@ -44,3 +46,7 @@ def test_of_a_car_it_is_the_same_sum_in_the_same_order() -> None:
 def test_slopes_of_another_robot_than_a_car_are_refused(slopes: list[float]) -> None:
     with pytest.raises(ValueError, match=f"h has slopes of {len(slopes)} states, the model of 4"):
         chain_rule([[1.0, 1.0, 1.0, 1.0], slopes], [[1.0, 2.0]] * 4)
+
+
+def test_of_no_state_nothing_changes() -> None:
+    assert chain_rule([[], []], []) == [[], []]
