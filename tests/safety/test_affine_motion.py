@@ -99,3 +99,21 @@ def test_the_formula(actions: int) -> None:
     motion = AffineMotion(tuple(x.tolist()), [*f.tolist(), *g.ravel().tolist()], 0.1, 0.05)
     np.testing.assert_allclose(motion.after(a.tolist()), x + 2.0 * (f + g @ a), rtol=1e-14)
     np.testing.assert_allclose(motion.slopes(), 2.0 * g, rtol=1e-14)
+
+
+def test_once_recorded_a_model_is_asked_by_its_recorded_equations_alone() -> None:
+    model = load_model("car")
+    prediction = Prediction.of_model(model)
+    state, action, latent = (0.1, 0.2, 0.3, 0.4), (0.5, 0.1), (0.5, 0.5)
+    for _ in range(200):
+        before = (
+            prediction.following(state, action, latent, None),
+            prediction.slopes_of_one(state, action, latent, None),
+        )
+
+    def refused(*given: object, **named: object) -> object:
+        raise AssertionError((given, named))
+
+    vars(model).update(advance=refused, slopes=refused, straight=refused, straight_tangent=refused)
+    assert prediction.following(state, action, latent, None) == pytest.approx(before[0], rel=1e-12)
+    np.testing.assert_allclose(prediction.slopes_of_one(state, action, latent, None), before[1], rtol=1e-9)

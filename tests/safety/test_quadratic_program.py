@@ -227,6 +227,8 @@ def test_a_row_that_reaches_further_than_numbers_do_is_not_reported_as_solved(sl
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     solution = solved(program, np.array([slopes, [0.0, 1.0]]), np.array([0.5, 0.1]), np.zeros(2))
     assert (solution.solved, solution.status) == (False, "numbers not finite")
+    assert solution.action.tolist() == [-1.0, -1.0]
+    assert solution.slack.tolist() == [0.0, 0.0]
 
 
 def test_numbers_that_are_none_are_not_reported_as_solved() -> None:

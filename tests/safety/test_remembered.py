@@ -44,6 +44,25 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
     assert len(counting.asked) == 10
 
 
+def test_states_that_begin_alike_are_told_apart() -> None:
+    counting = Counting()
+    known = Remembered(counting)
+    for state in ((1.0, 0.0), (1.0, 2.0), (0.0, 2.0), (3.0,), (1.0, 2.0)):
+        assert known.heights(state) == list(state)
+    assert len(counting.asked) == 4
+
+
+def test_the_oldest_goes_first_however_often_all_were_forgotten() -> None:
+    counting = Counting()
+    known = Remembered(counting)
+    for index in range(30):
+        known.heights((float(index), 0.0))
+        newest = range(max(index - 7, 0), index + 1)
+        before = len(counting.asked)
+        assert all(known.heights((float(each), 0.0)) == [float(each), 0.0] for each in newest)
+        assert len(counting.asked) == before == index + 1
+
+
 def test_the_shortest_way_gives_what_the_stack_gives() -> None:
     stack = stacked(PARTS)
     assert stack.plain(4) is stack.plain(4)
