@@ -36,7 +36,6 @@ MODULES = (
     "safedpa.safety.retreat",
     "safedpa.safety.search",
     "safedpa.safety.solution",
-    "safedpa.safety.standstill",
     "safedpa.safety.tangent",
     "safedpa.safety.watched_margin",
     "safedpa_sim.ground_forces",
