@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, final
 if TYPE_CHECKING:
     from safedpa_sim.robots.car_parameters import CarParameters
 
-__all__ = ["GroundForces", "runner_force"]
+__all__ = ["Drive", "GroundForces", "runner_force"]
 
 _ROLLING_SPEED: Final = 0.02
 """m/s below which rolling resistance fades, so that it cannot push a standing car."""
@@ -39,7 +39,8 @@ class GroundForces:
         self._to_rear: float = car.centre_of_mass
         self._to_front: float = car.wheelbase - car.centre_of_mass
         self._wheelbase: float = car.wheelbase
-        self._mass: float = car.mass
+        self.mass: float = car.mass
+        """kg."""
         self._height: float = car.centre_height
         self._gravity: float = gravity
         self._limit: float = car.mass * gravity * car.friction
@@ -60,7 +61,7 @@ class GroundForces:
         angle [rad].
         """
         # written out for both axles: twenty times a period the calls would cost as much as the sums
-        mass = self._mass
+        mass = self.mass
         share = (self._to_rear - drive * self._height / self._gravity) / self._wheelbase
         share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
         force = mass * drive
@@ -83,6 +84,44 @@ class GroundForces:
         if self._viscous != 0.0 or self._turning != 0.0:
             total -= mass * (self._viscous * forward + self._turning * abs(steer) * fading)
         return total, across + rear_y, across * self._to_front - rear_y * self._to_rear
+
+
+@final
+class Drive:
+    """One car over a period in which its command stays: its motor's acceleration, and the forces of each substep.
+
+    ``pull``: push [m/s2], gain [1/s] and target [m/s] of the motor, which wants push + gain (target - speed) within
+    +-``limit`` [m/s2] and goes ``share`` of the way to it in a substep; ``wind`` [m/s2] along the field's x and y.
+    """
+
+    def __init__(
+        self,
+        forces: GroundForces,
+        pull: tuple[float, float, float],
+        limit: float,
+        share: float,
+        acceleration: float,
+        wind: tuple[float, float],
+    ) -> None:
+        self._forces = forces
+        self._push, self._gain, self._target = pull
+        self._limit: float = limit
+        self._share: float = share
+        self._wind_x, self._wind_y = wind
+        self.acceleration: float = acceleration
+        """m/s2; at the end of the last substep."""
+
+    def substep(self, yaw: float, vx: float, vy: float, rate: float, steer: float) -> tuple[float, float, float]:
+        """Force in the field's frame [N] and torque [N m] on the centre of mass, from its motion before the substep."""
+        cosine, sine = cos(yaw), sin(yaw)
+        forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
+        wanted = self._push + self._gain * (self._target - forward)  # SpeedServo.advance, written out
+        wanted = -self._limit if wanted < -self._limit else self._limit if wanted > self._limit else wanted
+        self.acceleration += (wanted - self.acceleration) * self._share
+        along, across, torque = self._forces.of(forward, sideways, rate, self.acceleration, steer)
+        mass = self._forces.mass
+        to_east = along * cosine - across * sine + mass * self._wind_x
+        return to_east, along * sine + across * cosine + mass * self._wind_y, torque
 
 
 def runner_force(angle: float, vx: float, vy: float, hold: float) -> tuple[float, float]:

@@ -5,20 +5,19 @@ What does not change while it drives is worked out once. A load is a rigid body 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import atan, ceil, cos, pi, sin, sqrt
 
 import pymunk
 from pymunk._chipmunk_cffi import lib
 
-from safedpa_sim.ground_forces import GroundForces, runner_force
+from safedpa_sim.ground_forces import Drive, GroundForces, runner_force
 from safedpa_sim.robots.actuators import SteeringActuator, drive_of
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.other_body import OtherBody
 
-__all__ = ["CarWorld", "TowedBody", "ground_forces"]
+__all__ = ["CarWorld", "TowedBody"]
 
 _angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
 _velocity, _rate = lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
@@ -52,7 +51,7 @@ class CarWorld:
         _add_solids(self.space, self.contacts, field, obstacles, polygons)
         self.body, self._shape = self._add_car(start)
         self._handle = self.body._body
-        self._ground_forces = ground_forces(parameters)
+        self._ground = GroundForces(parameters, GRAVITY)
         self.wind = (0.0, 0.0)
         """Push of a steady wind over the car's mass, m/s2 along the field's x and y."""
         self.steering_offset = 0.0
@@ -136,28 +135,22 @@ class CarWorld:
         substeps = ceil(seconds / SUBSTEP - 1e-9)
         if substeps <= 0:
             return
-        pace, now, mass, (east, north) = seconds / substeps, self.time, self.parameters.mass, self.wind
+        pace, now, motor = seconds / substeps, self.time, self.drive
         space, handle, loads, contacts = self.space._space, self._handle, self._loads, self.contacts
-        motor, forces = self.drive, self._ground_forces
-        push, gain, target = motor.pull(command)
-        limit, share, drive = motor.limit, motor.share(pace), motor.acceleration
+        pull, share = motor.pull(command), motor.share(pace)
+        drive = Drive(self._ground, pull, motor.limit, share, motor.acceleration, self.wind)
+        forces = drive.substep
         for angle in self.steering.angles(steer + self.steering_offset, pace, substeps):
-            yaw, velocity = _angle(handle), _velocity(handle)
-            cosine, sine = cos(yaw), sin(yaw)
-            vx, vy = velocity.x, velocity.y
-            forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-            wanted = push + gain * (target - forward)  # SpeedServo.advance, written out
-            drive += ((-limit if wanted < -limit else limit if wanted > limit else wanted) - drive) * share
-            along, across, torque = forces(forward, sideways, _rate(handle), drive, angle)
-            to_east = along * cosine - across * sine + mass * east
-            _set_force(handle, (to_east, along * sine + across * cosine + mass * north))
+            velocity = _velocity(handle)
+            to_east, to_north, torque = forces(_angle(handle), velocity.x, velocity.y, _rate(handle), angle)
+            _set_force(handle, (to_east, to_north))
             _set_torque(handle, torque)
             for load in loads:
                 load.apply_runners()
             now += pace
             contacts.time = now
             _step(space, pace)
-        self.time, motor.acceleration = now, drive
+        self.time, motor.acceleration = now, drive.acceleration
 
 
 def _add_solids(
@@ -190,15 +183,6 @@ def _add_solid(space: pymunk.Space, contacts: ContactCounter, shape: pymunk.Shap
     shape.friction, shape.collision_type = 0.6, kind
     contacts.name(shape, name)
     space.add(shape)
-
-
-_GroundForces = Callable[[float, float, float, float, float], tuple[float, float, float]]
-"""As ``GroundForces.of``."""
-
-
-def ground_forces(car: CarParameters) -> _GroundForces:
-    """What the ground does to the car."""
-    return GroundForces(car, GRAVITY).of
 
 
 _FEET = 0.45
