@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Final, final
 if TYPE_CHECKING:
     from safedpa_sim.robots.car_parameters import CarParameters
 
-__all__ = ["Drive", "GroundForces", "runner_force"]
+__all__ = ["GRAVITY", "Drive", "GroundForces", "runner_force"]
 
+GRAVITY: Final = 9.81
+"""m/s2."""
 _ROLLING_SPEED: Final = 0.02
 """m/s below which rolling resistance fades, so that it cannot push a standing car."""
 _RUNNER_SLIP: Final = 0.1
@@ -32,18 +34,17 @@ class GroundForces:
     wheels, s = sideways / (slip_scale (|rolling| + slip_speed)): a tyre of cornering stiffness limit / slip_scale that
     saturates on the friction circle of radius limit. Rolling and sideways [m/s] are the velocity of the axle's middle
     along and across its wheels. Source: the combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd
-    ed., ch. 13, with a smooth saturation. ``gravity`` [m/s2].
+    ed., ch. 13, with a smooth saturation.
     """
 
-    def __init__(self, car: CarParameters, gravity: float) -> None:
+    def __init__(self, car: CarParameters) -> None:
         self._to_rear: float = car.centre_of_mass
         self._to_front: float = car.wheelbase - car.centre_of_mass
         self._wheelbase: float = car.wheelbase
         self.mass: float = car.mass
         """kg."""
         self._height: float = car.centre_height
-        self._gravity: float = gravity
-        self._limit: float = car.mass * gravity * car.friction
+        self._limit: float = car.mass * GRAVITY * car.friction
         self._front_slip: float = car.front_slip
         self._rear_slip: float = car.rear_slip
         self._slip_speed: float = car.slip_speed
@@ -62,7 +63,7 @@ class GroundForces:
         """
         # written out for both axles: twenty times a period the calls would cost as much as the sums
         mass = self.mass
-        share = (self._to_rear - drive * self._height / self._gravity) / self._wheelbase
+        share = (self._to_rear - drive * self._height / GRAVITY) / self._wheelbase
         share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
         force = mass * drive
         ahead = sideways + rate * self._to_front

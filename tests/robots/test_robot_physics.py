@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa_sim.ground_forces import GroundForces
+from safedpa_sim.ground_forces import GRAVITY, GroundForces
 from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -154,7 +154,7 @@ def test_without_tyres_and_floor_momentum_is_conserved(monkeypatch):
     towed = world.towed
     assert towed is not None
     slippery = replace(CAR_PARAMETERS, friction=0.0, rolling=0.0, drag=0.0)
-    monkeypatch.setattr(world, "_ground", GroundForces(slippery, GRAVITY))
+    monkeypatch.setattr(world, "_ground", GroundForces(slippery))
     monkeypatch.setattr(type(towed), "apply_runners", lambda _: None)
     for joint in tuple(towed.body.constraints):
         if joint.b is world.space.static_body:
@@ -299,7 +299,7 @@ def test_the_forces_on_the_ground_are_those_of_two_axles(forward, sideways, rate
         push + rear[1],
         push * to_front - rear[1] * to_rear,
     )
-    assert GroundForces(car, GRAVITY).of(forward, sideways, rate, drive, steer) == wanted, "to the last bit"
+    assert GroundForces(car).of(forward, sideways, rate, drive, steer) == wanted, "to the last bit"
 
 
 @settings(max_examples=20, deadline=None)
@@ -324,7 +324,7 @@ def substep(world: CarWorld, target_speed: float, steer: float, seconds: float) 
     forward, sideways = vx * cos(yaw) + vy * sin(yaw), vy * cos(yaw) - vx * sin(yaw)
     drive = world.drive.advance(target_speed, forward, seconds)
     angle = world.steering.advance(steer + world.steering_offset, seconds)
-    along, across, torque = GroundForces(CAR_PARAMETERS, GRAVITY).of(
+    along, across, torque = GroundForces(CAR_PARAMETERS).of(
         forward, sideways, world.body.angular_velocity, drive, angle
     )
     mass, (east, north) = CAR_PARAMETERS.mass, world.wind

@@ -12,7 +12,7 @@ from pymunk._chipmunk_cffi import lib
 
 from safedpa_sim.ground_forces import Drive, GroundForces, runner_force
 from safedpa_sim.robots.actuators import SteeringActuator, drive_of
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.other_body import OtherBody
@@ -51,7 +51,7 @@ class CarWorld:
         _add_solids(self.space, self.contacts, field, obstacles, polygons)
         self.body, self._shape = self._add_car(start)
         self._handle = self.body._body
-        self._ground = GroundForces(parameters, GRAVITY)
+        self._ground = GroundForces(parameters)
         self.wind = (0.0, 0.0)
         """Push of a steady wind over the car's mass, m/s2 along the field's x and y."""
         self.steering_offset = 0.0
