@@ -22,8 +22,9 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 __all__ = ["CompilingHook"]
 
-_SOURCE = Path("shared")
-_LIST = _SOURCE / "safedpa" / "compiled.py"
+_SOURCES = {"safedpa": Path("shared"), "safedpa_sim": Path("sim")}
+"""Where the packages stand."""
+_LIST = _SOURCES["safedpa"] / "safedpa" / "compiled.py"
 _OPTIONS = "--follow-imports=skip", "--ignore-missing-imports", "--python-version=3.11"
 """What the modules import from others stays what it is in Python; so nothing else need be installed to build."""
 _FLAGS = "-ffp-contract=off"
@@ -64,13 +65,12 @@ class CompilingHook(BuildHookInterface[Any]):
 
     def _compiled(self, build_data: dict[str, Any]) -> str | None:
         """Puts the compiled modules into the wheel; what went wrong, or None."""
-        source = Path(self.root) / _SOURCE
         files = [name.replace(".", "/") + ".py" for name in listed(Path(self.root) / _LIST)]
         work = Path(tempfile.mkdtemp(prefix="safedpa-"))
         self._work = work
         for file in files:
             (work / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(source / file, work / file)
+            shutil.copy(Path(self.root) / _SOURCES[Path(file).parts[0]] / file, work / file)
             for folder in (work / file).parents:
                 if folder == work:
                     break

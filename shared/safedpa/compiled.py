@@ -7,12 +7,18 @@ import importlib
 __all__ = ["MODULES", "compiled_modules"]
 
 MODULES = (
+    "safedpa.bus.loop.service",
+    "safedpa.bus.loop.slot",
+    "safedpa.bus.loop.trace",
+    "safedpa.bus.transport.inbox",
+    "safedpa.bus.transport.intake",
     "safedpa.dynamics.written_steps",
     "safedpa.networks.plain_rows",
     "safedpa.safety.affine_motion",
     "safedpa.robots.car.compensated_seeker",
     "safedpa.robots.car.goal_seeker",
     "safedpa.robots.car.perception",
+    "safedpa.robots.car.reversed_way",
     "safedpa.robots.car.sensed_far",
     "safedpa.robots.car.written_barriers",
     "safedpa.equations.chain_rule",
@@ -33,6 +39,7 @@ MODULES = (
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
     "safedpa.safety.watched_margin",
+    "safedpa_sim.ground_forces",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

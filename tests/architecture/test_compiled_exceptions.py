@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.compiled import MODULES
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def is_builtin_exception(name: str) -> bool:
@@ -20,7 +20,8 @@ def is_builtin_exception(name: str) -> bool:
 
 @pytest.mark.parametrize("module", MODULES)
 def test_its_exceptions_derive_from_those_of_python_alone(module: str) -> None:
-    tree = ast.parse((SHARED / module.replace(".", "/")).with_suffix(".py").read_text(encoding="utf-8"))
+    source = ROOT / ("sim" if module.startswith("safedpa_sim.") else "shared") / module.replace(".", "/")
+    tree = ast.parse(source.with_suffix(".py").read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef) and node.name.endswith("Error"):
             assert all(is_builtin_exception(ast.unparse(base)) for base in node.bases), f"{module}.{node.name}"

@@ -121,8 +121,9 @@ def test_classes_of_one_name_are_found_but_for_a_robot_s_effects(house: ModuleTy
     assert house.twice_named(found) == {"One": ["safedpa.a", "safedpa.b"]}
 
 
-MOST_ALONE, MOST_APART = 121, 49
-"""Modules with one importer, and those of them that could be one with it; 118 and 46 on 26 November 2026."""
+MOST_ALONE, MOST_APART = 121, 50
+"""Modules with one importer, and those of them that could be one with it; 121 and 50 on 27 November 2026, when the
+ground's forces on a simulated car went where they are compiled and loaded without the physics engine."""
 MOST_ASKING = 17
 """Places that ask whether a system has certain names, most of them x and y: a plane to draw or a heading to turn."""
 TWICE = {"Grid", "Proposal", "Request", "RunError", "Seen", "Sensed", "Stage", "Trial"}
@@ -164,4 +165,4 @@ def test_a_decision_passes_no_more_files_than_it_did(house: ModuleType) -> None:
     most = {(asked, status): files for asked, status, files, _ in house.decision_files()}
     assert set(most) >= {("SafetyFilter.decide", "passed"), ("SafetyFilter.decide", "corrected")}
     assert max(files for (asked, _), files in most.items() if asked == "SafetyFilter.decide") <= 27
-    assert max(most.values()) <= 42
+    assert max(most.values()) <= 42  # one more since a model's step stands in a file of its own

@@ -15,6 +15,11 @@ from safedpa.compiled import MODULES, compiled_modules
 ROOT = Path(__file__).parents[2]
 
 
+def source_of(file: str) -> Path:
+    """The file of a module, such as ``safedpa/compiled.py``."""
+    return ROOT / ("sim" if file.startswith("safedpa_sim/") else "shared") / file
+
+
 class Interface:
     """Of hatchling's hook as much as is used, where hatchling is not installed."""
 
@@ -51,7 +56,7 @@ def blank() -> dict[str, Any]:
 
 def test_the_list_is_the_one_that_is_told_at_run_time(build: types.ModuleType) -> None:
     assert build.listed(ROOT / "shared" / "safedpa" / "compiled.py") == list(MODULES)
-    assert all((ROOT / "shared" / (name.replace(".", "/") + ".py")).is_file() for name in MODULES)
+    assert all(source_of(name.replace(".", "/") + ".py").is_file() for name in MODULES)
     assert compiled_modules() in ((), MODULES)
 
 
@@ -88,7 +93,7 @@ def test_what_comes_out_goes_into_the_wheel_and_nothing_half_done(
 ) -> None:
     def compiler(command: list[str], cwd: Path, **_: Any) -> types.SimpleNamespace:
         names = [file for file in command if file.endswith(".py")]
-        assert all((cwd / name).read_text() == (ROOT / "shared" / name).read_text() for name in names)
+        assert all((cwd / name).read_text() == source_of(name).read_text() for name in names)
         for name in ["group", *names[: None if works else 1]]:
             (cwd / name).with_suffix(".so").touch()
         return types.SimpleNamespace(returncode=0 if works else 1, stdout="", stderr="first\nlast words")

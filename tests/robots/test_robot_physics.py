@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from math import atan, cos, hypot, sin, sqrt, tan, tanh
 
@@ -9,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from safedpa_sim.ground_forces import GRAVITY, GroundForces
 from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY
-from safedpa_sim.robots.world import ground_forces
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -152,7 +153,8 @@ def test_without_tyres_and_floor_momentum_is_conserved(monkeypatch):
     world = open_world("chair")
     towed = world.towed
     assert towed is not None
-    monkeypatch.setattr(world, "_ground_forces", lambda *_: (0.0, 0.0, 0.0))
+    slippery = replace(CAR_PARAMETERS, friction=0.0, rolling=0.0, drag=0.0)
+    monkeypatch.setattr(world, "_ground", GroundForces(slippery))
     monkeypatch.setattr(type(towed), "apply_runners", lambda _: None)
     for joint in tuple(towed.body.constraints):
         if joint.b is world.space.static_body:
@@ -297,7 +299,7 @@ def test_the_forces_on_the_ground_are_those_of_two_axles(forward, sideways, rate
         push + rear[1],
         push * to_front - rear[1] * to_rear,
     )
-    assert ground_forces(car)(forward, sideways, rate, drive, steer) == wanted, "to the last bit"
+    assert GroundForces(car).of(forward, sideways, rate, drive, steer) == wanted, "to the last bit"
 
 
 @settings(max_examples=20, deadline=None)
@@ -322,7 +324,9 @@ def substep(world: CarWorld, target_speed: float, steer: float, seconds: float) 
     forward, sideways = vx * cos(yaw) + vy * sin(yaw), vy * cos(yaw) - vx * sin(yaw)
     drive = world.drive.advance(target_speed, forward, seconds)
     angle = world.steering.advance(steer + world.steering_offset, seconds)
-    along, across, torque = ground_forces(CAR_PARAMETERS)(forward, sideways, world.body.angular_velocity, drive, angle)
+    along, across, torque = GroundForces(CAR_PARAMETERS).of(
+        forward, sideways, world.body.angular_velocity, drive, angle
+    )
     mass, (east, north) = CAR_PARAMETERS.mass, world.wind
     world.body.force = (
         along * cos(yaw) - across * sin(yaw) + mass * east,

@@ -168,7 +168,7 @@ class AdaptationNode(AbstractNode):
         state = memory.newest
         assert state is not None
         values, applied = np.array(state.values), np.array(state.applied)
-        plausible = held.model.system.is_plausible(values)
+        plausible = held.model.system.believes(state.values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
             transition = _Transition(memory.state, applied, values, state.period)
             held.model.clock.seconds = state.robot_time - state.period

@@ -15,8 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, final
 
-from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text
-from safedpa.dynamics.written_key import written
+from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text, written_key
+from safedpa.dynamics.written_steps import WRITTEN
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
 from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
@@ -223,7 +223,7 @@ def _compiled(
 ) -> StraightStep:
     """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
     text = _text(head, tape, after, forms, freeing=freeing)
-    known: StraightStep | None = written(text, tape.calls) if table is FLOATS else None
+    known: StraightStep | None = WRITTEN.get(written_key(text)) if table is FLOATS and not tape.calls else None
     if known is not None:
         return known
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}

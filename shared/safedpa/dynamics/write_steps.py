@@ -13,7 +13,7 @@ from pathlib import Path
 
 from safedpa.dynamics import load_model, shipped_models
 from safedpa.dynamics.straight import step_texts
-from safedpa.dynamics.written_key import written_key
+from safedpa.dynamics.tangent import written_key
 
 __all__ = ["main", "text"]
 
@@ -69,7 +69,7 @@ def _module(written: Mapping[str, tuple[str, str]]) -> str:
             "WRITTEN: dict[str, Any] = {",
             keys,
             "}",
-            '"""By what was recorded: ``safedpa.dynamics.written_key``."""',
+            '"""By what was recorded: ``safedpa.dynamics.tangent.written_key``."""',
             "",
         ]
     )

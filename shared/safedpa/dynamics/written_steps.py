@@ -895,4 +895,4 @@ WRITTEN: dict[str, Any] = {
     "b669cee0d5c5adda8a82f17f41d10c7e": point_wind_step,
     "7ff99150fd272432bd7297a2e19e67c3": point_wind_tangent,
 }
-"""By what was recorded: ``safedpa.dynamics.written_key``."""
+"""By what was recorded: ``safedpa.dynamics.tangent.written_key``."""

@@ -341,7 +341,7 @@ class FilteredRobot:
         wished = predicted[:1]
         if verdict.status not in (Status.passed, Status.disabled):
             wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
-        if not wished or np.array_equal(wish, self.filter.settings.resting_action):
+        if not wished or wish.tolist() == self.filter.settings.resting_action.tolist():
             self.standing.interrupted()
         else:
             self.standing.promise(state.values, wished[0], predicted[0])

@@ -109,24 +109,29 @@ class FoundDelay:
         if len(self._sums) != len(squares) or len(self._sums[0]) != states:
             self._sums, self._count = [[0.0] * states for _ in squares], 0.0
         self._count = self._keep * self._count + 1.0
-        for sums, own in zip(self._sums, squares, strict=True):
-            for index, square in enumerate(own):
-                sums[index] = self._keep * sums[index] + square
+        keep = self._keep
+        for delay in range(len(squares)):  # over indices: compiled, an iterator over pairs costs five times as much
+            sums, own = self._sums[delay], squares[delay]
+            for index in range(states):
+                sums[index] = keep * sums[index] + own[index]
         if self._count >= _FEWEST:
             self._believe()
 
     def _squares(self, passed: Passed, latent: Plain | None) -> list[list[float]]:
         """Squared error of each state (states,), in its unit squared, for each delay."""
         motion = self._prediction.affine_motion(passed.before, latent)
+        now = list(passed.now)
         found: list[list[float]] = []
         for command, memory in passed.commands:
             if motion is not None:
                 reached = motion.after(command)
             else:
                 reached = self._prediction.following(passed.before, command, latent, memory)
+            if len(reached) != len(now):
+                raise ValueError(f"predicted state: got {len(reached)} numbers, wanted {len(now)}")
             own: list[float] = []
-            for value, there in zip(passed.now, reached, strict=True):
-                error, rounded = value - there, _ROUNDING * value
+            for index in range(len(now)):
+                error, rounded = now[index] - reached[index], _ROUNDING * now[index]
                 own.append(error * error + rounded * rounded)  # infinite where it is too large, and no exception
             found.append(own)
         return found
@@ -139,12 +144,18 @@ class FoundDelay:
         return False
 
     def _believe(self) -> None:
-        costs = [0.0] * len(self._sums)
+        count = len(self._sums)
+        costs = [0.0] * count
         for state in range(len(self._sums[0])):
-            column = [sums[state] for sums in self._sums]
-            least = _LEAST * max(column)
+            largest = 0.0
+            for delay in range(count):
+                value = self._sums[delay][state]
+                largest = value if value > largest else largest
+            least = _LEAST * largest
             if least > 0.0:
-                costs = [cost + log(max(value, least)) for cost, value in zip(costs, column, strict=True)]
+                for delay in range(count):
+                    value = self._sums[delay][state]
+                    costs[delay] += log(value if value > least else least)
         limit = min(costs) + 2.0 * EVIDENCE / self._count
-        if costs[min(self.periods, len(costs) - 1)] > limit:
+        if costs[min(self.periods, count - 1)] > limit:
             self.periods = min([n for n, cost in enumerate(costs) if cost <= limit])

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import ceil, inf
 from typing import Any, Final, NamedTuple, final
 
@@ -46,6 +47,8 @@ class _Passed:
     applied: Plain
     memory: Any
     """What the actuators remember when this tick's action is put in force."""
+    sent: tuple[Plain, Any]
+    """The action in force before it, and what the actuators remembered when that was put in force."""
     latent: Plain | None = None
     decided: bool = False
 
@@ -62,7 +65,8 @@ class Trail:
         """The state of a tick, the action in force before it, and the actuators' memory; begins anew after a gap."""
         if self._entries and self._entries[-1].tick != tick - 1:
             self._entries.clear()
-        self._entries.append(_Passed(tick, values, applied, memory))
+        before = self._entries[-1].memory if self._entries else memory
+        self._entries.append(_Passed(tick, values, applied, memory, (applied, before)))
 
     def commands(self, tick: int, applied: Plain) -> list[Plain]:
         """What was in force before each tick up to this one, oldest first; ``applied`` alone after a gap."""
@@ -78,7 +82,7 @@ class Trail:
         if len(entries) < 2 or (len(entries) < most + 2 and entries[0].tick != 0):
             return None
         first = entries[0].applied, entries[0].memory
-        known = [(entries[-1 - n].applied, entries[-2 - n].memory) for n in range(min(most + 1, len(entries) - 1))]
+        known = [entry.sent for entry in islice(reversed(entries), min(most + 1, len(entries) - 1))]
         commands = (*known, *[first] * (most + 1 - len(known)))
         return Passed(entries[-2].values, entries[-1].values, commands)
 

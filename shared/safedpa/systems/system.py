@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
@@ -72,8 +73,14 @@ class System:
 
     def is_plausible(self, state: NDArray[np.float64]) -> bool:
         """Whether a measured state (states,) is finite and within the bounds outside which none is believed."""
-        bounds = zip(state.tolist(), self._state_bounds, strict=True)  # a few numbers, faster than arrays
-        return all(isfinite(value) and low <= value <= high for value, (low, high) in bounds)
+        return self.believes(state.tolist())
+
+    def believes(self, state: Sequence[float]) -> bool:
+        """``is_plausible`` for plain numbers (states,): of a few, faster than an array."""
+        for value, (low, high) in zip(state, self._state_bounds, strict=True):
+            if not (isfinite(value) and low <= value <= high):
+                return False
+        return True
 
     @cached_property
     def _state_bounds(self) -> tuple[tuple[float, float], ...]:

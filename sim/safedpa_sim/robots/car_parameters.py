@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["CAR_PARAMETERS", "GRAVITY", "SUBSTEP", "THROTTLE_CAR", "CarParameters", "ThrottleParameters"]
-
-GRAVITY = 9.81
-"""m/s2."""
+__all__ = ["CAR_PARAMETERS", "SUBSTEP", "THROTTLE_CAR", "CarParameters", "ThrottleParameters"]
 
 SUBSTEP = 1.0 / 400.0
 """s, longest step of the physics: the tyres' sideways damping at standstill needs less than 1/200 s to be stable."""

@@ -5,19 +5,19 @@ What does not change while it drives is worked out once. A load is a rigid body 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import atan, ceil, cos, pi, sin, sqrt, tanh
+from math import atan, ceil, cos, pi, sin, sqrt
 
 import pymunk
 from pymunk._chipmunk_cffi import lib
 
+from safedpa_sim.ground_forces import Drive, GroundForces, runner_force
 from safedpa_sim.robots.actuators import SteeringActuator, drive_of
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.other_body import OtherBody
 
-__all__ = ["CarWorld", "TowedBody", "ground_forces"]
+__all__ = ["CarWorld", "TowedBody"]
 
 _angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
 _velocity, _rate = lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
@@ -51,7 +51,7 @@ class CarWorld:
         _add_solids(self.space, self.contacts, field, obstacles, polygons)
         self.body, self._shape = self._add_car(start)
         self._handle = self.body._body
-        self._ground_forces = ground_forces(parameters)
+        self._ground = GroundForces(parameters)
         self.wind = (0.0, 0.0)
         """Push of a steady wind over the car's mass, m/s2 along the field's x and y."""
         self.steering_offset = 0.0
@@ -135,28 +135,22 @@ class CarWorld:
         substeps = ceil(seconds / SUBSTEP - 1e-9)
         if substeps <= 0:
             return
-        pace, now, mass, (east, north) = seconds / substeps, self.time, self.parameters.mass, self.wind
+        pace, now, motor = seconds / substeps, self.time, self.drive
         space, handle, loads, contacts = self.space._space, self._handle, self._loads, self.contacts
-        motor, forces = self.drive, self._ground_forces
-        push, gain, target = motor.pull(command)
-        limit, share, drive = motor.limit, motor.share(pace), motor.acceleration
+        pull, share = motor.pull(command), motor.share(pace)
+        drive = Drive(self._ground, pull, motor.limit, share, motor.acceleration, self.wind)
+        forces = drive.substep
         for angle in self.steering.angles(steer + self.steering_offset, pace, substeps):
-            yaw, velocity = _angle(handle), _velocity(handle)
-            cosine, sine = cos(yaw), sin(yaw)
-            vx, vy = velocity.x, velocity.y
-            forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-            wanted = push + gain * (target - forward)  # SpeedServo.advance, written out
-            drive += ((-limit if wanted < -limit else limit if wanted > limit else wanted) - drive) * share
-            along, across, torque = forces(forward, sideways, _rate(handle), drive, angle)
-            to_east = along * cosine - across * sine + mass * east
-            _set_force(handle, (to_east, along * sine + across * cosine + mass * north))
+            velocity = _velocity(handle)
+            to_east, to_north, torque = forces(_angle(handle), velocity.x, velocity.y, _rate(handle), angle)
+            _set_force(handle, (to_east, to_north))
             _set_torque(handle, torque)
             for load in loads:
                 load.apply_runners()
             now += pace
             contacts.time = now
             _step(space, pace)
-        self.time, motor.acceleration = now, drive
+        self.time, motor.acceleration = now, drive.acceleration
 
 
 def _add_solids(
@@ -191,89 +185,10 @@ def _add_solid(space: pymunk.Space, contacts: ContactCounter, shape: pymunk.Shap
     space.add(shape)
 
 
-_GroundForces = Callable[[float, float, float, float, float], tuple[float, float, float]]
-"""(forward, sideways [m/s], turning rate [rad/s], drive [m/s2], wheels' angle [rad]) of the centre of mass to the force
-along and across the car [N] and the torque [N m] about that centre."""
-
-_ROLLING_SPEED = 0.02
-"""m/s below which rolling resistance fades, so that it cannot push a standing car."""
-
-
-def ground_forces(car: CarParameters) -> _GroundForces:
-    """Tyre forces of both axles, each under the load that the drive shifts, less the resistance
-
-    mass (rolling tanh(v / 0.02 m/s) + drag |v| v), of a car that has them also mass (viscous v + turning |steer|
-    tanh(v / 0.02 m/s)).
-    """
-    forces = _tyre_forces(car)
-    if car.viscous == car.turning == 0.0:
-        return forces
-    mass, viscous, turning = car.mass, car.viscous, car.turning
-
-    def resisted(
-        forward: float, sideways: float, rate: float, drive: float, steer: float
-    ) -> tuple[float, float, float]:
-        along, across, torque = forces(forward, sideways, rate, drive, steer)
-        further = viscous * forward + turning * abs(steer) * tanh(forward / _ROLLING_SPEED)
-        return along - mass * further, across, torque
-
-    return resisted
-
-
-def _tyre_forces(car: CarParameters) -> _GroundForces:
-    """Without the resistance of a car that has a viscous one, or one from steering.
-
-    Of an axle F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2) [N] in the frame of its
-    wheels, s = sideways / (slip_scale (|rolling| + slip_speed)): a tyre of cornering stiffness limit / slip_scale that
-    saturates on the friction circle of radius limit. Rolling and sideways [m/s] are the velocity of the axle's middle
-    along and across its wheels. Source: the combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd
-    ed., ch. 13, with a smooth saturation.
-    """
-    to_rear, to_front, wheelbase = car.centre_of_mass, car.wheelbase - car.centre_of_mass, car.wheelbase
-    mass, height, limit = car.mass, car.centre_height, car.mass * GRAVITY * car.friction
-    front_slip, rear_slip, slip_speed, rolling, drag = (
-        car.front_slip,
-        car.rear_slip,
-        car.slip_speed,
-        car.rolling,
-        car.drag,
-    )
-
-    def forces(forward: float, sideways: float, rate: float, drive: float, steer: float) -> tuple[float, float, float]:
-        # written out for both axles: twenty times a period the calls would cost as much as the sums
-        share = (to_rear - drive * height / GRAVITY) / wheelbase
-        share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
-        force = mass * drive
-        ahead = sideways + rate * to_front
-        cosine, sine = cos(steer), sin(steer)
-        pushed, most = force * share, limit * share
-        along = -most if pushed < -most else most if pushed > most else pushed
-        slip = (ahead * cosine - forward * sine) / (front_slip * (abs(forward * cosine + ahead * sine) + slip_speed))
-        front_y = -sqrt(most * most - along * along) * slip / sqrt(1.0 + slip * slip)
-        rear = 1.0 - share
-        pushed, most = force * rear, limit * rear
-        rear_x = -most if pushed < -most else most if pushed > most else pushed
-        slip = (sideways - rate * to_rear) / (rear_slip * (abs(forward) + slip_speed))
-        rear_y = -sqrt(most * most - rear_x * rear_x) * slip / sqrt(1.0 + slip * slip)
-        resistance = mass * (rolling * tanh(forward / _ROLLING_SPEED) + drag * abs(forward) * forward)
-        across = along * sine + front_y * cosine
-        return (
-            along * cosine - front_y * sine + rear_x - resistance,
-            across + rear_y,
-            across * to_front - rear_y * to_rear,
-        )
-
-    return forces
-
-
 _FEET = 0.45
 """The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
 would hold 10 % too little: an impulse there that stops a foot also turns the body, so that it points beside the motion
 when it is cut to the largest force."""
-_RUNNER_SLIP = 0.1
-"""rad; slip angle scale of the runners."""
-_RUNNER_SPEED = 0.3
-"""m/s added to the sliding speed in their slip angle, so that it is defined at standstill."""
 _STIFF = 1e-9
 """Share of a joint's position error that is left after one second."""
 
@@ -328,15 +243,10 @@ class TowedBody:
         return place.x, place.y, _angle(self._handle), side, side
 
     def apply_runners(self) -> None:
-        """Sets the runners' force for the coming substep: ``axle_force`` without drive, written out."""
+        """Sets the runners' force for the coming substep."""
         handle = self._handle
-        angle, velocity = _angle(handle), _velocity(handle)
-        cosine, sine = cos(angle), sin(angle)
-        vx, vy = velocity.x, velocity.y
-        forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-        slip = sideways / (_RUNNER_SLIP * (abs(forward) + _RUNNER_SPEED))
-        across = self._hold * slip / sqrt(1.0 + slip * slip)
-        _set_force(handle, (-across * sine, across * cosine))
+        velocity = _velocity(handle)
+        _set_force(handle, runner_force(_angle(handle), velocity.x, velocity.y, self._hold))
 
     def unhitch(self) -> None:
         """Lets the load go; it slides to rest and stays where it is. The car can bump into it."""

@@ -106,7 +106,7 @@ class CompensatedGoalSeeker:
         if len(state.values) != 4 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
         values = self._seeker.wish(state.robot_time, state.values, state.goal)
-        if latent is not None and self._compensation.model.system.is_plausible(np.array(state.values)):
+        if latent is not None and self._compensation.model.system.believes(state.values):
             self._compensation.model.clock.seconds = state.robot_time
             speed = self._compensation.target(state.values, values, latent.tolist())
             values = min(max(speed, self._settings.slowest_target), self._settings.fastest_target), values[1]
