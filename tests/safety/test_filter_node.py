@@ -112,7 +112,7 @@ def test_that_commands_act_later_than_told_is_said_where_it_is_acted_upon_and_no
     node = SafetyFilterNode(CAR, SETTINGS)
     state = state_at(0, until_action=0.05)
     assert "later than told" not in asked(node, state, latent_at(state)).sentence
-    memory_of(node).delay.beyond = lambda told: told + 0.1  # type: ignore[method-assign]
+    memory_of(node).delay.periods = 5
     state = state_at(1, until_action=0.05)
     assert "later than told" in asked(node, state, latent_at(state)).sentence
 
