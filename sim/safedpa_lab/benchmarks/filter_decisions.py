@@ -9,7 +9,7 @@ from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.safety import SafetyFilter
 from safedpa.safety.conditions import Conditions
 from safedpa_lab.benchmarks.filter_problem import FilterProblem
-from safedpa_lab.benchmarks.timing import in_turn, timed
+from safedpa_lab.benchmarks.timing import timed
 
 __all__ = [
     "BOTH",
@@ -51,13 +51,13 @@ def decisions(
 
 
 def with_floors(problem: FilterProblem, calls: int, seconds: float) -> dict[str, dict[str, Any]]:
-    """Decisions of both models, and in turn with them the ``FLOORS``; each by its name."""
+    """Decisions of both models, and the ``FLOORS``; each by its name, and each alone, as the peers are timed."""
     model = load_model("car_learned")
     asked = {what: decided(problem, load_model(name)) for name, what in MODELS.items()}
     (networks, known), (solve, posed) = networks_alone(problem, model), program_alone(problem, model)
     asked |= {NETWORKS: (networks, known), PROGRAM: (solve, posed)}
     asked[BOTH] = (lambda pair: (networks(pair[0]), solve(pair[1])), list(zip(known, posed, strict=True)))
-    return in_turn(asked, calls, seconds)
+    return {name: timed(call, inputs, calls, seconds) for name, (call, inputs) in asked.items()}
 
 
 def networks_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:

@@ -44,7 +44,7 @@ _SOURCE_TIMES: Final = 2.0
 def measure(effort: Effort) -> Row:
     """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick.
 
-    f and g alone, the program alone and both are timed in turn with the decisions: the floor under them.
+    f and g alone, the program alone and both are timed as the decisions are: the floor under them.
     """
     counts = effort.of((8,), (1, 8, 32))
     problems = {count: problem_with(count) for count in counts}
@@ -66,12 +66,12 @@ def measure(effort: Effort) -> Row:
 def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
     count = len(problem.obstacles)
     named = _named(count)
-    times = with_floors(problem, calls, len(MODELS) * seconds)
+    times = with_floors(problem, calls, seconds)
     found = [microseconds(f"safedpa, {what}", times[what], named) for what in MODELS.values()]
     for model, what in MODELS.items() if count == 8 else ():
         all_ticks = decisions(problem, load_model(model), calls, seconds, every=True)
         found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
-    note = "no decision can do without; timed in turn with the decisions"
+    note = "no decision can do without"
     return [*found, *(microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS)]
 
 
