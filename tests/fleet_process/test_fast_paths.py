@@ -116,7 +116,7 @@ def test_a_stack_that_remembers_says_what_the_stack_says(states: list[tuple[floa
         h[:] = np.nan  # an array of its own: what is remembered stays
         assert remembering.values(state).tobytes() == stack.values(state).tobytes()
         assert remembering.gradient(state).tobytes() == stack.gradient(state).tobytes()
-    assert len(remembering.plain(4)._states) <= 8
+    assert len(remembering.plain(4)._known) <= 8
 
 
 @pytest.mark.parametrize("name", ["car", "car_measured", "car_learned", "pendulum"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 
 import numpy as np
@@ -61,6 +63,27 @@ def test_the_oldest_goes_first_however_often_all_were_forgotten() -> None:
         before = len(counting.asked)
         assert all(known.heights((float(each), 0.0)) == [float(each), 0.0] for each in newest)
         assert len(counting.asked) == before == index + 1
+
+
+def test_threads_that_share_barriers_never_get_the_h_of_another_state() -> None:
+    """One state in the place of another has that other's h nowhere in between, however threads take turns."""
+    known, wrong = Remembered(Counting()), list[tuple[float, ...]]()
+
+    def asks(seed: int) -> None:
+        random = np.random.default_rng(seed)
+        for value in random.integers(0, 12, 20_000).tolist():
+            state = (float(value), float(seed % 2))
+            if known.heights(state) != list(state):
+                wrong.append(state)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            list(threads.map(asks, range(4)))
+    finally:
+        sys.setswitchinterval(before)
+    assert wrong == []
 
 
 def test_the_shortest_way_gives_what_the_stack_gives() -> None:

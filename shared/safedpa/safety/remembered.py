@@ -20,27 +20,25 @@ class Remembered:
 
     def __init__(self, barriers: Any) -> None:
         self._barriers = barriers
-        self._firsts: list[float] = []
-        self._states: list[tuple[float, ...]] = []
-        self._heights: list[list[float]] = []
+        self._known: list[tuple[float, tuple[float, ...], list[float]]] = []
+        """First entry, state and h in one: threads that share barriers see all of a place changed, or nothing."""
         self._oldest = 0
 
     def heights(self, state: Sequence[float]) -> list[float]:
         """h (m,) at ``state`` (states,)."""
         first: float = state[0]
-        firsts = self._firsts
-        for place in range(len(firsts)):  # mostly the first entry tells states apart, and nothing has to be hashed
-            if firsts[place] == first and self._states[place] == tuple(state):
-                return self._heights[place]
+        known = self._known
+        for index in range(len(known)):  # mostly the first entry tells states apart, and nothing has to be hashed
+            entry = known[index]
+            if entry[0] == first and entry[1] == tuple(state):
+                return entry[2]
         key = tuple(state)
         h: list[float] = self._barriers.heights(key)
-        if len(firsts) < _STATES:
-            firsts.append(first)
-            self._states.append(key)
-            self._heights.append(h)
+        if len(known) < _STATES:
+            known.append((first, key, h))
             return h
         place = self._oldest
-        firsts[place], self._states[place], self._heights[place] = first, key, h
+        known[place] = first, key, h
         self._oldest = place + 1 if place + 1 < _STATES else 0
         return h
 
