@@ -241,6 +241,7 @@ def _driven(kind: type, method: str) -> list[tuple[str, Counter[str]]]:
         ticks = list(drive(CarRobot(Scene.random(905, "box")), nodes, 100))
     finally:
         setattr(kind, method, asked)
+    del passed[1 : 1 + len(passed) - len(ticks)]  # after the first tick a decision is rehearsed
     return [(str(tick.verdict.status), files) for tick, files in zip(ticks, passed, strict=True)]
 
 

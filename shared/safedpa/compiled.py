@@ -39,6 +39,7 @@ MODULES = (
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
     "safedpa.safety.watched_margin",
+    "safedpa.safety.way_out",
     "safedpa_sim.ground_forces",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""

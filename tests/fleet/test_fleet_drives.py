@@ -12,6 +12,9 @@ pytestmark = pytest.mark.fleet
 
 DRIVE_SECONDS = 60.0
 STUCK_SECONDS = 20.0
+STUCK_METRES = 0.3
+"""Who stands goes nowhere; who backs off with a box does 6 cm a second, and of scene 1 the slowest 20 s are 0.5 to 5 m,
+as the times from sense to act will have it."""
 LONGEST_SECONDS = 180.0
 """Until every robot reached a goal: on a machine that is busy with other work they brake often."""
 
@@ -61,6 +64,6 @@ def test_a_minute_without_collision_in_which_every_robot_reaches_goals(
         rows.append((f"{seconds:.0f} s of {load}", f"{text}, {last['collisions']} collisions"))
         assert last["collisions"] == 0, name
         assert goals >= 1, f"{name} with {load} reached no goal in {seconds:.0f} s"
-        assert last["travelled"] - middle["robots"][name]["travelled"] > 1.0, f"{name} with {load} is stuck"
+        assert last["travelled"] - middle["robots"][name]["travelled"] > STUCK_METRES, f"{name} with {load} is stuck"
         assert last["foreign"] == 0
         assert last["checked"] > 0.5 * ticks

@@ -145,6 +145,47 @@ def test_places_are_positions_or_what_is_no_rate() -> None:
     assert places_of(tank) == (0,)
 
 
+@pytest.mark.parametrize(("ticks", "stands"), [(1, True), (10, True), (11, False)])
+def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stands: bool) -> None:
+    """At 200 Hz a wish that came late twice a second hid a stand of 100 s."""
+    standing = Standstill((0,))
+    for tick in range(220):
+        standing.measure((1.0,), PERIOD)
+        if tick % 40 >= ticks:
+            standing.promise((1.0,), (1.005,), (1.0,))
+    assert (standing.seconds > 5.0) is stands
+    assert standing.reason("relaxed", ("wall",), False).startswith("margin" if stands else "")
+
+
+def test_who_is_held_by_its_margin_stands_for_that_though_a_last_little_push_failed() -> None:
+    """Where the least unsafe action dies away, its last half second moves nobody; after that nothing pushes."""
+    standing = Standstill((0,))
+    for tick in range(200):
+        standing.measure((1.0,), PERIOD)
+        standing.promise((1.0,), (1.005,), (1.0002 if tick < 12 else 1.0,))
+    assert standing.failed > 0.0
+    for status in ("relaxed", "violated"):
+        assert standing.reason(status, ("wall",), True).startswith("margin: wall")
+    assert standing.reason("corrected", ("wall",), True).startswith("dead band")
+    pushing = stood(6.0, 0.005, 0.001)
+    assert pushing.reason("relaxed", ("wall",), True).startswith("dead band"), "it is pushed all the time"
+
+
+def test_who_moves_in_a_tick_without_a_wish_stands_no_longer() -> None:
+    standing = stood(6.0, 0.005, 0.0)
+    standing.measure((1.0, 0.0, 0.0), PERIOD)
+    standing.measure((1.5, 0.0, 0.0), PERIOD)
+    assert standing.seconds == 0.0
+
+
+def test_who_was_never_promised_anything_does_not_stand() -> None:
+    standing = Standstill((0,))
+    standing.promise((1.0,), (1.0,), (1.0,))
+    for _ in range(5):
+        standing.measure((1.0,), PERIOD)
+    assert standing.seconds == 0.0
+
+
 def verdict(time: float, stands: float, why: str) -> VerdictMessage:
     return VerdictMessage(
         epoch=1, tick=round(time / PERIOD), robot_time=time, publish_time=0.0, status="corrected", sentence="",

@@ -161,6 +161,10 @@ class PhysicsModel(AbstractDynamics):
         """
         return None if self._commands else self._straight.floats(period)
 
+    def write_straight(self) -> None:
+        """Records the step of one period now, in some milliseconds, before somebody waits for it."""
+        self._straight.write(self.period)
+
     def straight_tangent(self) -> StraightTangent | None:
         """One robot's next state and its slopes in the action over one period, of plain numbers; None as there."""
         return None if self._commands else self._straight.tangent(self.period)
@@ -199,8 +203,7 @@ class PhysicsModel(AbstractDynamics):
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
                 for index in range(steps):
-                    entries = step(entries, felt, free, self.clock.seconds + index * period)
-                    rows.append(entries)
+                    rows.append(entries := step(entries, felt, free, self.clock.seconds + index * period))
                 return rows, memory
         return super().held(state, action, memory, latent, steps, period=period)
 

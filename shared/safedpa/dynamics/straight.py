@@ -96,6 +96,12 @@ class StraightSteps:
             return self.floats(period)
         return self._complex.get(period) if operations is COMPLEX else None
 
+    def write(self, period: float) -> None:
+        """Records at once, for who will ask often enough."""
+        if period not in self._floats:
+            self._asked[period] = _WORTHWHILE - 1
+            self._considered(period)
+
     def _considered(self, period: float) -> StraightStep | None:
         if self._record is None or (period not in self._asked and len(self._asked) >= _MOST_PERIODS):
             return None

@@ -118,6 +118,8 @@ class Conditions:
                 self._plain = plain = Along(plain, begin.rows, len(state))
                 epsilon = [*epsilon] * begin.rows
             self._state, h_now = begin.state, plain.heights(begin.state)
+            if begin.at_once and not prediction.remembers:  # it is the state there that decides, and nothing else
+                self._begin, self._memory = None, begin.memory
             _finite("h where the action begins to act", h_now)
         self.h_begin = h_now
         """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
@@ -129,10 +131,8 @@ class Conditions:
         scales: list[float] = []
         for index in range(len(h_now)):
             margin: float = epsilon[index]
-            height = h_now[index]
-            required.append(margin if at_once[index % len(at_once)] else share * height + margin)
-            if height < 0.0:
-                height = -height
+            required.append(margin if at_once[index % len(at_once)] else share * h_now[index] + margin)
+            height = abs(h_now[index])
             scales.append(height if height > margin else margin if margin > _TINY else _TINY)
         self.required = required
         self.sizes = scales.copy()

@@ -82,8 +82,7 @@ def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Value
     rows, entries, action, free = [], state.values, held.tolist(), latent.tolist()
     try:
         for index in range(steps):
-            entries = tuple(step(entries, action, free, state.robot_time + index * state.period))
-            rows.append(entries)
+            rows.append(entries := tuple(step(entries, action, free, state.robot_time + index * state.period)))
     except (ValueError, ArithmeticError):
         return ()
     return tuple(rows) if isfinite(sum(map(sum, rows))) else ()
@@ -128,6 +127,8 @@ class FilteredRobot:
     sensed: tuple[int, frozenset[str]] = (-1, frozenset())
     """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
+    rehearsed: bool = False
+    """Whether all that a decision may need was gone through once."""
 
     def __post_init__(self) -> None:
         self.standing = Standstill(places_of(self.model.system))
@@ -202,8 +203,8 @@ class FilteredRobot:
 
         Five misses together widen it at once by any factor.
         """
-        late = self.until_action + self._dead_time()
-        ahead, before = moved_on(seen, late), self.margin.epsilon
+        late, before = self.until_action + self._dead_time(), self.margin.epsilon
+        ahead = moved_on(seen, late)
         self.barriers = self.scene.around(state, ahead, before, late)
         self.watch_margin(state)
         now = self.margin.epsilon
@@ -256,10 +257,8 @@ class FilteredRobot:
         passed = self.trail.passed(MOST) if state.applied_by == "filter" else None
         if passed is None or (state.sources and passed.stood(self.speeds)):
             return
-        try:
+        with suppress(InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is learned
             self.delay.observe(passed, None if latent is None else tuple(latent.tolist()))
-        except (InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is learned from it
-            return
 
     def may_wait(self, state: StateMessage) -> bool:
         """Whether this model may decide although another one is in force: until a latent of that one comes."""
@@ -334,11 +333,12 @@ class FilteredRobot:
         """Keeps what the model promises under the wish, and under the action that went out."""
         assert self.decision is not None
         _, latent, verdict = self.decision
-        wish = verdict.wish
-        if wish is None or not predicted or verdict.status is Status.stopped:
+        wish, wished = verdict.wish, predicted[:1]
+        if verdict.status is Status.stopped or (wish is not None and not predicted):
             self.standing.interrupted()
             return
-        wished = predicted[:1]
+        if wish is None:  # nothing is promised in this tick
+            return
         if verdict.status not in (Status.passed, Status.disabled):
             wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
         if not wished or wish.tolist() == self.filter.settings.resting_action.tolist():
@@ -383,7 +383,7 @@ class FilteredRobot:
         if begin is not None:
             values, path, memory = begin.near, begin.path, begin.memory
 
-        def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
+        def ahead(action: Sequence[float]) -> Iterator[list[float]]:
             reached: Sequence[float] = values
             with suppress(InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is known then
                 while isfinite(sum(reached := prediction.following(tuple(reached), action, known, memory))):

@@ -19,6 +19,7 @@ input delay, ACC 2018.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from math import ceil
 from typing import Any, Final, NamedTuple, final
 
@@ -174,28 +175,40 @@ class Actuators:
         if last == 0 and not (isinstance(pending, Pending) and pending.sent):
             return None
         known = pending if isinstance(pending, Pending) else Pending(pending, ())
-        memory, now = known.memory, np.array(state)
-        free = None if latent is None else np.array(latent)
+        memory, now = known.memory, state
         if memory is None and known.held:
+            free = None if latent is None else np.array(latent)
             memory = self._model.initial_memory(np.array(known.held), free)
-        held, path = np.array(known.held), list[Plain]()
+        held, path = known.held, list[Plain]()
         for command, seconds in known.sent:
-            now, memory = self._model.advance(now, np.array(command), memory, free, period=seconds)
-            path.append(tuple(now.tolist()))
+            now, memory = self.moved(now, command, memory, latent, seconds)
+            path.append(now)
         if memory is None:  # nothing is known of what was sent: as if this action had always been in force
             return Begin(state, (), state, None, 0, 1)
-        if not known.held:  # nothing of it is felt in the first periods, and beyond them it would have to be known
-            held, last = np.array(self._low), first
-        at_first, near, base = memory, tuple(now.tolist()), []
+        if not held:  # nothing of it is felt in the first periods, and beyond them it would have to be known
+            held, last = tuple(self._low), first
+        at_first, near, base = memory, now, list[float]()
         for step in range(last):
-            now, memory = self._model.advance(now, held, memory, free)
+            now, memory = self.moved(now, held, memory, latent, self._model.period)
             if step < first:
-                near = tuple(now.tolist())
+                near = now
                 path.append(near)
             else:
-                base.extend(now.tolist())
-        base.extend(now.tolist())
+                base.extend(now)
+        base.extend(now)
         return Begin(tuple(base), tuple(path), near, at_first, first, last - first + 1)
+
+    def moved(self, now: Plain, command: Plain, memory: Any, latent: Plain | None, seconds: float) -> tuple[Plain, Any]:
+        """State and the actuators' memory after ``seconds`` with a command in force; by the straight line if there is
+        one, a third of the time of arrays for the same numbers."""
+        step = self._model.straight(seconds)
+        if step is not None:
+            with suppress(ValueError, ArithmeticError):  # the arrays answer
+                free = self._model.latent.tolist() if latent is None else latent
+                return tuple(step(now, command, free, self._model.clock.seconds)), memory
+        free_array = None if latent is None else np.array(latent)
+        after, memory = self._model.advance(np.array(now), np.array(command), memory, free_array, period=seconds)
+        return tuple(after.tolist()), memory
 
     def after(self, begin: Begin, action: Sequence[float], latent: Plain | None) -> list[float]:
         """(rows * states,) after each period from ``begin.near`` on with the action (actions,) in force."""

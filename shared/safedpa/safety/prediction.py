@@ -76,6 +76,11 @@ class Prediction:
         if self._physics is not None:
             self._physics.clock.seconds = seconds
 
+    @property
+    def remembers(self) -> bool:
+        """Whether what follows from a state depends on what actuators remember."""
+        return self._actuators is not None and self._actuators.remember
+
     def dead_time(self, latent: tuple[float, ...] | None) -> float:
         """s from where an action is put in force until its slowest channel begins to act; 0: at once, or not known."""
         return 0.0 if self._actuators is None else self._actuators.dead_time(latent)

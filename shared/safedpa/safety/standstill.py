@@ -30,6 +30,8 @@ DEAD_BAND_SECONDS: Final = 0.5
 """s; an action that has not moved the robot for so long, though the model says it would, does not move it."""
 _STILL: Final = 0.1
 """Of the way promised; less is none."""
+_FORGIVEN: Final = 0.5
+"""s in a row without a promise, such as ticks whose wish came late, that do not end a stand."""
 _DRIVEN: Final = 0.02
 """Of the way promised under the wish; with less the action that went out is not meant to move the robot either."""
 
@@ -70,6 +72,8 @@ class Standstill:
     _begun: tuple[float, ...] = ()
     _wished: float = 0.0
     _driven: float = 0.0
+    _missed: float = 0.0
+    """s since the last promise."""
     _promise: tuple[float, float] | None = None
     _pushed: list[float] = field(default_factory=list)
     """Ways promised under the last actions that should have moved it, one a tick."""
@@ -77,18 +81,23 @@ class Standstill:
     def measure(self, values: Sequence[float], period: float) -> None:
         """Holds what was promised for the last tick against the measured state (states,)."""
         promise, self._promise = self._promise, None
-        if promise is None or max(self.places) >= len(values):
+        self._missed = 0.0 if promise is not None else self._missed + period
+        unknown = promise is None and (self._wished == 0.0 or not self._missed <= _FORGIVEN)
+        if unknown or max(self.places) >= len(values):
             self._begin(())
             return
         here = tuple(values[index] for index in self.places)
-        self._wished += promise[0]
-        self._driven += promise[1]
+        if promise is not None:
+            self._wished += promise[0]
+            self._driven += promise[1]
         moved = hypot(*(now - then for now, then in zip(here, self._begun, strict=False)))
-        if not self._begun or promise[0] <= 0.0 or not moved <= _STILL * self._wished:
+        wished = promise is None or promise[0] > 0.0
+        if not self._begun or not wished or not moved <= _STILL * self._wished:
             self._begin(here)
             return
         self.seconds += period
-        self._push(promise, period)
+        if promise is not None:
+            self._push(promise, period)
 
     def promise(self, state: Sequence[float], wished: Sequence[float], expected: Sequence[float]) -> None:
         """What the model predicts from ``state`` under the wish and under the action that went out, (states,) each."""
@@ -112,12 +121,13 @@ class Standstill:
         """Why it stands, in words; empty while it has not stood for longer than 5 s."""
         if self.seconds <= TOLD_SECONDS:
             return ""
-        if self.failed > 0.0 or (self._driven > _DRIVEN * self._wished and status in ("passed", "disabled")):
+        pushed, short = self._driven > _DRIVEN * self._wished, status in ("relaxed", "violated")
+        if (self.failed > 0.0 and (pushed or not short)) or (pushed and status in ("passed", "disabled")):
             return "dead band: the model says that such an action moves it, and it does not move"
         held = " and ".join(active) if active else "what it has to keep"
         if status in ("fallback", "stopped"):
             return "no decision: the backup action holds it"
-        if status in ("relaxed", "violated") or margin_binds:
+        if short or margin_binds:
             return f"margin: {held} leave less room than the margin asks for"
         return f"boxed in: {held} allow no action that would move it"
 

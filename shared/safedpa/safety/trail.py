@@ -17,8 +17,6 @@ from itertools import islice
 from math import ceil, inf
 from typing import Any, Final, NamedTuple, final
 
-import numpy as np
-
 from safedpa.dynamics import PhysicsModel
 from safedpa.safety.found_delay import Passed
 from safedpa.safety.on_its_way import LONGEST, Actuators, Pending
@@ -106,18 +104,18 @@ class Trail:
     def expected(self, action: Plain, latent: Plain | None, pending: Pending, steps: int) -> list[list[float]]:
         """(steps, states) one period apart from the newest state on: what is pending is in force, then the action."""
         left = deque((*pending.sent, (action, inf)))
-        now, memory = np.array(self._entries[-1].values), pending.memory
-        free, rows = None if latent is None else np.array(latent), list[list[float]]()
+        now, memory = self._entries[-1].values, pending.memory
+        rows = list[list[float]]()
         for _ in range(steps):
             wanted = self._model.period
             while wanted > _ROUNDING:
                 command, seconds = left.popleft()
                 span = min(seconds, wanted)
-                now, memory = self._model.advance(now, np.array(command), memory, free, period=span)
+                now, memory = self._actuators.moved(now, command, memory, latent, span)
                 wanted -= span
                 if seconds > span + _ROUNDING:
                     left.appendleft((command, seconds - span))
-            rows.append(now.tolist())
+            rows.append(list(now))
         return rows
 
     def foretold(self, until_action: float) -> Foretold | None:
@@ -135,15 +133,14 @@ class Trail:
         memory = entries[start - count].memory
         if rest:
             memory = self._model.felt(entries[start - count + 1].applied, memory, first.latent, period=rest)[1]
-        now, before = np.array(first.values), np.array(first.values)
-        latent = None if first.latent is None else np.array(first.latent)
+        now, before = first.values, first.values
         for index in range(start - count + 1, newest - count + 1):
             before = now
             for command, seconds in ((index, period - rest), (index + 1, rest)):
                 if seconds > 0.0:
-                    action = np.array(entries[command].applied)
-                    now, memory = self._model.advance(now, action, memory, latent, period=seconds)
-        return Foretold(before.tolist(), entries[newest - 1].values, now.tolist())
+                    action = entries[command].applied
+                    now, memory = self._actuators.moved(now, action, memory, first.latent, seconds)
+        return Foretold(before, entries[newest - 1].values, now)
 
 
 def _delay(until_action: float, period: float) -> tuple[int, float]:

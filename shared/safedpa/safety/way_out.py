@@ -42,7 +42,10 @@ _LONGEST: Final = 1.5
 _SHARES: Final = (-1.0, -0.5, -0.25, -0.125, 0.0, 0.125, 0.25, 0.5, 1.0)
 """Of the way from the resting action to a bound: finer near rest, where the robot begins."""
 _A_TICK: Final = 8
-"""Actions that are looked at in one tick: who stands has time, and the other robots of a fleet have not."""
+"""Actions that are looked at in one tick at most: who stands has time, and the other robots of a fleet have not."""
+_STEPS_A_TICK: Final = 240
+"""Predictions after which no other action is looked at in the same tick: a short period has less time for more of
+them. As many as eight actions take at 20 ticks a second."""
 _GAIN: Final = 0.02
 """Of the layer's depth; to gain less is not worth the way."""
 _ENOUGH: Final = 2.0
@@ -58,11 +61,11 @@ class Here:
 
     tick: int
     period: float
-    heights: Sequence[float]
+    heights: list[float]
     """(m,) h at the state."""
-    margins: Sequence[float]
+    margins: list[float]
     """(m,) epsilon of each barrier."""
-    ahead: Callable[[Sequence[float]], Iterator[Sequence[float]]]
+    ahead: Callable[[Sequence[float]], Iterator[list[float]]]
     """(m,) h after each tick for which an action is held, one after the other, as long as the model has numbers."""
     fails: Callable[[Sequence[float]], bool]
     """Whether an action is known not to move the robot."""
@@ -96,7 +99,8 @@ class WayOut:
             for rest, (low, high, _) in zip(resting, program.sides, strict=True)
         ]
         self._actions = [action for action in product(*levels) if list(action) != resting]
-        self._looked = 0
+        self._looked = self._steps = 0
+        """Actions looked at since it stands, and steps predicted in this tick."""
         self._best: tuple[float, float, Action, int] | None = None
         self._held: _Held | None = None
 
@@ -144,11 +148,10 @@ class WayOut:
         said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
         return replace(verdict, action=action, reason=said, slack=max([0.0, *missing]), h_next=min(then))
 
-    def _missing(self, here: Here, heights: Sequence[float], then: Sequence[float]) -> list[float]:
+    def _missing(self, here: Here, heights: list[float], then: list[float]) -> list[float]:
         """(m,) what each condition lacks from one tick to the next."""
         share = 1.0 - self._settings.eta
-        rows = zip(heights, then, here.margins, strict=True)
-        return [share * now + epsilon - after for now, after, epsilon in rows]
+        return [share * heights[row] + here.margins[row] - then[row] for row in range(len(then))]
 
     def _followed(self, here: Here) -> _Held | None:
         """What is under way, judged anew; None where its predictions hold no longer, or it is done."""
@@ -166,14 +169,16 @@ class WayOut:
         floors = tuple(self._floor(h, epsilon) for h, epsilon in zip(here.heights, here.margins, strict=True))
         goal, most = min(1.0, self._share(here.heights, here) + _GAIN), round(_LONGEST / here.period)
         wish = np.asarray(verdict.wish).tolist()
-        for action in self._actions[self._looked : self._looked + _A_TICK]:
+        self._steps, last = 0, min(self._looked + _A_TICK, len(self._actions))
+        while self._looked < last and self._steps < _STEPS_A_TICK:
+            action = self._actions[self._looked]
+            self._looked += 1
             if here.fails(action):
                 continue
             ticks, reached = self._best_end(action, most, floors, here)
             if ticks > 0 and reached >= goal:
                 found = (-reached, self._program.distance(action, wish), action, ticks)
                 self._best = found if self._best is None else min(self._best, found)
-        self._looked += _A_TICK
         if self._looked < len(self._actions):
             return None
         best = self._best
@@ -189,26 +194,38 @@ class WayOut:
         depth = epsilon / self._settings.eta
         return -inf if h >= depth else max(0.0, min(h - _DIP * depth, 0.5 * depth))
 
-    def _best_end(self, action: Action, most: int, floors: Sequence[float], here: Here) -> tuple[int, float]:
+    def _best_end(self, action: Action, most: int, floors: tuple[float, ...], here: Here) -> tuple[int, float]:
         """For how many ticks to hold the action, at most ``most``, and the share then; 0 where it fails at once.
 
         The first tick at which the share is largest, of those before a floor or a condition is broken.
         """
         best, ticks, before = -1.0, 0, here.heights
-        for index, heights in enumerate(here.ahead(action)):
-            if index == most or self._broken(floors, here, before, heights):
+        for index, heights in zip(range(most), here.ahead(action), strict=False):
+            self._steps += 1
+            if self._broken(floors, here.margins, before, heights):
                 break
             share, before = self._share(heights, here), heights
             if share > best:
                 best, ticks = share, index + 1
         return ticks, best
 
-    def _broken(self, floors: Sequence[float], here: Here, before: Sequence[float], then: Sequence[float]) -> bool:
+    def _broken(self, floors: tuple[float, ...], margins: list[float], before: list[float], then: list[float]) -> bool:
         """Whether a step breaks what one of the barriers is to keep."""
-        rows = zip(then, floors, self._missing(here, before, then), strict=True)
-        return any(missing > 0.0 if floor == -inf else h < floor for h, floor, missing in rows)
+        share: float = 1.0 - self._settings.eta
+        for row in range(len(then)):
+            floor, h = floors[row], then[row]
+            least = share * before[row] + margins[row] if floor == -inf else floor
+            if h < least:
+                return True
+        return False
 
-    def _share(self, heights: Sequence[float], here: Here) -> float:
+    def _share(self, heights: list[float], here: Here) -> float:
         """The least h as a share of its layer's depth, up to ``_ENOUGH``; barriers without a margin have no layer."""
-        rows = zip(heights, here.margins, strict=True)
-        return min([_ENOUGH, *[h * self._settings.eta / epsilon for h, epsilon in rows if epsilon > 0.0]])
+        eta: float = self._settings.eta
+        margins, least = here.margins, _ENOUGH
+        for row in range(len(heights)):
+            epsilon = margins[row]
+            if epsilon > 0.0:
+                share = heights[row] * eta / epsilon
+                least = share if share < least else least
+        return least

@@ -1,0 +1,64 @@
+"""What takes long the first time is done before a robot drives, and changes nothing of what is decided."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, memory_of, state_at
+
+from safedpa.safety import Status, Verdict
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.safety_filter import SafetyFilter
+
+OBSTACLES: dict[str, Any] = {"obstacles": ((1.0, 0.2, 0.2),)}
+
+
+@pytest.fixture
+def verdicts(monkeypatch: pytest.MonkeyPatch) -> list[Verdict]:
+    """What every filter says from now on."""
+    said: list[Verdict] = []
+    decide = SafetyFilter.decide
+
+    def noted(self: SafetyFilter, *given: Any, **known: Any) -> Verdict:
+        said.append(decide(self, *given, **known))
+        return said[-1]
+
+    monkeypatch.setattr(SafetyFilter, "decide", noted)
+    return said
+
+
+def step(node: SafetyFilterNode, tick: int, **changed: Any) -> str:
+    state = state_at(tick, **{**OBSTACLES, "period": 0.005, **changed})
+    return asked(node, state, latent_at(state)).status
+
+
+def test_all_that_a_decision_may_need_is_gone_through_once(verdicts: list[Verdict]) -> None:
+    node = SafetyFilterNode(CAR, SETTINGS)
+    told = [step(node, tick) for tick in range(3)]
+    assert told[0] == told[1] == told[2] != "relaxed"
+    assert [verdict.status is Status.relaxed for verdict in verdicts] == [False, True, False, False]
+    assert memory_of(node).model.straight(0.005) is not None, "else it would be written down while the robot drives"
+
+
+def test_nothing_is_rehearsed_where_nothing_can_be_decided(verdicts: list[Verdict]) -> None:
+    node = SafetyFilterNode(CAR, SETTINGS)
+    assert step(node, 0, values=(0.0, 0.0, 0.0)) == "fallback", "a state of another size"
+    assert len(verdicts) == 1
+    step(node, 1)
+    assert [verdict.status is Status.relaxed for verdict in verdicts] == [False, False, True]
+
+
+def test_what_is_decided_afterwards_is_the_same_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for rehearsed in (False, True):
+        node = SafetyFilterNode(CAR, SETTINGS)
+        with monkeypatch.context() as patch:
+            if not rehearsed:
+                patch.setattr("safedpa.safety.node._rehearse", lambda memory: None)
+            step(node, 0)
+        state = state_at(1, period=0.005, **OBSTACLES)
+        verdict = asked(node, state, latent_at(state))
+        found.append((verdict.status, verdict.action, verdict.h_next, verdict.margin, verdict.predicted))
+        assert memory_of(node).rehearsed is True
+    assert found[0] == found[1]
