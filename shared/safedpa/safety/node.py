@@ -86,6 +86,8 @@ class SafetyFilterNode(AbstractNode):
         self._robots: dict[str, FilteredRobot] = {}
         self._broken: dict[str, FilteredRobot] = {}
         """Of robots whose last step failed: their margin goes on."""
+        self._rehearsed: PhysicsModel | None = None
+        """With which a decision was rehearsed last; robots of one period share it."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
         if self._versions.begin(robot, state) and robot in self._robots:
@@ -178,7 +180,8 @@ class SafetyFilterNode(AbstractNode):
         state, latent, verdict = memory.decision
         predicted = memory.foresee(state, verdict, latent)
         memory.watch_standing(state, predicted)
-        _rehearse(memory)
+        if memory.model is not self._rehearsed and _rehearse(memory):
+            self._rehearsed = memory.model
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
@@ -260,17 +263,16 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
     )
 
 
-def _rehearse(memory: FilteredRobot) -> None:
-    """Goes once through all that a decision may need, before the robot drives; changes no verdict.
+def _rehearse(memory: FilteredRobot) -> bool:
+    """Goes once through all that a decision may need, before a robot drives; changes no verdict. Whether it could.
 
     The first decision for which no action keeps every condition took 5 ms where the next take half of one: solvers make
     their workspaces, equations are written down, modules are imported. A tick of 5 ms has no time for it later. So it
     is decided with margins that nothing can keep, and the verdict is thrown away.
     """
     barriers, decided = memory.barriers, memory.decision
-    if memory.rehearsed or isinstance(barriers, str) or decided is None or decided.verdict.status is Status.fallback:
-        return
-    memory.rehearsed = True
+    if isinstance(barriers, str) or decided is None or decided.verdict.status is Status.fallback:
+        return False
     memory.model.write_straight()
     state = decided.state
     widest = max([1.0, *map(abs, barriers.heights(tuple(state.values))), *memory.margin.epsilon.values()])
@@ -283,6 +285,7 @@ def _rehearse(memory: FilteredRobot) -> None:
         epsilon=dict.fromkeys(memory.margin.epsilon, _WIDTHS * widest),
         time=state.robot_time,
     )
+    return True
 
 
 def _report(
