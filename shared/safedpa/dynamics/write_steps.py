@@ -19,6 +19,8 @@ __all__ = ["main", "text"]
 
 _PATH = Path(__file__).with_name("written_steps.py")
 _WRITER = "safedpa.dynamics.write_steps"
+_QUICKER = {"car": (0.01, 0.005)}
+"""s; periods in which a model drives as well."""
 _FUNCTIONS = ("atan", "atan2", "cos", "cosh", "exp", "hypot", "inf", "nan", "sin", "sqrt", "tan", "tanh")
 _VECTOR = "Iterable[float]"
 _RESULTS = {"step": "list[float]", "tangent": "tuple[list[float], list[list[float]]]"}
@@ -30,11 +32,12 @@ def text() -> str:
     found: dict[str, tuple[str, str]] = {}
     for model_name in shipped_models():
         model = load_model(model_name)
-        system = model.system
-        equations = model.equations(model.period)
-        recorded = step_texts(equations, system.state_names, system.action_names, model.latent_names) or ()
-        for kind, function in zip(_RESULTS, recorded, strict=False):
-            found.setdefault(written_key(function), (f"{model_name}_{kind}", _typed(function, kind, model_name)))
+        for period in (model.period, *_QUICKER.get(model_name, ())):
+            name = model_name if period == model.period else f"{model_name}_{round(1.0 / period)}_hz"
+            system, equations = model.system, model.equations(period)
+            recorded = step_texts(equations, system.state_names, system.action_names, model.latent_names) or ()
+            for kind, function in zip(_RESULTS, recorded, strict=False):
+                found.setdefault(written_key(function), (f"{name}_{kind}", _typed(function, kind, name)))
     return _module(found)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from math import atan, cos, cosh, sin, sqrt, tan, tanh
 from typing import Any
 
-__all__ = ["WRITTEN", "car_measured_step", "car_measured_tangent", "car_step", "car_tangent", "dart_car_step", "dart_car_tangent", "dfki_pendulum_step", "dfki_pendulum_tangent", "differential_drive_step", "differential_drive_tangent", "pendulum_step", "pendulum_tangent", "point_step", "point_tangent", "point_wind_step", "point_wind_tangent"]
+__all__ = ["WRITTEN", "car_100_hz_step", "car_100_hz_tangent", "car_200_hz_step", "car_200_hz_tangent", "car_measured_step", "car_measured_tangent", "car_step", "car_tangent", "dart_car_step", "dart_car_tangent", "dfki_pendulum_step", "dfki_pendulum_tangent", "differential_drive_step", "differential_drive_tangent", "pendulum_step", "pendulum_tangent", "point_step", "point_tangent", "point_wind_step", "point_wind_tangent"]
 
 
 def car_step(state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float) -> list[float]:
@@ -106,6 +106,206 @@ def car_tangent(state: Iterable[float], action: Iterable[float], latent: Iterabl
     n91_1 = (0.008333333333333333) * (((2.0) * ((n26 * (-(n32 * n23_1))) + (n49 * (-(n54 * n46_1))))) + (n71 * (-(n77 * n68_1))))
     n97_1 = (0.008333333333333333) * (((2.0) * ((n26 * (n30 * n23_1)) + (n49 * (n52 * n46_1)))) + (n71 * (n75 * n68_1)))
     n103_1 = (0.008333333333333333) * ((n2_1 + ((2.0) * (n29_1 + n51_1))) + ((n71 * n0_1) / (0.32)))
+    return [n92, n98, n104, n110], [[n91_0 / 1e-30, n91_1 / 1e-30], [n97_0 / 1e-30, n97_1 / 1e-30], [n103_0 / 1e-30, n103_1 / 1e-30], [n109_0 / 1e-30, 0.0]]
+
+
+def car_100_hz_step(state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float) -> list[float]:
+    """Entries after one period."""
+    [s0, s1, s2, s3] = state
+    [a0, a1] = action
+    [z0, z1] = latent
+    n0 = tan(a1)
+    n2 = (s3 * n0) / (0.32)
+    n8 = (5.0) * (a0 - s3)
+    n10 = z0 * z1
+    n11 = (1.0) + z0
+    n13 = (((0.6) if (0.6) > n10 else n10)) * (0.01)
+    n18 = ((((-4.5) if n8 < (-4.5) else (4.5) if n8 > (4.5) else n8)) - (n10 * (tanh((s3 / n13))))) / n11
+    n24 = s2 + ((0.005) * n2)
+    n26 = s3 + ((0.005) * n18)
+    n29 = (n26 * n0) / (0.32)
+    n35 = (5.0) * (a0 - n26)
+    n41 = ((((-4.5) if n35 < (-4.5) else (4.5) if n35 > (4.5) else n35)) - (n10 * (tanh((n26 / n13))))) / n11
+    n47 = s2 + ((0.005) * n29)
+    n49 = s3 + ((0.005) * n41)
+    n51 = (n49 * n0) / (0.32)
+    n57 = (5.0) * (a0 - n49)
+    n63 = ((((-4.5) if n57 < (-4.5) else (4.5) if n57 > (4.5) else n57)) - (n10 * (tanh((n49 / n13))))) / n11
+    n69 = s2 + ((0.01) * n51)
+    n71 = s3 + ((0.01) * n63)
+    n80 = (5.0) * (a0 - n71)
+    n92 = s0 + ((0.0016666666666666668) * (((s3 * (cos(s2))) + ((2.0) * ((n26 * (cos(n24))) + (n49 * (cos(n47)))))) + (n71 * (cos(n69)))))
+    n98 = s1 + ((0.0016666666666666668) * (((s3 * (sin(s2))) + ((2.0) * ((n26 * (sin(n24))) + (n49 * (sin(n47)))))) + (n71 * (sin(n69)))))
+    n104 = s2 + ((0.0016666666666666668) * ((n2 + ((2.0) * (n29 + n51))) + ((n71 * n0) / (0.32))))
+    n110 = s3 + ((0.0016666666666666668) * ((n18 + ((2.0) * (n41 + n63))) + (((((-4.5) if n80 < (-4.5) else (4.5) if n80 > (4.5) else n80)) - (n10 * (tanh((n71 / n13))))) / n11)))
+    return [n92, n98, n104, n110]
+
+
+def car_100_hz_tangent(state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float) -> tuple[list[float], list[list[float]]]:
+    """The same, and their slopes in the action."""
+    [s0, s1, s2, s3] = state
+    [a0, a1] = action
+    [z0, z1] = latent
+    n0 = tan(a1)
+    n2 = (s3 * n0) / (0.32)
+    n8 = (5.0) * (a0 - s3)
+    n10 = z0 * z1
+    n11 = (1.0) + z0
+    n13 = (((0.6) if (0.6) > n10 else n10)) * (0.01)
+    n18 = ((((-4.5) if n8 < (-4.5) else (4.5) if n8 > (4.5) else n8)) - (n10 * (tanh((s3 / n13))))) / n11
+    n24 = s2 + ((0.005) * n2)
+    n26 = s3 + ((0.005) * n18)
+    n29 = (n26 * n0) / (0.32)
+    n30 = cos(n24)
+    n32 = sin(n24)
+    n35 = (5.0) * (a0 - n26)
+    n37 = n26 / n13
+    n41 = ((((-4.5) if n35 < (-4.5) else (4.5) if n35 > (4.5) else n35)) - (n10 * (tanh(n37)))) / n11
+    n47 = s2 + ((0.005) * n29)
+    n49 = s3 + ((0.005) * n41)
+    n51 = (n49 * n0) / (0.32)
+    n52 = cos(n47)
+    n54 = sin(n47)
+    n57 = (5.0) * (a0 - n49)
+    n59 = n49 / n13
+    n63 = ((((-4.5) if n57 < (-4.5) else (4.5) if n57 > (4.5) else n57)) - (n10 * (tanh(n59)))) / n11
+    n69 = s2 + ((0.01) * n51)
+    n71 = s3 + ((0.01) * n63)
+    n75 = cos(n69)
+    n77 = sin(n69)
+    n80 = (5.0) * (a0 - n71)
+    n82 = n71 / n13
+    n92 = s0 + ((0.0016666666666666668) * (((s3 * (cos(s2))) + ((2.0) * ((n26 * n30) + (n49 * n52)))) + (n71 * n75)))
+    n98 = s1 + ((0.0016666666666666668) * (((s3 * (sin(s2))) + ((2.0) * ((n26 * n32) + (n49 * n54)))) + (n71 * n77)))
+    n104 = s2 + ((0.0016666666666666668) * ((n2 + ((2.0) * (n29 + n51))) + ((n71 * n0) / (0.32))))
+    n110 = s3 + ((0.0016666666666666668) * ((n18 + ((2.0) * (n41 + n63))) + (((((-4.5) if n80 < (-4.5) else (4.5) if n80 > (4.5) else n80)) - (n10 * (tanh(n82)))) / n11)))
+    n18_0 = ((0.0 if n8 <= (-4.5) else 0.0 if n8 >= (4.5) else ((5.0) * 1e-30))) / n11
+    n25_0 = (0.005) * n18_0
+    n29_0 = (n25_0 * n0) / (0.32)
+    n38_share = 1.0 / cosh(n37) if abs(n37) < 700.0 else 0.0
+    n41_0 = (((0.0 if n35 <= (-4.5) else 0.0 if n35 >= (4.5) else ((5.0) * (1e-30 - n25_0)))) - (n10 * ((n25_0 / n13) * n38_share * n38_share))) / n11
+    n46_0 = (0.005) * n29_0
+    n48_0 = (0.005) * n41_0
+    n51_0 = (n48_0 * n0) / (0.32)
+    n60_share = 1.0 / cosh(n59) if abs(n59) < 700.0 else 0.0
+    n63_0 = (((0.0 if n57 <= (-4.5) else 0.0 if n57 >= (4.5) else ((5.0) * (1e-30 - n48_0)))) - (n10 * ((n48_0 / n13) * n60_share * n60_share))) / n11
+    n68_0 = (0.01) * n51_0
+    n70_0 = (0.01) * n63_0
+    n83_share = 1.0 / cosh(n82) if abs(n82) < 700.0 else 0.0
+    n91_0 = (0.0016666666666666668) * (((2.0) * ((n25_0 * n30) + (n49 * (-(n54 * n46_0)) + n48_0 * n52))) + (n71 * (-(n77 * n68_0)) + n70_0 * n75))
+    n97_0 = (0.0016666666666666668) * (((2.0) * ((n25_0 * n32) + (n49 * (n52 * n46_0) + n48_0 * n54))) + (n71 * (n75 * n68_0) + n70_0 * n77))
+    n103_0 = (0.0016666666666666668) * (((2.0) * (n29_0 + n51_0)) + ((n70_0 * n0) / (0.32)))
+    n109_0 = (0.0016666666666666668) * ((n18_0 + ((2.0) * (n41_0 + n63_0))) + ((((0.0 if n80 <= (-4.5) else 0.0 if n80 >= (4.5) else ((5.0) * (1e-30 - n70_0)))) - (n10 * ((n70_0 / n13) * n83_share * n83_share))) / n11))
+    n0_1 = 1e-30 * (1.0 + n0 * n0)
+    n2_1 = (s3 * n0_1) / (0.32)
+    n23_1 = (0.005) * n2_1
+    n29_1 = (n26 * n0_1) / (0.32)
+    n46_1 = (0.005) * n29_1
+    n51_1 = (n49 * n0_1) / (0.32)
+    n68_1 = (0.01) * n51_1
+    n91_1 = (0.0016666666666666668) * (((2.0) * ((n26 * (-(n32 * n23_1))) + (n49 * (-(n54 * n46_1))))) + (n71 * (-(n77 * n68_1))))
+    n97_1 = (0.0016666666666666668) * (((2.0) * ((n26 * (n30 * n23_1)) + (n49 * (n52 * n46_1)))) + (n71 * (n75 * n68_1)))
+    n103_1 = (0.0016666666666666668) * ((n2_1 + ((2.0) * (n29_1 + n51_1))) + ((n71 * n0_1) / (0.32)))
+    return [n92, n98, n104, n110], [[n91_0 / 1e-30, n91_1 / 1e-30], [n97_0 / 1e-30, n97_1 / 1e-30], [n103_0 / 1e-30, n103_1 / 1e-30], [n109_0 / 1e-30, 0.0]]
+
+
+def car_200_hz_step(state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float) -> list[float]:
+    """Entries after one period."""
+    [s0, s1, s2, s3] = state
+    [a0, a1] = action
+    [z0, z1] = latent
+    n0 = tan(a1)
+    n2 = (s3 * n0) / (0.32)
+    n8 = (5.0) * (a0 - s3)
+    n10 = z0 * z1
+    n11 = (1.0) + z0
+    n13 = (((0.6) if (0.6) > n10 else n10)) * (0.005)
+    n18 = ((((-4.5) if n8 < (-4.5) else (4.5) if n8 > (4.5) else n8)) - (n10 * (tanh((s3 / n13))))) / n11
+    n24 = s2 + ((0.0025) * n2)
+    n26 = s3 + ((0.0025) * n18)
+    n29 = (n26 * n0) / (0.32)
+    n35 = (5.0) * (a0 - n26)
+    n41 = ((((-4.5) if n35 < (-4.5) else (4.5) if n35 > (4.5) else n35)) - (n10 * (tanh((n26 / n13))))) / n11
+    n47 = s2 + ((0.0025) * n29)
+    n49 = s3 + ((0.0025) * n41)
+    n51 = (n49 * n0) / (0.32)
+    n57 = (5.0) * (a0 - n49)
+    n63 = ((((-4.5) if n57 < (-4.5) else (4.5) if n57 > (4.5) else n57)) - (n10 * (tanh((n49 / n13))))) / n11
+    n69 = s2 + ((0.005) * n51)
+    n71 = s3 + ((0.005) * n63)
+    n80 = (5.0) * (a0 - n71)
+    n92 = s0 + ((0.0008333333333333334) * (((s3 * (cos(s2))) + ((2.0) * ((n26 * (cos(n24))) + (n49 * (cos(n47)))))) + (n71 * (cos(n69)))))
+    n98 = s1 + ((0.0008333333333333334) * (((s3 * (sin(s2))) + ((2.0) * ((n26 * (sin(n24))) + (n49 * (sin(n47)))))) + (n71 * (sin(n69)))))
+    n104 = s2 + ((0.0008333333333333334) * ((n2 + ((2.0) * (n29 + n51))) + ((n71 * n0) / (0.32))))
+    n110 = s3 + ((0.0008333333333333334) * ((n18 + ((2.0) * (n41 + n63))) + (((((-4.5) if n80 < (-4.5) else (4.5) if n80 > (4.5) else n80)) - (n10 * (tanh((n71 / n13))))) / n11)))
+    return [n92, n98, n104, n110]
+
+
+def car_200_hz_tangent(state: Iterable[float], action: Iterable[float], latent: Iterable[float], time: float) -> tuple[list[float], list[list[float]]]:
+    """The same, and their slopes in the action."""
+    [s0, s1, s2, s3] = state
+    [a0, a1] = action
+    [z0, z1] = latent
+    n0 = tan(a1)
+    n2 = (s3 * n0) / (0.32)
+    n8 = (5.0) * (a0 - s3)
+    n10 = z0 * z1
+    n11 = (1.0) + z0
+    n13 = (((0.6) if (0.6) > n10 else n10)) * (0.005)
+    n18 = ((((-4.5) if n8 < (-4.5) else (4.5) if n8 > (4.5) else n8)) - (n10 * (tanh((s3 / n13))))) / n11
+    n24 = s2 + ((0.0025) * n2)
+    n26 = s3 + ((0.0025) * n18)
+    n29 = (n26 * n0) / (0.32)
+    n30 = cos(n24)
+    n32 = sin(n24)
+    n35 = (5.0) * (a0 - n26)
+    n37 = n26 / n13
+    n41 = ((((-4.5) if n35 < (-4.5) else (4.5) if n35 > (4.5) else n35)) - (n10 * (tanh(n37)))) / n11
+    n47 = s2 + ((0.0025) * n29)
+    n49 = s3 + ((0.0025) * n41)
+    n51 = (n49 * n0) / (0.32)
+    n52 = cos(n47)
+    n54 = sin(n47)
+    n57 = (5.0) * (a0 - n49)
+    n59 = n49 / n13
+    n63 = ((((-4.5) if n57 < (-4.5) else (4.5) if n57 > (4.5) else n57)) - (n10 * (tanh(n59)))) / n11
+    n69 = s2 + ((0.005) * n51)
+    n71 = s3 + ((0.005) * n63)
+    n75 = cos(n69)
+    n77 = sin(n69)
+    n80 = (5.0) * (a0 - n71)
+    n82 = n71 / n13
+    n92 = s0 + ((0.0008333333333333334) * (((s3 * (cos(s2))) + ((2.0) * ((n26 * n30) + (n49 * n52)))) + (n71 * n75)))
+    n98 = s1 + ((0.0008333333333333334) * (((s3 * (sin(s2))) + ((2.0) * ((n26 * n32) + (n49 * n54)))) + (n71 * n77)))
+    n104 = s2 + ((0.0008333333333333334) * ((n2 + ((2.0) * (n29 + n51))) + ((n71 * n0) / (0.32))))
+    n110 = s3 + ((0.0008333333333333334) * ((n18 + ((2.0) * (n41 + n63))) + (((((-4.5) if n80 < (-4.5) else (4.5) if n80 > (4.5) else n80)) - (n10 * (tanh(n82)))) / n11)))
+    n18_0 = ((0.0 if n8 <= (-4.5) else 0.0 if n8 >= (4.5) else ((5.0) * 1e-30))) / n11
+    n25_0 = (0.0025) * n18_0
+    n29_0 = (n25_0 * n0) / (0.32)
+    n38_share = 1.0 / cosh(n37) if abs(n37) < 700.0 else 0.0
+    n41_0 = (((0.0 if n35 <= (-4.5) else 0.0 if n35 >= (4.5) else ((5.0) * (1e-30 - n25_0)))) - (n10 * ((n25_0 / n13) * n38_share * n38_share))) / n11
+    n46_0 = (0.0025) * n29_0
+    n48_0 = (0.0025) * n41_0
+    n51_0 = (n48_0 * n0) / (0.32)
+    n60_share = 1.0 / cosh(n59) if abs(n59) < 700.0 else 0.0
+    n63_0 = (((0.0 if n57 <= (-4.5) else 0.0 if n57 >= (4.5) else ((5.0) * (1e-30 - n48_0)))) - (n10 * ((n48_0 / n13) * n60_share * n60_share))) / n11
+    n68_0 = (0.005) * n51_0
+    n70_0 = (0.005) * n63_0
+    n83_share = 1.0 / cosh(n82) if abs(n82) < 700.0 else 0.0
+    n91_0 = (0.0008333333333333334) * (((2.0) * ((n25_0 * n30) + (n49 * (-(n54 * n46_0)) + n48_0 * n52))) + (n71 * (-(n77 * n68_0)) + n70_0 * n75))
+    n97_0 = (0.0008333333333333334) * (((2.0) * ((n25_0 * n32) + (n49 * (n52 * n46_0) + n48_0 * n54))) + (n71 * (n75 * n68_0) + n70_0 * n77))
+    n103_0 = (0.0008333333333333334) * (((2.0) * (n29_0 + n51_0)) + ((n70_0 * n0) / (0.32)))
+    n109_0 = (0.0008333333333333334) * ((n18_0 + ((2.0) * (n41_0 + n63_0))) + ((((0.0 if n80 <= (-4.5) else 0.0 if n80 >= (4.5) else ((5.0) * (1e-30 - n70_0)))) - (n10 * ((n70_0 / n13) * n83_share * n83_share))) / n11))
+    n0_1 = 1e-30 * (1.0 + n0 * n0)
+    n2_1 = (s3 * n0_1) / (0.32)
+    n23_1 = (0.0025) * n2_1
+    n29_1 = (n26 * n0_1) / (0.32)
+    n46_1 = (0.0025) * n29_1
+    n51_1 = (n49 * n0_1) / (0.32)
+    n68_1 = (0.005) * n51_1
+    n91_1 = (0.0008333333333333334) * (((2.0) * ((n26 * (-(n32 * n23_1))) + (n49 * (-(n54 * n46_1))))) + (n71 * (-(n77 * n68_1))))
+    n97_1 = (0.0008333333333333334) * (((2.0) * ((n26 * (n30 * n23_1)) + (n49 * (n52 * n46_1)))) + (n71 * (n75 * n68_1)))
+    n103_1 = (0.0008333333333333334) * ((n2_1 + ((2.0) * (n29_1 + n51_1))) + ((n71 * n0_1) / (0.32)))
     return [n92, n98, n104, n110], [[n91_0 / 1e-30, n91_1 / 1e-30], [n97_0 / 1e-30, n97_1 / 1e-30], [n103_0 / 1e-30, n103_1 / 1e-30], [n109_0 / 1e-30, 0.0]]
 
 
@@ -880,6 +1080,10 @@ def point_wind_tangent(state: Iterable[float], action: Iterable[float], latent: 
 WRITTEN: dict[str, Any] = {
     "711943824ba969c65aa95fbc4fca9a43": car_step,
     "1812cc237f63f3f232b0e93c49ab0bff": car_tangent,
+    "020963c151a72a465de9e94c788f6a55": car_100_hz_step,
+    "59fa857eaf32ddadf1e6b484a954b2a1": car_100_hz_tangent,
+    "57d9857f94b39a44bbee30bc6200c55d": car_200_hz_step,
+    "bfef6ca305da813b92028c33ac2a7238": car_200_hz_tangent,
     "08fc8e76170f27e02cae04384dec27d5": car_measured_step,
     "40c295e5cb429f1cfbad469d4027f19b": car_measured_tangent,
     "752a2da9ff24af971107102bafdd261b": dart_car_step,
