@@ -54,6 +54,18 @@ def test_each_delay_is_found_within_a_second(late: int) -> None:
     assert found.beyond(late * CAR.period) == late * CAR.period, "told already"
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_the_unit_of_the_state_does_not_matter(unit: float) -> None:
+    delay = FoundDelay(Prediction(lambda x: (x, np.array([[0.05 * unit]]))), [2.0], 0.05)
+    random, x, commands = np.random.default_rng(5), 0.0, [0.0] * (MOST + 1)
+    for tick in range(60):
+        commands.append(float(random.uniform(-1.0, 1.0)) if tick % 3 == 0 else commands[-1])
+        before, x = x, x + 0.05 * unit * commands[-4]
+        known = tuple(((commands[-1 - n],), None) for n in range(MOST + 1))
+        delay.observe(Passed((before,), (x,), known), None)
+    assert delay.periods == 3
+
+
 def refuted_by_all_that_was_seen(periods: list[Passed]) -> list[int]:
     """What is to be believed after each period, from the whole past at once.
 

@@ -157,6 +157,15 @@ def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stand
     assert standing.reason("relaxed", ("wall",), False).startswith("margin" if stands else "")
 
 
+def test_half_a_second_without_a_wish_is_forgiven() -> None:
+    for ticks, stands in ((2, True), (3, False)):
+        standing = Standstill((0,))
+        standing.promise((1.0,), (1.1,), (1.0,))
+        for _ in range(1 + ticks):
+            standing.measure((1.0,), 0.25)
+        assert (standing.seconds == 0.25 * (1 + ticks)) is stands
+
+
 def test_who_is_held_by_its_margin_stands_for_that_though_a_last_little_push_failed() -> None:
     """Where the least unsafe action dies away, its last half second moves nobody; after that nothing pushes."""
     standing = Standstill((0,))
