@@ -43,13 +43,13 @@ def test_the_heaviest_load_gets_on_where_it_once_stood(seed: int) -> None:
     assert sum(outcome.statuses.values()) == 1200
 
 
-@pytest.mark.parametrize(("until_action", "way"), [(0.0, 1.0), (0.002, 1.0), (0.006, 1.0), (0.02, 0.4)])
-def test_a_box_between_two_obstacles_gets_on_however_old_the_state_is(until_action: float, way: float) -> None:
+@pytest.mark.parametrize("until_action", [0.0, 0.002, 0.006, 0.02])
+def test_a_box_between_two_obstacles_gets_on_however_old_the_state_is(until_action: float) -> None:
     """It once stood for 69 s there, and crawled 0.6 m in 20 s while the policy gave up reversing to one side alone."""
     outcome = run_long_drive(LongDrive("box", 1, seconds=100.0, until_action=until_action))
     assert outcome.collisions == 0
     assert outcome.longest_stand < 10.0
-    assert outcome.least_way > way
+    assert outcome.least_way > 0.4, "backwards the box lets it do 6 cm a second"
 
 
 def test_the_summary_counts_long_stands_and_those_that_nobody_told() -> None:

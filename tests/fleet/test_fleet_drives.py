@@ -13,8 +13,8 @@ pytestmark = pytest.mark.fleet
 DRIVE_SECONDS = 60.0
 STUCK_SECONDS = 20.0
 STUCK_METRES = 0.3
-"""Who stands goes nowhere; who backs off with a box does 6 cm a second, and of scene 1 the slowest 20 s are 0.5 to 5 m,
-as the times from sense to act will have it."""
+"""Who stands goes nowhere; who backs off with a box does 6 cm a second: of scene 1 the slowest 20 s are 0.8 to 5.5 m,
+as the time from sense to act will have it."""
 LONGEST_SECONDS = 180.0
 """Until every robot reached a goal: on a machine that is busy with other work they brake often."""
 

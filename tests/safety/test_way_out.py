@@ -24,7 +24,7 @@ SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=
 LAYER = 0.2
 PERIOD = 0.1
 
-Heights = Callable[[float, int], Sequence[float]]
+Heights = Callable[[float, int], list[float]]
 """h after so many ticks under an action."""
 
 
@@ -34,11 +34,11 @@ def way_out() -> WayOut:
 
 
 def here(
-    tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0, margins: Sequence[float] = ()
+    tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0, margins: list[float] | None = None
 ) -> Here:
     """At the ``now``-th tick of a manoeuvre; the model has numbers for ``known`` ticks."""
 
-    def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
+    def ahead(action: Sequence[float]) -> Iterator[list[float]]:
         return (heights(action[0], now + index + 1) for index in range(known))
 
     at = heights(0.0, 0) if now == 0 else heights(1.0, now)
@@ -237,7 +237,7 @@ def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_
         way_out(), lambda action, ticks: [*dips(action, ticks), 0.2 if ticks == 0 else 0.15 if ticks < 5 else 0.3]
     )
     assert falls.action[0] == 0.0
-    tool, plain = way_out(), (0.1, 0.0)
+    tool, plain = way_out(), [0.1, 0.0]
     for tick in range(2):
         now = here(tick, lambda action, ticks: [*dips(action, ticks), 0.15], margins=plain, now=tick)
         assert tool.instead_of(verdict(), now, 1.0).h_next == pytest.approx(0.15), "the least of both"
