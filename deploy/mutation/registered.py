@@ -206,6 +206,7 @@ MODULES = {
     "orders": ("../operations/test_stop_orders.py",),
     "node": (
         "test_filter_node.py",
+        "test_rehearsal.py",
         "test_filtered_robot.py",
         *WATCHED,
         "../operations/test_stop_orders.py",

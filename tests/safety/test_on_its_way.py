@@ -175,6 +175,34 @@ def test_the_latent_that_is_given_counts_all_the_way(load: tuple[float, float]) 
     np.testing.assert_allclose(after, path[2], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("written", [False, True])
+def test_by_the_straight_line_a_robot_moves_as_by_arrays(written: bool) -> None:
+    """To the last bit, at the latent that is given, else at the model's own."""
+    model = load_model("car")
+    if written:
+        model.write_straight()
+    assert (model.straight(model.period) is not None) is written
+    actuators, state, command = Actuators(model), (0.1, 0.2, 0.3, 0.8), (1.2, 0.2)
+    other = (0.8, 4.0)
+    for latent in (None, other):
+        given = None if latent is None else np.array(latent)
+        wanted, _ = load_model("car").advance(np.array(state), np.array(command), (), given, period=model.period)
+        assert actuators.moved(state, command, (), latent, model.period) == (tuple(wanted.tolist()), ())
+    assert actuators.moved(state, command, (), None, model.period) != actuators.moved(
+        state, command, (), other, model.period
+    )
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.2])
+def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has_it(seconds: float) -> None:
+    model = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2, free=True)})
+    latent = (*model.latent[:-1].tolist(), seconds)
+    begin = Actuators(model).begin((0.0, 0.0, 0.0, 0.5), latent, Pending(None, (1.0, 0.1)))
+    settled = model.initial_memory(np.array((1.0, 0.1)), np.array(latent))
+    assert begin is not None
+    assert repr(begin.memory) == repr(settled)
+
+
 def test_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
     model = CAR.with_effect(effect("car", "steering_gain"), {"gain": Setting(1.0, free=True)})
     actuators = Actuators(late("steering_delay", 0.15, model))
