@@ -19,8 +19,8 @@ __all__ = ["main", "text"]
 
 _PATH = Path(__file__).with_name("written_steps.py")
 _WRITER = "safedpa.dynamics.write_steps"
-_QUICKER = {"car": (0.01, 0.005)}
-"""s; periods in which a model drives as well."""
+_SLOW, _QUICKER = 0.05, (0.01, 0.005)
+"""s; periods in which robots that are as slow may drive as well: the steps of their own models are written for both."""
 _FUNCTIONS = ("atan", "atan2", "cos", "cosh", "exp", "hypot", "inf", "nan", "sin", "sqrt", "tan", "tanh")
 _VECTOR = "Iterable[float]"
 _RESULTS = {"step": "list[float]", "tangent": "tuple[list[float], list[list[float]]]"}
@@ -32,7 +32,8 @@ def text() -> str:
     found: dict[str, tuple[str, str]] = {}
     for model_name in shipped_models():
         model = load_model(model_name)
-        for period in (model.period, *_QUICKER.get(model_name, ())):
+        slow = model_name == model.system.name and model.period >= _SLOW
+        for period in (model.period, *(_QUICKER if slow else ())):
             name = model_name if period == model.period else f"{model_name}_{round(1.0 / period)}_hz"
             system, equations = model.system, model.equations(period)
             recorded = step_texts(equations, system.state_names, system.action_names, model.latent_names) or ()
