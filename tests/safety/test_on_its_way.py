@@ -193,14 +193,20 @@ def test_by_the_straight_line_a_robot_moves_as_by_arrays(written: bool) -> None:
     )
 
 
-@pytest.mark.parametrize("seconds", [0.1, 0.2])
-def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has_it(seconds: float) -> None:
-    model = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2, free=True)})
-    latent = (*model.latent[:-1].tolist(), seconds)
-    begin = Actuators(model).begin((0.0, 0.0, 0.0, 0.5), latent, Pending(None, (1.0, 0.1)))
-    settled = model.initial_memory(np.array((1.0, 0.1)), np.array(latent))
-    assert begin is not None
-    assert repr(begin.memory) == repr(settled)
+def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has_it() -> None:
+    """Behind a gain that is estimated, what waits in a delay is as much of the command as the latent says."""
+    model = late(
+        "steering_delay", 0.15, CAR.with_effect(effect("car", "steering_gain"), {"gain": Setting(1.0, free=True)})
+    )
+    found = []
+    for gain in (1.0, 0.4):
+        latent = (0.0, 2.5, gain)
+        begin = Actuators(model).begin((0.0, 0.0, 0.0, 0.5), latent, Pending(None, (1.0, 0.1)))
+        assert begin is not None
+        settled = model.initial_memory(np.array((1.0, 0.1)), np.array(latent))
+        assert repr(begin.memory) == repr(settled)
+        found.append(repr(settled))
+    assert found[0] != found[1]
 
 
 def test_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
