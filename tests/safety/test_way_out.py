@@ -208,6 +208,21 @@ def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks:
     assert 240 <= max(counts[:-1]) <= 239 * 2 + 1, "and the wish"
 
 
+@pytest.mark.parametrize("from_tick", [1, 2, 4])
+def test_what_has_no_height_is_no_way_out(from_tick: int) -> None:
+    """Where a barrier is no number nobody knows anything: neither the wish nor a manoeuvre leads there."""
+
+    def unknown(action: float, ticks: int) -> list[float]:
+        return [*dips(action, ticks), float("nan") if ticks >= from_tick and action != 0.0 else 9.0]
+
+    assert led(way_out(), unknown).action[0] == 0.0
+    raises = verdict(wish=1.0)
+    found = way_out().instead_of(
+        raises, here(0, lambda action, ticks: [0.19 + 0.01 * ticks, *unknown(action, 9)[1:]]), 0.0
+    )
+    assert found is raises
+
+
 def test_what_was_found_some_ticks_ago_is_judged_once_more() -> None:
     settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), backup_action=(0.0, 0.0), eta=0.5)
     for last, taken in ((0.3, True), (0.189, False)):

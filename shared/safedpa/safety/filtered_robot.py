@@ -127,6 +127,8 @@ class FilteredRobot:
     sensed: tuple[int, frozenset[str]] = (-1, frozenset())
     """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
+    rehearsed: bool = False
+    """Whether all that a decision may need was gone through once, with this model."""
 
     def __post_init__(self) -> None:
         self.standing = Standstill(places_of(self.model.system))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, ClassVar, final
 
 from safedpa.bus import (
@@ -35,6 +36,7 @@ from safedpa.bus import (
 from safedpa.bus.loop.apart import AbstractTicket
 from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot, too_late
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
@@ -180,8 +182,11 @@ class SafetyFilterNode(AbstractNode):
         state, latent, verdict = memory.decision
         predicted = memory.foresee(state, verdict, latent)
         memory.watch_standing(state, predicted)
-        if memory.model is not self._rehearsed and _rehearse(memory):
-            self._rehearsed = memory.model
+        if not (memory.rehearsed or isinstance(memory.barriers, str) or verdict.status is Status.fallback):
+            memory.rehearsed = True
+            if memory.model is not self._rehearsed:
+                self._rehearsed = memory.model
+                _rehearse(memory, memory.decision, memory.barriers)
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
@@ -263,29 +268,26 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
     )
 
 
-def _rehearse(memory: FilteredRobot) -> bool:
-    """Goes once through all that a decision may need, before a robot drives; changes no verdict. Whether it could.
+def _rehearse(memory: FilteredRobot, decided: Decided, barriers: AbstractStack) -> None:
+    """Goes once through all that a decision may need, before a robot drives; changes no verdict.
 
     The first decision for which no action keeps every condition took 5 ms where the next take half of one: solvers make
     their workspaces, equations are written down, modules are imported. A tick of 5 ms has no time for it later. So it
     is decided with margins that nothing can keep, and the verdict is thrown away.
     """
-    barriers, decided = memory.barriers, memory.decision
-    if isinstance(barriers, str) or decided is None or decided.verdict.status is Status.fallback:
-        return False
-    memory.model.write_straight()
     state = decided.state
-    widest = max([1.0, *map(abs, barriers.heights(tuple(state.values))), *memory.margin.epsilon.values()])
-    memory.filter.decide(
-        state.values,
-        memory.filter.settings.high,
-        decided.latent,
-        memory=memory.pending,
-        barriers=barriers,
-        epsilon=dict.fromkeys(memory.margin.epsilon, _WIDTHS * widest),
-        time=state.robot_time,
-    )
-    return True
+    with suppress(Exception):  # whatever a user's equations raise, the robot drives as it would have without this
+        memory.model.write_straight()
+        widest = max([1.0, *map(abs, barriers.heights(tuple(state.values))), *memory.margin.epsilon.values()])
+        memory.filter.decide(
+            state.values,
+            memory.filter.settings.high,
+            decided.latent,
+            memory=memory.pending,
+            barriers=barriers,
+            epsilon=dict.fromkeys(memory.margin.epsilon, _WIDTHS * widest),
+            time=state.robot_time,
+        )
 
 
 def _report(

@@ -142,7 +142,7 @@ class WayOut:
             return None
         missing = self._missing(here, here.heights, then)
         for short, now, after, epsilon in zip(missing, here.heights, then, here.margins, strict=True):
-            if short > 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
+            if not short <= 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
                 return None
         action.flags.writeable = False
         said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
@@ -215,7 +215,7 @@ class WayOut:
         for row in range(len(then)):
             floor, h = floors[row], then[row]
             least = share * before[row] + margins[row] if floor == -inf else floor
-            if h < least:
+            if not h >= least:  # what is no number is broken
                 return True
         return False
 
