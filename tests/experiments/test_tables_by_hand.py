@@ -38,16 +38,16 @@ def test_the_worst_error_of_each_kind_is_where_the_model_hoped_most() -> None:
 def test_a_margin_of_99_of_100_wants_99_steps_of_every_kind(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 99 the largest one; of the theorem's errors likewise, and none below 0."""
     monkeypatch.setattr(car_margin, "fingerprint", lambda _: "0123456789ab")
-    values = -0.01 * np.arange(steps, 0, -1.0)
+    values, model = -0.01 * np.arange(steps, 0, -1.0), SimpleNamespace(period=0.05)
     errors = car_margin.StepErrors(
         {"wall": np.arange(150.0), "sea": values}, {"wall": np.arange(99.0), "sea": 2.0 - values}
     )
     if steps < 99:
         with pytest.raises(Exception, match="got 98 steps, wanted at least 99"):
-            car_margin.margin_of(SimpleNamespace(), errors, "2026-01-01")  # type: ignore[arg-type]
+            car_margin.margin_of(model, errors, "2026-01-01")  # type: ignore[arg-type]
         return
-    found = car_margin.margin_of(SimpleNamespace(), errors, "2026-01-01")  # type: ignore[arg-type]
-    assert (found.transitions, found.coverage) == (99, 0.99)
+    found = car_margin.margin_of(model, errors, "2026-01-01")  # type: ignore[arg-type]
+    assert (found.transitions, found.coverage, found.period) == (99, 0.99, 0.05)
     assert found.epsilon == {"wall": 149.0, "sea": 0.0}
     assert found.theorem == {"wall": 98.0, "sea": pytest.approx(2.99)}
 

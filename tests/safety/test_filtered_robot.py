@@ -127,16 +127,16 @@ def test_after_a_failure_the_margin_goes_on_and_all_else_begins_anew() -> None:
     assert memory_of(node).margin is before.margin
 
 
-def test_another_period_is_another_model_over_that_period_with_the_same_margin() -> None:
+def test_a_shorter_period_is_another_model_over_that_period_with_the_same_margin() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     asked(node, state_at(0), latent_at(state_at(0)))
     before = memory_of(node)
-    state = state_at(1, period=0.1)
+    state = state_at(1, period=0.025)
     verdict = asked(node, state, latent_at(state))
     after = memory_of(node)
     assert after is not before
-    assert (after.model.period, after.margin) == (0.1, before.margin)
-    wanted, _ = CAR.held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 1, period=0.1)
+    assert (after.model.period, after.margin) == (0.025, before.margin)
+    wanted, _ = CAR.held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 1, period=0.025)
     np.testing.assert_allclose(verdict.predicted[0], wanted[0], atol=1e-12)
     asked(node, replace(state, tick=2), latent_at(state))
     assert memory_of(node) is after

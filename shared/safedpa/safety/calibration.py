@@ -31,8 +31,10 @@ Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
-_SAID = ("drives", "origin")
+_SAID = ("drives", "origin", "period")
 """Optional as well, but no tables."""
+_SAME_PERIOD = 1.01
+"""Times as long at most: an error grows with the period, and so much more is less than its own spread."""
 
 
 @final
@@ -66,6 +68,8 @@ class MarginCalibration:
     """How many drives the margins are over; 0: the transitions were taken for exchangeable."""
     origin: str = ""
     """The command that made it, with its seeds and the version; empty: not told."""
+    period: float = 0.0
+    """s, of the steps whose errors these are; 0: not told, then it is the model's own."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.epsilon, dict) or not self.epsilon:
@@ -80,6 +84,7 @@ class MarginCalibration:
             raise InputError(f"coverage: got {self.coverage}, wanted more than 0 and less than 1")
         _check_number("transitions", self.transitions, 1)
         _check_number("drives", self.drives, 0)
+        _check_number("period", self.period, 0.0)
         for name in ("date", "fingerprint", "origin"):
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"{name}: got {getattr(self, name)!r}, wanted a string")
@@ -101,6 +106,18 @@ class MarginCalibration:
             )
         return replace(self, epsilon=dict(table))
 
+    def times_longer(self, period: float, own: float) -> float:
+        """How many times as long as the steps of this calibration those of ``period`` [s] are; 1 for shorter ones.
+
+        ``own`` [s] is the model's own period, which stands where none is told.
+        """
+        times = period / (self.period or own)
+        return times if times > _SAME_PERIOD else 1.0
+
+    def widened(self, times: float) -> dict[str, float]:
+        """``times`` epsilon: what steps that are so many times as long come to if all parts of each err in one way."""
+        return {kind: times * value for kind, value in self.epsilon.items()}
+
     def write(self) -> str:
         """The TOML text that ``parse`` reads back."""
         lines = [
@@ -112,6 +129,7 @@ class MarginCalibration:
         ]
         lines += [f"drives = {self.drives}"] if self.drives else []
         lines += [f'origin = "{self.origin}"'] if self.origin else []
+        lines += [f"period = {float(self.period)!r}"] if self.period else []
         for name in ("epsilon", *_OPTIONAL):
             if table := getattr(self, name):
                 lines += ["", f"[{name}]", *(f'"{kind}" = {float(value)!r}' for kind, value in table.items())]
@@ -162,14 +180,18 @@ def calibrate_margin(
     them at once. Raises InputError when n is too small for the coverage, or shapes do not fit.
     """
     errors = one_step_errors(model, barriers, states, actions, next_states, latents)
-    own = fingerprint(model) if isinstance(model, PhysicsModel) and not model_fingerprint else model_fingerprint
-    return calibration_from_errors(errors, coverage, date, own)
+    if not isinstance(model, PhysicsModel):
+        return calibration_from_errors(errors, coverage, date, model_fingerprint)
+    return calibration_from_errors(errors, coverage, date, model_fingerprint or fingerprint(model), model.period)
 
 
 def calibration_from_errors(
-    errors: Mapping[str, Values], coverage: float, date: str, model_fingerprint: str
+    errors: Mapping[str, Values], coverage: float, date: str, model_fingerprint: str, period: float = 0.0
 ) -> MarginCalibration:
-    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when some n is too small."""
+    """Margins from errors by kind (n,), as ``one_step_errors`` has them, of steps of ``period`` [s], 0: not told.
+
+    Raises InputError when some n is too small.
+    """
     count = min(map(len, errors.values()), default=0)
     if count < smallest_sample(coverage):
         raise InputError(
@@ -177,7 +199,7 @@ def calibration_from_errors(
             "record more or ask for less"
         )
     epsilon = {kind: max(0.0, split_conformal_margin(values, coverage)) for kind, values in errors.items()}
-    return MarginCalibration(epsilon, coverage, count, date, model_fingerprint)
+    return MarginCalibration(epsilon, coverage, count, date, model_fingerprint, period=period)
 
 
 def one_step_errors(

@@ -40,7 +40,8 @@ def drive_heights(model: PhysicsModel, settings: FilterSettings, ticks: Sequence
     or whose state makes no scene are left out. ``Ceiling.errors`` makes errors of them.
     """
     own = fingerprint(model)
-    memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
+    held = HeldModel(model, own, uncalibrated(settings, own))
+    memory = FilteredRobot.begun(held, settings, period=ticks[0].state.period if ticks else None)
     memory.margin.learns = False
     found: dict[str, list[Seen]] = {}
     for index, tick in enumerate(ticks):

@@ -74,8 +74,7 @@ def _same_scene(one: StateMessage, other: StateMessage) -> bool:
 
 
 def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Values, steps: int) -> Rows:
-    """The next states under an action by the model's straight line; empty where it refuses a number, or one is not
-    finite.
+    """The next states under an action by the model's straight line; empty where a number is refused, or not finite.
 
     The model's ``held`` does the same with arrays at both ends, and answers then.
     """
@@ -146,14 +145,15 @@ class FilteredRobot:
     ) -> FilteredRobot:
         """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now.
 
-        ``period`` is the robot's own in s, over which it holds an action and the model therefore has to predict.
+        ``period`` is the robot's own in s, over which the model has to predict, and the margin to hold.
         Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
         filtering = SafetyFilter.for_model(model, settings, backup=scene.backup)
-        phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
-        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
+        longer = held.times_longer(model.period, settings)
+        phased = None if before is None else PhasedMargin(before, held.calibration.widened(longer), settings.eta)
+        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased, longer)
         return cls(held, model, filtering, scene, margin, Trail(model))
 
     @property

@@ -101,7 +101,7 @@ class SafetyFilterNode(AbstractNode):
             broken = self._broken.pop(robot, None)
             before = None if broken is None else broken.margin.epsilon
             memory = FilteredRobot.begun(self._versions.of(robot), self._settings, before, state.period)
-            if broken is not None and broken.held is memory.held:
+            if broken is not None and broken.held is memory.held and broken.model.period >= memory.model.period:
                 memory.margin = broken.margin
                 memory.margin.expect(None)
             memory.remember_way(broken)
@@ -259,7 +259,8 @@ class SafetyFilterNode(AbstractNode):
         if memory is None or memory.decision is None or isinstance(memory.barriers, str):
             return margin_change(current, held.calibration.epsilon, {}, self._settings.eta)
         h = least_by_kind(memory.barriers, memory.decision.state.values)
-        return margin_change(memory.margin.epsilon, held.calibration.epsilon, h, self._settings.eta)
+        coming = held.margin_over(memory.model.period, self._settings)
+        return margin_change(memory.margin.epsilon, coming, h, self._settings.eta)
 
 
 def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:

@@ -80,10 +80,11 @@ def calibration_from_recordings(
     With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
     for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
     taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
-    InputError when the recordings hold too few transitions, or latents of another model.
+    InputError when the recordings hold too few transitions, latents of another model, or robots of several periods.
     """
     scene_of(model, settings)  # refuses the settings of another robot before anything is read
     drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
+    period = _period_of(drives, model)
     walked = [(ticks, drive_heights(model, settings, ticks)) for ticks in drives]
     along = [heights for _, heights in walked if heights]
     found = RecordedTransitions([ticks for ticks, heights in walked if heights])
@@ -91,11 +92,21 @@ def calibration_from_recordings(
         made = _over_drives(along, settings, coverage, date, fingerprint(model))
     else:
         made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
+    made = replace(made, period=period)
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
-    bound = recorded_bound(model, settings, found, ~fresh, coverage)
+    bound = recorded_bound(model.with_period(period), settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
     made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants})
     return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings), by_drives=by_drives))
+
+
+def _period_of(drives: Sequence[Sequence[DrivenTick]], model: PhysicsModel) -> float:
+    """Of all drives, s: the error of a step grows with its length. The model's own where there is no drive."""
+    periods = sorted({tick.state.period for ticks in drives for tick in ticks}) or [model.period]
+    if len(periods) > 1:
+        told = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
+        raise InputError(f"recordings: got steps of {told} s, wanted one period; calibrate for each by itself")
+    return periods[0]
 
 
 def _over_drives(

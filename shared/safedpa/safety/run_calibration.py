@@ -75,7 +75,7 @@ def calibration_from_runs(
     if not errors:
         raise InputError(f"margin: got no transition of {model.period:g} s, wanted runs at the model's period")
     found = {kind: np.array(values) for kind, values in errors.items()}
-    return calibration_from_errors(found, coverage, date, fingerprint(model))
+    return calibration_from_errors(found, coverage, date, fingerprint(model), model.period)
 
 
 def _predictions(

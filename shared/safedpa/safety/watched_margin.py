@@ -25,6 +25,10 @@ _RATE = 0.002
 """Of the miss level per step: at 99 % coverage five misses at once bring the widest margin, a single one does not."""
 _WINDOW = 500
 """Errors that are remembered: 25 s at 20 Hz."""
+_LONGER = (
+    "A step is {:.3g} times as long as those that the margin was calibrated on: it is taken as many times as wide and "
+    "promises nothing; calibrate it at this period."
+)
 
 
 @final
@@ -44,13 +48,16 @@ class WatchedMargin:
         calibration: MarginCalibration,
         ceiling: Ceiling = NO_CEILING,
         phased: PhasedMargin | None = None,
+        longer: float = 1.0,
     ) -> None:
+        """``longer``: how many times as long as the calibration's the steps are; beyond 1 it promises nothing."""
         self._margins = {
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
-            for kind, calibrated in calibration.epsilon.items()
+            for kind, calibrated in calibration.widened(longer).items()
         }
-        self.promised = calibration.coverage if calibration.date != "never" else -1.0
+        self.promised = calibration.coverage if calibration.date != "never" and longer == 1.0 else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
+        self._longer = _LONGER.format(longer) if longer != 1.0 else ""
         self._ceiling, self._phased = ceiling, phased
         self.learns = True
         """Whether errors move the margins."""
@@ -78,7 +85,9 @@ class WatchedMargin:
     @property
     def remark(self) -> str:
         """What a verdict has to say about the margins in force; empty while they are what was calibrated, or wider."""
-        return "" if self._phased is None else self._phased.sentence
+        if self._phased is None:
+            return self._longer
+        return " ".join(text for text in (self._longer, self._phased.sentence) if text)
 
     def rise(self, state: Sequence[float] | Values, barriers: Sequence[AbstractBarrier], period: float) -> None:
         """Brings more of a new model's margins into force, as h at ``state`` (states,) allows; once per tick."""

@@ -125,7 +125,7 @@ def margin_of(model: PhysicsModel, errors: StepErrors, date: str) -> MarginCalib
         raise InputError(f"margin: got {count} steps, wanted at least {smallest_sample(COVERAGE)}; drive longer")
     epsilon = {kind: max(0.0, split_conformal_margin(values, COVERAGE)) for kind, values in errors.h.items()}
     theorem = {kind: split_conformal_margin(values, COVERAGE) for kind, values in errors.bound.items()}
-    return MarginCalibration(epsilon, COVERAGE, count, date, fingerprint(model), theorem)
+    return MarginCalibration(epsilon, COVERAGE, count, date, fingerprint(model), theorem, period=model.period)
 
 
 def coverage_of(margin: MarginCalibration, fresh: StepErrors) -> dict[str, Any]:

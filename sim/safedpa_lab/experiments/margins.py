@@ -216,10 +216,13 @@ def _calibrated(
         f"safedpa experiment margins --robot {name} {asked}: seeds {first} to {last}, {seconds:g} s each, "
         f"in lockstep behind {behind}"
     )
-    own = fingerprint(load_model(DRIVERS[name].model))
+    model = load_model(DRIVERS[name].model)
     heights = [item.heights for item in made]
     asked_for = cases.coverage if coverage is None else coverage
-    return calibration_from_drives(heights, asked_for, time.strftime("%Y-%m-%d"), own, _ceiling(name), origin)
+    found = calibration_from_drives(
+        heights, asked_for, time.strftime("%Y-%m-%d"), fingerprint(model), _ceiling(name), origin
+    )
+    return replace(found, period=model.period)
 
 
 def _ceiling(name: str) -> Ceiling:

@@ -9,7 +9,7 @@ shipped model runs once more with the diagnosed one's margin, to show what the l
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
@@ -155,7 +155,7 @@ def _margin(model: PhysicsModel, runs: Sequence[Run], coverage: float) -> Margin
 
 
 def _belonging(margin: MarginCalibration, to: MarginCalibration) -> MarginCalibration:
-    return MarginCalibration(margin.epsilon, margin.coverage, margin.transitions, margin.date, to.fingerprint)
+    return replace(margin, fingerprint=to.fingerprint)
 
 
 def _episodes(hidden: str, given: tuple[PhysicsModel, MarginCalibration], story: PendulumStory) -> list[_Episode]:

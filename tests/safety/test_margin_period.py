@@ -1,0 +1,183 @@
+"""A margin is of steps of one length: over longer ones it is taken wider, promises nothing, and says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, memory_of, state_at
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import LATENT as LATENTS
+from safedpa.bus import STATE as STATES
+from safedpa.bus import LatentMessage, Received, VerdictMessage
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.topics import key_of
+from safedpa.dynamics import fingerprint
+from safedpa.errors import InputError
+from safedpa.policy import PolicyNode
+from safedpa.records import McapRecorder
+from safedpa.safety import MarginCalibration
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
+from safedpa.safety.held_model import HeldModel, uncalibrated
+from safedpa.safety.margin_text import margin_from_text, margin_text
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.recorded import calibration_from_recordings
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.shipped import margin_for
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+QUICK = 0.005
+EPSILON = {"obstacle": 0.003, "field": 0.002, "speed": 0.005}
+OF_QUICK_STEPS = MarginCalibration(EPSILON, 0.99, 500, "2026-11-28", fingerprint(CAR), period=QUICK)
+LONGER = "A step is 10 times as long as those that the margin was calibrated on"
+
+
+def answered(
+    calibration: MarginCalibration | None, period: float = 0.05, settings: FilterSettings = SETTINGS
+) -> tuple[SafetyFilterNode, VerdictMessage]:
+    node, state = SafetyFilterNode(CAR, settings, calibration), state_at(0, period=period)
+    return node, asked(node, state, latent_at(state))
+
+
+def test_over_ten_times_as_long_steps_it_is_ten_times_as_wide_and_promises_nothing() -> None:
+    node, verdict = answered(OF_QUICK_STEPS)
+    assert memory_of(node).margin.epsilon == pytest.approx({kind: 10.0 * value for kind, value in EPSILON.items()})
+    assert LONGER in verdict.sentence
+    assert "calibrate it at this period" in verdict.sentence
+    assert verdict.promised == -1.0
+
+
+@pytest.mark.parametrize("period", [QUICK, 1.009 * QUICK, 0.5 * QUICK])
+def test_over_steps_as_long_or_shorter_it_stays_what_it_is(period: float) -> None:
+    node, verdict = answered(OF_QUICK_STEPS, period)
+    assert memory_of(node).margin.epsilon == EPSILON
+    assert "times as long" not in verdict.sentence
+    assert verdict.promised == 0.99
+
+
+def test_one_that_does_not_say_is_of_the_models_own_steps() -> None:
+    silent = replace(OF_QUICK_STEPS, period=0.0)
+    node, verdict = answered(silent)
+    assert (memory_of(node).margin.epsilon, verdict.promised) == (EPSILON, 0.99)
+    node, verdict = answered(silent, 0.1)
+    assert memory_of(node).margin.epsilon["obstacle"] == pytest.approx(2.0 * EPSILON["obstacle"])
+    assert "A step is 2 times as long" in verdict.sentence
+
+
+def test_numbers_that_no_data_stand_behind_are_taken_as_they_are() -> None:
+    node, verdict = answered(None, 0.5)
+    assert memory_of(node).margin.epsilon == dict(SETTINGS.epsilon)
+    assert "times as long" not in verdict.sentence
+    node, verdict = answered(OF_QUICK_STEPS, settings=replace(SETTINGS, margin=0.02))
+    assert set(memory_of(node).margin.epsilon.values()) == {0.02}
+    assert "times as long" not in verdict.sentence
+    own = HeldModel(CAR, "own", uncalibrated(SETTINGS, "own"))
+    assert own.times_longer(5.0, SETTINGS) == 1.0
+
+
+def test_the_margin_that_the_settings_choose_is_the_one_that_is_widened() -> None:
+    whole = replace(OF_QUICK_STEPS, drive={kind: 2.0 * value for kind, value in EPSILON.items()})
+    node, _ = answered(whole, settings=replace(SETTINGS, margin="drive"))
+    assert memory_of(node).margin.epsilon["speed"] == pytest.approx(20.0 * EPSILON["speed"])
+
+
+def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps() -> None:
+    """Nor what the watch made of it: the wider one comes into force as h allows, as with a new model."""
+    node, verdict = answered(OF_QUICK_STEPS, QUICK)
+    assert verdict.promised == 0.99
+    state = state_at(1, period=0.05, applied=verdict.action)
+    verdict = asked(node, state, latent_at(state))
+    assert LONGER in verdict.sentence
+    assert verdict.promised == -1.0
+    for tick in range(2, 30):  # far from everything: as a whole
+        state = state_at(tick, period=0.05, applied=verdict.action)
+        verdict = asked(node, state, latent_at(state))
+    assert memory_of(node).margin.epsilon["obstacle"] == pytest.approx(10.0 * EPSILON["obstacle"])
+
+
+def test_what_an_offered_model_would_bring_is_told_at_the_robots_own_period() -> None:
+    node, _ = answered(OF_QUICK_STEPS)
+    held = HeldModel(CAR, "another", replace(OF_QUICK_STEPS, epsilon={"obstacle": 0.02}, fingerprint="another"))
+    assert "the margin of obstacle goes from 0.03 to 0.2" in node._foretold("r", held)
+
+
+@given(
+    st.floats(1e-4, 10.0), st.floats(1e-4, 10.0), st.dictionaries(st.sampled_from("abc"), st.floats(0, 1), min_size=1)
+)
+def test_a_longer_step_never_has_the_narrower_margin(one: float, other: float, epsilon: dict[str, float]) -> None:
+    calibration = replace(OF_QUICK_STEPS, epsilon=epsilon)
+    short, long = (calibration.widened(calibration.times_longer(period, 0.05)) for period in sorted((one, other)))
+    assert all(epsilon[kind] <= short[kind] <= long[kind] for kind in epsilon)
+
+
+def test_file_and_text_keep_the_period() -> None:
+    assert MarginCalibration.parse(OF_QUICK_STEPS.write()) == OF_QUICK_STEPS
+    assert margin_from_text(margin_text(OF_QUICK_STEPS)) == OF_QUICK_STEPS
+    assert "period" not in replace(OF_QUICK_STEPS, period=0.0).write()
+
+
+@pytest.mark.parametrize("name", ["car", "car_learned", "car_measured", "pendulum", "differential_drive"])
+def test_the_shipped_ones_say_their_models_period(name: str) -> None:
+    from safedpa.dynamics import load_model
+
+    model = load_model(name)
+    calibration = margin_for(model)
+    assert calibration is not None
+    assert calibration.period == model.period
+
+
+def driven_ticks(period: float, seconds: float, seed: int = 3) -> list[DrivenTick]:
+    robot = CarRobot(Scene.random(seed, "none"), period)
+    nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, SETTINGS, margin_for(CAR))]
+    latents: dict[int, LatentMessage] = {}
+
+    def hear(item: Received) -> None:
+        if isinstance(item.message, LatentMessage):
+            latents[item.message.tick] = item.message
+
+    states = [made.state for made in drive(robot, nodes, round(seconds / period), hear=hear)]
+    return [DrivenTick(state, latents.get(state.tick)) for state in states]
+
+
+def written(path: Path, *drives: list[DrivenTick]) -> Path:
+    with McapRecorder(path) as recorder:
+        for number, ticks in enumerate(drives):
+            for one in ticks:
+                for topic, message in ((STATES, one.state), (LATENTS, one.latent)):
+                    if message is not None:
+                        sent: Any = replace(message, epoch=number + 1)
+                        moment = round(1e9 * one.state.robot_time)
+                        recorder.write(key_of("fleet", "r", topic), encode(sent), moment, moment)
+    return path
+
+
+def test_a_calibration_says_of_which_steps_it_is_and_takes_them_alone(tmp_path: Path) -> None:
+    quick, usual = driven_ticks(0.01, 8.0), driven_ticks(0.05, 8.0)
+    path = written(tmp_path / "quick.mcap", quick)
+    found = calibration_from_recordings(CAR, SETTINGS, [path], 0.9, "2026-11-28")
+    assert found.period == 0.01
+    other = written(tmp_path / "both.mcap", quick, usual)
+    with pytest.raises(InputError, match=r"recordings: got steps of 0\.01 and 0\.05 s, wanted one period; calibrate"):
+        calibration_from_recordings(CAR, SETTINGS, [other], 0.9, "2026-11-28")
+    own = calibration_from_recordings(CAR, SETTINGS, [written(tmp_path / "b.mcap", usual)], 0.9, "2026-11-28")
+    assert own.period == 0.05
+    # by norms: a whole step ahead of a fifth of one would be wrong by what the robot goes in the rest of it
+    assert found.constants["scale.x"] < own.constants["scale.x"] < 0.01
+
+
+def test_heights_of_quick_drives_are_predicted_over_quick_steps() -> None:
+    """A tenth of a step ahead the prediction is nearer than a whole one, not ten times as far away."""
+    quick = drive_heights(CAR, SETTINGS, driven_ticks(QUICK, 4.0))
+    usual = drive_heights(CAR, SETTINGS, driven_ticks(0.05, 4.0))
+
+    def worst(heights: dict[str, Any]) -> float:
+        return float(abs(heights["obstacle"][:, 0] - heights["obstacle"][:, 1]).max())
+
+    assert worst(quick) < worst(usual)
