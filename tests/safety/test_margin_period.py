@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +23,7 @@ from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
 from safedpa.safety import MarginCalibration
+from safedpa.safety.calibration import calibration_from_errors
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.held_model import HeldModel, uncalibrated
 from safedpa.safety.margin_text import margin_from_text, margin_text
@@ -121,6 +123,22 @@ def test_file_and_text_keep_the_period() -> None:
     assert MarginCalibration.parse(OF_QUICK_STEPS.write()) == OF_QUICK_STEPS
     assert margin_from_text(margin_text(OF_QUICK_STEPS)) == OF_QUICK_STEPS
     assert "period" not in replace(OF_QUICK_STEPS, period=0.0).write()
+    errors = {"obstacle": np.linspace(0.0, 0.01, 200)}
+    assert (
+        calibration_from_errors(errors, 0.9, "2026-11-28", "f").period
+        == MarginCalibration(EPSILON, 0.9, 1, "", "f").period
+        == 0.0
+    )
+
+
+def test_heights_of_a_drive_of_no_tick_are_none() -> None:
+    assert drive_heights(CAR, SETTINGS, []) == {}
+    assert drive_heights(CAR, SETTINGS, driven_ticks(0.05, 0.05)) == {}
+
+
+def test_a_step_that_is_longer_by_so_little_as_its_own_spread_is_as_long() -> None:
+    assert OF_QUICK_STEPS.times_longer(1.01 * QUICK, 0.05) == 1.0
+    assert OF_QUICK_STEPS.times_longer(1.02 * QUICK, 0.05) == pytest.approx(1.02)
 
 
 @pytest.mark.parametrize("name", ["car", "car_learned", "car_measured", "pendulum", "differential_drive"])
@@ -163,7 +181,8 @@ def test_a_calibration_says_of_which_steps_it_is_and_takes_them_alone(tmp_path: 
     path = written(tmp_path / "quick.mcap", quick)
     found = calibration_from_recordings(CAR, SETTINGS, [path], 0.9, "2026-11-28")
     assert found.period == 0.01
-    other = written(tmp_path / "both.mcap", quick, usual)
+    between = [one._replace(state=replace(one.state, period=0.02)) for one in usual[:3]]
+    other = written(tmp_path / "both.mcap", usual, between, quick)
     with pytest.raises(InputError, match=r"recordings: got steps of 0\.01 and 0\.05 s, wanted one period; calibrate"):
         calibration_from_recordings(CAR, SETTINGS, [other], 0.9, "2026-11-28")
     own = calibration_from_recordings(CAR, SETTINGS, [written(tmp_path / "b.mcap", usual)], 0.9, "2026-11-28")

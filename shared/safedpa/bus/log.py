@@ -12,6 +12,7 @@ newest of them.
 from __future__ import annotations
 
 import contextlib
+import heapq
 import json
 import os
 import sys
@@ -20,11 +21,12 @@ import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from itertools import count
+from typing import Any, final
 
 from safedpa.limits import printable
 
-__all__ = ["EventLog", "counted_events", "log_event"]
+__all__ = ["Alarm", "EventLog", "counted_events", "log_event"]
 
 _LEAST_SECONDS = 1.0
 _MOST_WINDOWS = 512
@@ -49,16 +51,54 @@ class _Window:
     newest: dict[str, Any] | None = None
 
 
-def _on_a_timer(seconds: float, work: Callable[[], None]) -> None:
-    timer = threading.Timer(seconds, work)
-    timer.daemon = True
-    timer.start()
-
-
 def _to_standard_error(line: str) -> None:
     with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, broken, or never there
         sys.stderr.write(line)
         sys.stderr.flush()
+
+
+@final
+class Alarm:
+    """Calls what it is given at its moment, all of it in one thread, which ends when nothing is left.
+
+    A thread for each would cost a service that is late already: of a hundred robots whose verdicts change, two hundred
+    threads a second.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        """By moment [s, monotonic clock], and in the order in which they were given."""
+        self._number = count()
+        self._thread: threading.Thread | None = None
+
+    def __call__(self, seconds: float, work: Callable[[], None]) -> None:
+        """Has ``work`` called after ``seconds``, at once where that is below 0."""
+        with self._changed:
+            heapq.heappush(self._due, (time.monotonic() + seconds, next(self._number), work))
+            if self._thread is None or not self._thread.is_alive():  # not alive: of the process that this is a fork of
+                self._thread = threading.Thread(target=self._run, name="safedpa-alarm", daemon=True)
+                self._thread.start()
+            elif self._due[0][2] is work:
+                self._changed.notify()
+
+    def _run(self) -> None:
+        while (work := self._next()) is not None:
+            try:
+                work()
+            except Exception:  # noqa: BLE001 - it is told as a thread's own would be, and the others are done all the same
+                sys.excepthook(*sys.exc_info())
+
+    def _next(self) -> Callable[[], None] | None:
+        """The next work, once it is due; None where nothing is left: the thread ends then, and the next is another."""
+        with self._changed:
+            while self._due:
+                left = self._due[0][0] - time.monotonic()
+                if left <= 0.0:
+                    return heapq.heappop(self._due)[2]
+                self._changed.wait(left)
+            self._thread = None
+            return None
 
 
 class EventLog:
@@ -68,9 +108,9 @@ class EventLog:
         self,
         write: Callable[[str], object] = _to_standard_error,
         clock: Callable[[], float] = time.monotonic,
-        later: Later = _on_a_timer,
+        later: Later | None = None,
     ) -> None:
-        self._write, self._clock, self._later = write, clock, later
+        self._write, self._clock, self._later = write, clock, later or Alarm()
         self._lock = threading.Lock()
         self._windows: OrderedDict[_Key, _Window] = OrderedDict()
         self._counts: Counter[str] = Counter()
