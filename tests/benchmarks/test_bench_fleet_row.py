@@ -75,5 +75,8 @@ def test_without_ten_minutes_the_largest_fleet_tells_the_cost(monkeypatch: pytes
     monkeypatch.setattr(row, "fleet_benchmark", _fleet(230, 390))
     found = row.measure(Effort())
     assert len(found.ours) == 1
-    assert [target.what.split(",")[0] for target in found.targets][1:] == ["processor of the services a robot-tick"]
-    assert found.targets[1].got == 120.0
+    cost, elsewhere = found.targets[1:]
+    assert cost.what.startswith("processor of the services a robot-tick")
+    assert cost.got == 120.0
+    assert "400 robots simulated elsewhere" in elsewhere.what
+    assert (elsewhere.got, elsewhere.wanted, elsewhere.reached) == (0.96, 2.0, True)

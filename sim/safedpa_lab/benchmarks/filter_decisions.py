@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
-from safedpa.safety import SafetyFilter
+from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.conditions import Conditions
+from safedpa.safety.decision import Decision, Request
 from safedpa_lab.benchmarks.filter_problem import FilterProblem
 from safedpa_lab.benchmarks.timing import timed
 
@@ -19,8 +20,10 @@ __all__ = [
     "PROGRAM",
     "decided",
     "decisions",
+    "each_part_once",
     "first_program",
     "networks_alone",
+    "once",
     "program_alone",
     "with_floors",
 ]
@@ -31,6 +34,13 @@ PROGRAM: Final = "the program alone"
 BOTH: Final = "the networks and the program"
 FLOORS: Final = (NETWORKS, PROGRAM, BOTH)
 """Parts that no decision with networks can do without; with physics, the program."""
+
+
+def once(what: str) -> str:
+    """The name of ``each_part_once`` with one of ``MODELS``."""
+    return f"each part of a decision once, {what}"
+
+
 Asked = tuple[Callable[[Any], Any], Sequence[Any]]
 """A call and its inputs."""
 
@@ -57,6 +67,7 @@ def with_floors(problem: FilterProblem, calls: int, seconds: float) -> dict[str,
     (networks, known), (solve, posed) = networks_alone(problem, model), program_alone(problem, model)
     asked |= {NETWORKS: (networks, known), PROGRAM: (solve, posed)}
     asked[BOTH] = (lambda pair: (networks(pair[0]), solve(pair[1])), list(zip(known, posed, strict=True)))
+    asked |= {once(what): each_part_once(problem, load_model(name)) for name, what in MODELS.items()}
     return {name: timed(call, inputs, calls, seconds) for name, (call, inputs) in asked.items()}
 
 
@@ -78,6 +89,24 @@ def program_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
         A, b = first_program(one, barriers, tuple(state.tolist()), plain, tuple(latent.tolist()), {})
         posed.append((A, b, plain))
     return lambda rows: solve(rows[0], rows[1], rows[2]), posed
+
+
+def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
+    """Inputs, conditions, wish, slopes, one program, what its action comes to, verdict: without a search, a check of
+    other actions or a way back towards the wish, so that many of these actions are not the best, nor all of them safe.
+    """
+    one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
+    tools = one.tools
+
+    def through(request: Request) -> Any:
+        decision = Decision(tools, request)
+        conditions, wish = decision._posed(), tuple(request.wish)
+        about = conditions.outcome(wish)
+        A, b = conditions.linearised(about).at(about.residual, wish, 0.0)
+        came = conditions.outcome(tuple(tools.program.solve(A, b, wish).action))
+        return decision._verdict(Status.corrected, came, "", "solved")
+
+    return through, [Request(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
 
 
 def first_program(

@@ -9,7 +9,7 @@ import numpy as np
 
 from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter
-from safedpa_lab.benchmarks.filter_decisions import BOTH, FLOORS, MODELS, PROGRAM, decisions, with_floors
+from safedpa_lab.benchmarks.filter_decisions import FLOORS, MODELS, decisions, once, with_floors
 from safedpa_lab.benchmarks.filter_growth import over_effects, over_obstacles
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
 from safedpa_lab.benchmarks.peer_process import ask_peer
@@ -44,7 +44,7 @@ _SOURCE_TIMES: Final = 2.0
 def measure(effort: Effort) -> Row:
     """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick.
 
-    f and g alone, the program alone and both are timed as the decisions are: the floor under them.
+    f and g alone, the program alone, both, and each part once are timed as the decisions are: the floors under them.
     """
     counts = effort.of((8,), (1, 8, 32))
     problems = {count: problem_with(count) for count in counts}
@@ -72,7 +72,15 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
         all_ticks = decisions(problem, load_model(model), calls, seconds, every=True)
         found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
     note = "no decision can do without"
-    return [*found, *(microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS)]
+    found += [microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS]
+    note = "no search, no way back towards the wish, its action is not checked: how fast this design could be"
+    return [
+        *found,
+        *(
+            microseconds(f"safedpa, {once(what)}", times[once(what)], f"{named}, floor", note)
+            for what in MODELS.values()
+        ),
+    ]
 
 
 def _source(calls: int, seconds: float) -> Entry:
@@ -93,8 +101,8 @@ def _targets(ours: Sequence[Entry], peers: Sequence[Entry], counts: Sequence[int
         if not known:
             notes.append(f"no target with {named}: it is half of {_BEST}'s time, which is not there")
             continue
-        for what, part in zip(MODELS.values(), (BOTH, PROGRAM), strict=True):
-            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {part}", f"{named}, floor")
+        for what in MODELS.values():
+            entry, floor = _of(ours, f"safedpa, {what}", named), _of(ours, f"safedpa, {once(what)}", f"{named}, floor")
             targets += [_half(figure, entry, known, floor) for figure in ("p50", "p99")]
     learned, physics = (_of(ours, f"safedpa, {what}", "8 obstacles") for what in MODELS.values())
     wanted = learned.figures["p99"]

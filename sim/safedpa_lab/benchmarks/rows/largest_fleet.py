@@ -15,6 +15,9 @@ __all__ = ["measure"]
 _STACKS = 2
 """The asked number of robots is for two cores."""
 _ASKED: Final = 200
+_ASKED_ELSEWHERE: Final = 400
+"""Robots whose simulation is on another machine."""
+_CORES: Final = 2.0
 _STEADY_SECONDS: Final = 600.0
 _MOST_P99: Final = 25.0
 """ms; half of a period."""
@@ -57,6 +60,8 @@ def measure(effort: Effort) -> Row:
     if kept is not None and (cost := _cost(kept)):
         what = f"processor of the services a robot-tick, {kept['robots']} robots"
         targets.append(Target(what, _MOST_COST, cost, "us"))
+        what = f"cores that the services of {_ASKED_ELSEWHERE} robots simulated elsewhere take by that"
+        targets.append(Target(what, _CORES, round(1e-6 * cost * _ASKED_ELSEWHERE * trial.rate, 2), "cores"))
     work = f"the largest fleet at 20 Hz with at most {100.0 * LATE_SHARE:g} % late ticks, {seconds:g} s each"
     return Row("largest-fleet", work, "robots", tuple(ours), peers, tuple(targets), (curve,), better="more")
 
