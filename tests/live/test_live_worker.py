@@ -19,6 +19,7 @@ from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.live.finding import History
 from safedpa.live.work import Work
+from safedpa.records.run import Run, Stretch
 from safedpa.safety.live_margin import live_margin
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.shipped import settings_named
@@ -158,7 +159,13 @@ def test_a_model_with_free_numbers_is_calibrated_with_the_latent_that_is_estimat
     assert fixed.epsilon != along.epsilon
 
 
+def run_of(model):
+    t = model.period * np.arange(3.0)
+    zeros = np.zeros((3, len(model.system.state)))
+    return Run("r", model.system, t, zeros, zeros[:, : len(model.system.action)], (Stretch(0, 3),))
+
+
 def test_a_robot_that_names_no_barriers_around_a_state_has_no_margin_and_settings_of_another_car_none_either():
     assert live_margin(load_model("point_wind"), settings_named("point"), None, ()) == ""
     with pytest.raises(InputError, match=r"got bounds of -0\.6 to 2 1 for throttle"):
-        live_margin(load_model("dart_car"), settings_named("car"), None, ())
+        live_margin(model := load_model("dart_car"), settings_named("car"), run_of(model), ())

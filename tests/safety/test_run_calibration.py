@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
@@ -104,6 +104,20 @@ def test_a_pendulum_needs_the_margin_that_its_payload_makes() -> None:
     assert wrong.fingerprint != right.fingerprint
     text = live_margin(loaded, settings, run, ())
     assert margin_from_text(text).epsilon["corridor"] < 1e-9, "so an effect can be accepted while it swings"
+
+
+def test_a_robot_of_another_rate_gets_a_margin_of_its_own_steps_with_a_model_that_was_mended_on_the_road() -> None:
+    """Of steps of 0.05 s there are none in its run, and one without a margin could not be accepted at all."""
+    model, settings = incomplete_model(), settings_named("car")
+    usual = margin_from_text(live_margin(model, settings, driven(oracle_model(HIDDEN["steering_offset"])), ()))
+    quick = oracle_model(HIDDEN["steering_offset"]).with_period(0.01)
+    found = margin_from_text(live_margin(model, settings, driven(quick), ()))
+    assert (usual.period, found.period) == pytest.approx((0.05, 0.01))
+    assert found.fingerprint == usual.fingerprint == fingerprint(model)
+    assert 0.0 < found.epsilon["obstacle"] < usual.epsilon["obstacle"]
+    jitters = driven(oracle_model(HIDDEN["steering_offset"]))
+    jitters = dataclasses.replace(jitters, t=1.02 * jitters.t)
+    assert margin_from_text(live_margin(model, settings, jitters, ())).period == 0.05
 
 
 @pytest.mark.parametrize("newest", [{"obstacle": 0.01, "field": 0.03}, None])

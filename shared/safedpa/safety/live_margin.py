@@ -6,13 +6,13 @@ import datetime
 from collections.abc import Callable
 from dataclasses import replace
 
-from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
 from safedpa.robot import robot_like
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
-from safedpa.safety.run_calibration import LatentAlong, calibration_from_runs
+from safedpa.safety.run_calibration import LatentAlong, calibration_from_runs, is_period_of
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["live_margin"]
@@ -29,16 +29,20 @@ def live_margin(
 ) -> str:
     """The margin as text: for each kind of barrier the larger one of all of the run and of its newest half.
 
-    The model was fitted to part of the run, most likely to its older half. Empty where the robot does
-    not say which barriers may be drawn around a state. Raises InputError when the run is too short for 99 %.
+    The model was fitted to part of the run, most likely to its older half. The margin is of the run's own steps, since
+    over these the filter predicts for this robot. Empty where the robot does not say which barriers may be drawn around
+    a state. Raises InputError when the run is too short for 99 %.
     """
     robot = robot_like(model.system)
     if robot is None or not robot.calibrates_from_logs:
         return ""
-    date = datetime.date.today().isoformat()
+    date, own = datetime.date.today().isoformat(), fingerprint(model)
+    another = run.period > 0.0 and not is_period_of(model, run.period)  # not where no stretch has two rows
+    stepping = model.with_period(run.period) if another else model
 
     def calibrated(part: Run) -> MarginCalibration:
-        return calibration_from_runs(model, settings, [part], _COVERAGE, date, footprint, estimator)
+        found = calibration_from_runs(stepping, settings, [part], _COVERAGE, date, footprint, estimator)
+        return replace(found, fingerprint=own)
 
     found = calibrated(run)
     try:

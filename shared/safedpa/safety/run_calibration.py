@@ -21,7 +21,7 @@ from safedpa.safety.calibration import MarginCalibration, calibration_from_error
 from safedpa.safety.compatibility import check_settings
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["LatentAlong", "calibration_from_runs"]
+__all__ = ["LatentAlong", "calibration_from_runs", "is_period_of"]
 
 Values = NDArray[np.float64]
 
@@ -78,6 +78,11 @@ def calibration_from_runs(
     return calibration_from_errors(found, coverage, date, fingerprint(model), model.period)
 
 
+def is_period_of(model: PhysicsModel, period: float) -> bool:
+    """Whether a step of ``period`` [s] is one of the model's own, but for what clocks jitter."""
+    return abs(period / model.period - 1.0) < _SAME_PERIOD
+
+
 def _predictions(
     model: PhysicsModel, runs: Sequence[Run], estimator: Callable[[], LatentAlong] | None
 ) -> Iterator[tuple[Values, Values, Values]]:
@@ -94,7 +99,7 @@ def _predictions(
             along = None if estimator is None else estimator()
             for row in range(len(t) - 1):
                 period = float(t[row + 1] - t[row])
-                near = abs(period / model.period - 1.0) < _SAME_PERIOD
+                near = is_period_of(model, period)
                 wanted = near and number % every == 0
                 number += 1
                 if along is not None:
