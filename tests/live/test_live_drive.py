@@ -18,7 +18,7 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_lab.commands.experiments.live import command
 from safedpa_lab.experiments.live import LiveExperiment, live_experiment
-from safedpa_lab.experiments.live_drive import CASES, live_scene
+from safedpa_lab.experiments.live_drive import CASES, drive_live, live_scene
 from safedpa_lab.experiments.live_record import record_drive
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
@@ -43,6 +43,17 @@ def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
     assert drive.after < 0.4 * drive.before
     assert drive.collisions == 0
     assert drive.findings == 1
+
+
+@pytest.mark.parametrize("period", [0.1, 0.025])
+def test_so_it_is_at_a_robot_of_another_rate_than_its_models(period):
+    """Its margin is of its own steps; of the model's there are none in what it drove."""
+    drive = drive_live("steering_offset", 1, 90.0, 26.0, period=period)
+    assert drive.effect == CASES["steering_offset"]
+    assert drive.numbers["angle"] == pytest.approx(0.08, abs=0.01)
+    assert drive.taken is not None
+    assert drive.after < 0.4 * drive.before
+    assert drive.collisions == 0
 
 
 def test_everything_of_it_stands_in_the_recording(bent):

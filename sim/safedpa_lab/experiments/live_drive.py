@@ -91,30 +91,31 @@ def drive_live(
     model: str = MODEL_NAME,
     hear: Callable[[Received], None] | None = None,
     reading: float = 0.0,
+    period: float = _PERIOD,
 ) -> LiveDrive:
     """Drives until ``seconds``, or until 25 s after the model was changed; the case's change comes ``after`` [s].
 
-    ``case`` is one of ``CASES`` or ``nothing``; ``reading`` [s] goes by before a candidate is accepted. In lockstep,
-    all in one process: the same drive repeats bit for bit.
+    ``case`` is one of ``CASES`` or ``nothing``; ``reading`` [s] goes by before a candidate is accepted; the robot's
+    ``period`` [s] need not be its model's. In lockstep, all in one process: the same drive repeats bit for bit.
     """
     loaded = load_model(model)
     change = None if case == "nothing" else PlannedChange(case, after)
-    robot = CarRobot(live_scene(seed), _PERIOD, change=change)
+    robot = CarRobot(live_scene(seed), period, change=change)
     diagnosis, nodes = _nodes(loaded)
     found = LiveDrive(case, seed)
-    notes = _Notes(found, diagnosis, reading)
+    notes = _Notes(found, diagnosis, reading, period)
 
     def listen(item: Received) -> None:
         notes.hear(item)
         if hear is not None:
             hear(item)
 
-    for tick in drive(robot, nodes, round(seconds / _PERIOD), hear=listen):
+    for tick in drive(robot, nodes, round(seconds / period), hear=listen):
         found.least_h = min(found.least_h, tick.verdict.h_now)
-        found.changed = None if robot.changed_at is None else robot.changed_at * _PERIOD
+        found.changed = None if robot.changed_at is None else robot.changed_at * period
         if found.taken is not None and tick.state.robot_time > found.taken + 25.0:
             break
-    found.collisions, found.goals, found.driven = len(robot.collisions), robot.goals_reached, robot.tick * _PERIOD
+    found.collisions, found.goals, found.driven = len(robot.collisions), robot.goals_reached, robot.tick * period
     return found
 
 
@@ -140,8 +141,8 @@ def _calibrate() -> Calibrate:
 class _Notes:
     """Takes down what the findings say, and accepts the first effect that is confirmed."""
 
-    def __init__(self, found: LiveDrive, node: DiagnosisNode, reading: float) -> None:
-        self._found, self._reading = found, reading
+    def __init__(self, found: LiveDrive, node: DiagnosisNode, reading: float, period: float = _PERIOD) -> None:
+        self._found, self._reading, self._period = found, reading, period
         self._node = node
         self._errors: list[float] = []
         self._later: list[float] = []
@@ -156,7 +157,7 @@ class _Notes:
             self._finding(message)
         elif item.topic is MODEL and isinstance(message, ModelMessage) and message.step == "take":
             if self._found.taken is None:
-                self._found.taken = message.from_tick * _PERIOD
+                self._found.taken = message.from_tick * self._period
         elif item.topic is STATE and isinstance(message, StateMessage):
             self._accept(message.robot_time)
 
