@@ -81,7 +81,7 @@ def test_numbers_that_no_data_stand_behind_are_taken_as_they_are() -> None:
     assert set(memory_of(node).margin.epsilon.values()) == {0.02}
     assert "times as long" not in verdict.sentence
     own = HeldModel(CAR, "own", uncalibrated(SETTINGS, "own"))
-    assert own.times_longer(5.0, SETTINGS) == 1.0
+    assert own.margin_over(5.0, SETTINGS) == (own.calibration, 1.0)
 
 
 def test_the_margin_that_the_settings_choose_is_the_one_that_is_widened() -> None:
@@ -110,13 +110,59 @@ def test_what_an_offered_model_would_bring_is_told_at_the_robots_own_period() ->
     assert "the margin of obstacle goes from 0.03 to 0.2" in node._foretold("r", held)
 
 
-@given(
-    st.floats(1e-4, 10.0), st.floats(1e-4, 10.0), st.dictionaries(st.sampled_from("abc"), st.floats(0, 1), min_size=1)
+TABLES = st.dictionaries(
+    st.sampled_from(["0.1", "0.2", "1.5"]),
+    st.fixed_dictionaries({kind: st.floats(0, 1) for kind in EPSILON}),
 )
-def test_a_longer_step_never_has_the_narrower_margin(one: float, other: float, epsilon: dict[str, float]) -> None:
-    calibration = replace(OF_QUICK_STEPS, epsilon=epsilon)
-    short, long = (calibration.widened(calibration.times_longer(period, 0.05)) for period in sorted((one, other)))
-    assert all(epsilon[kind] <= short[kind] <= long[kind] for kind in epsilon)
+
+
+@given(st.floats(1e-4, 10.0), st.floats(1e-4, 10.0), TABLES)
+def test_a_longer_step_never_has_the_narrower_margin(one: float, other: float, slower: dict[str, Any]) -> None:
+    calibration = replace(OF_QUICK_STEPS, slower=slower)
+    (short, few), (long, many) = (calibration.over(period, 0.05) for period in sorted((one, other)))
+    assert 1.0 <= few <= many
+    assert all(EPSILON[kind] <= short.epsilon[kind] <= long.epsilon[kind] for kind in EPSILON)
+
+
+def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> None:
+    """Between two the longer one's; never less than that of shorter ones; beyond the last in proportion."""
+    slower = {"0.2": dict.fromkeys(EPSILON, 0.02), "0.1": {"obstacle": 0.05, "field": 0.001, "speed": 0.01}}
+    calibration = replace(OF_QUICK_STEPS, slower=slower)
+    told = {period: calibration.over(period, 0.05) for period in (QUICK, 0.05, 0.1, 0.11, 0.2, 0.4)}
+    assert [times for _, times in told.values()] == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 2.0])
+    assert told[QUICK][0].epsilon == EPSILON
+    assert told[0.05][0].epsilon == told[0.1][0].epsilon == {"obstacle": 0.05, "field": 0.002, "speed": 0.01}
+    assert told[0.11][0].epsilon == told[0.2][0].epsilon == {"obstacle": 0.05, "field": 0.02, "speed": 0.02}
+    assert told[0.4][0].epsilon == {"obstacle": 0.1, "field": 0.04, "speed": 0.04}
+    node, verdict = answered(calibration, 0.1)
+    assert (memory_of(node).margin.epsilon["obstacle"], verdict.promised) == (0.05, 0.99)
+    assert "times as long" not in verdict.sentence
+    assert MarginCalibration.parse(calibration.write()) == calibration
+    assert margin_from_text(margin_text(calibration)) == calibration
+    assert calibration.chosen(0.02).slower == {}
+
+
+def test_of_a_margin_that_is_not_that_of_a_step_nothing_is_known_of_longer_ones() -> None:
+    whole = replace(OF_QUICK_STEPS, drive=dict.fromkeys(EPSILON, 0.1), slower={"0.1": dict.fromkeys(EPSILON, 0.2)})
+    assert whole.chosen("drive").slower == {}
+    assert whole.chosen("conformal") is whole
+
+
+@pytest.mark.parametrize(
+    ("slower", "said"),
+    [
+        ([], r"slower: got \[\], wanted a table of margins for each period in s"),
+        ({"0.1": {"obstacle": 0.1}}, r"slower\.0\.1: got obstacle, wanted numbers for obstacle, field, speed"),
+        ({"0.1": 0.3}, r"slower\.0\.1: got 0\.3, wanted numbers for"),
+        ({"0.1": {**EPSILON, "speed": -0.1}}, r"slower\.0\.1\.speed: got -0\.1, wanted a finite number >= 0"),
+        ({"soon": EPSILON}, r"slower\.soon: wanted a period in s for the name of the table"),
+        ({"0.001": EPSILON}, r"slower\.0\.001: got 0\.001, wanted a finite number >= 0\.005"),
+        ({"inf": EPSILON}, r"slower\.inf: got inf, wanted a finite number"),
+    ],
+)
+def test_tables_of_longer_steps_are_checked(slower: Any, said: str) -> None:
+    with pytest.raises(InputError, match=f"^{said}"):
+        replace(OF_QUICK_STEPS, slower=slower)
 
 
 def test_file_and_text_keep_the_period() -> None:
@@ -137,8 +183,8 @@ def test_heights_of_a_drive_of_no_tick_are_none() -> None:
 
 
 def test_a_step_that_is_longer_by_so_little_as_its_own_spread_is_as_long() -> None:
-    assert OF_QUICK_STEPS.times_longer(1.01 * QUICK, 0.05) == 1.0
-    assert OF_QUICK_STEPS.times_longer(1.02 * QUICK, 0.05) == pytest.approx(1.02)
+    assert OF_QUICK_STEPS.over(1.01 * QUICK, 0.05) == (OF_QUICK_STEPS, 1.0)
+    assert OF_QUICK_STEPS.over(1.02 * QUICK, 0.05)[1] == pytest.approx(1.02)
 
 
 @pytest.mark.parametrize("name", ["car", "car_learned", "car_measured", "pendulum", "differential_drive"])

@@ -22,6 +22,26 @@ def test_the_shipped_margin_belongs_to_the_shipped_car() -> None:
     assert margin.transitions > 5000
 
 
+def test_the_shipped_car_has_margins_of_its_longer_steps_beside_its_own() -> None:
+    """Each from its own file, with the same kinds; what is asked for by name comes alone."""
+    model = load_model("car")
+    margin = margin_for(model)
+    assert margin is not None
+    assert margin.period == model.period
+    assert margin.slower == {
+        f"{hertz:g}": found.epsilon
+        for hertz, found in ((0.1, margin_for(model, "car_10_hz")), (0.2, margin_for(model, "car_5_hz")))
+        if found is not None
+    }
+    assert len(margin.slower) == 2
+    for epsilon in (margin.epsilon, *margin.slower.values()):
+        assert set(epsilon) == {"obstacle", "field", "speed"}
+    alone = margin_for(model, "car_10_hz")
+    assert alone is not None
+    assert (alone.period, alone.slower) == (0.1, {})
+    assert alone.fingerprint == margin.fingerprint
+
+
 def test_another_model_has_no_shipped_margin_and_refuses_this_one() -> None:
     other = load_model("car").with_settings({"base.speed_gain": Setting(2.0)})
     assert margin_for(other) is None

@@ -31,8 +31,8 @@ Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
-_SAID = ("drives", "origin", "period")
-"""Optional as well, but no tables."""
+_SAID = ("drives", "origin", "period", "slower")
+"""Optional as well, but no tables of numbers."""
 _SAME_PERIOD = 1.01
 """Times as long at most: an error grows with the period, and so much more is less than its own spread."""
 
@@ -70,6 +70,8 @@ class MarginCalibration:
     """The command that made it, with its seeds and the version; empty: not told."""
     period: float = 0.0
     """s, of the steps whose errors these are; 0: not told, then it is the model's own."""
+    slower: dict[str, dict[str, float]] = field(default_factory=dict)
+    """By period [s] of longer steps, the margins in place of ``epsilon`` that were calibrated on those."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.epsilon, dict) or not self.epsilon:
@@ -79,6 +81,7 @@ class MarginCalibration:
                 raise InputError(f"{name}: got {table!r}, wanted a table of numbers")
             for kind, value in table.items():
                 _check_number(f"{name}.{kind}", value, 0.0)
+        self._check_slower()
         _check_number("coverage", self.coverage, 0.0)
         if not 0.0 < self.coverage < 1.0:
             raise InputError(f"coverage: got {self.coverage}, wanted more than 0 and less than 1")
@@ -89,6 +92,20 @@ class MarginCalibration:
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"{name}: got {getattr(self, name)!r}, wanted a string")
 
+    def _check_slower(self) -> None:
+        if not isinstance(self.slower, dict):
+            raise InputError(f"slower: got {self.slower!r}, wanted a table of margins for each period in s")
+        for period, table in self.slower.items():
+            if not isinstance(table, dict) or set(table) != set(self.epsilon):
+                told = ", ".join(table) if isinstance(table, dict) else repr(table)
+                raise InputError(f"slower.{period}: got {told}, wanted numbers for {', '.join(self.epsilon)}")
+            for kind, value in table.items():
+                _check_number(f"slower.{period}.{kind}", value, 0.0)
+            try:
+                _check_number(f"slower.{period}", float(period), self.period)
+            except ValueError as error:
+                raise InputError(f"slower.{period}: wanted a period in s for the name of the table") from error
+
     def chosen(self, margin: str | float) -> MarginCalibration:
         """The calibration whose ``epsilon`` is what the settings' ``margin`` names: a table, or one number for all.
 
@@ -97,26 +114,30 @@ class MarginCalibration:
         if margin == "conformal":
             return self
         if margin not in ("theorem", "drive"):
-            return replace(self, epsilon=dict.fromkeys(self.epsilon, float(margin)))
+            return replace(self, epsilon=dict.fromkeys(self.epsilon, float(margin)), slower={})
         table = self.theorem if margin == "theorem" else self.drive
         if set(table) != set(self.epsilon):
             raise InputError(
                 f"margin '{margin}': the calibration has it for {', '.join(table) or 'no kind'}, wanted "
                 f"{', '.join(self.epsilon)}; write it with 'safedpa calibrate'"
             )
-        return replace(self, epsilon=dict(table))
+        return replace(self, epsilon=dict(table), slower={})
 
-    def times_longer(self, period: float, own: float) -> float:
-        """How many times as long as the steps of this calibration those of ``period`` [s] are; 1 for shorter ones.
+    def over(self, period: float, own: float) -> tuple[MarginCalibration, float]:
+        """The same with ``epsilon`` for steps of ``period`` [s], and how many times as long as any known ones they are.
 
+        1 and what was calibrated on such steps or the next longer ones, never less than on shorter ones; beyond all of
+        them so many times the widest: what steps come to that are so long if all parts of each err in one way.
         ``own`` [s] is the model's own period, which stands where none is told.
         """
-        times = period / (self.period or own)
-        return times if times > _SAME_PERIOD else 1.0
-
-    def widened(self, times: float) -> dict[str, float]:
-        """``times`` epsilon: what steps that are so many times as long come to if all parts of each err in one way."""
-        return {kind: times * value for kind, value in self.epsilon.items()}
+        tables = {self.period or own: self.epsilon} | {float(name): table for name, table in self.slower.items()}
+        longest = max(tables)
+        until = min((known for known in tables if period <= _SAME_PERIOD * known), default=longest)
+        times = max(1.0, period / longest) if period > _SAME_PERIOD * longest else 1.0
+        widest = {
+            kind: times * max(table[kind] for known, table in tables.items() if known <= until) for kind in self.epsilon
+        }
+        return replace(self, epsilon=widest), times
 
     def write(self) -> str:
         """The TOML text that ``parse`` reads back."""
@@ -132,7 +153,9 @@ class MarginCalibration:
         lines += [f"period = {float(self.period)!r}"] if self.period else []
         for name in ("epsilon", *_OPTIONAL):
             if table := getattr(self, name):
-                lines += ["", f"[{name}]", *(f'"{kind}" = {float(value)!r}' for kind, value in table.items())]
+                lines += ["", f"[{name}]", *_lines_of(table)]
+        for period, table in self.slower.items():
+            lines += ["", f'[slower."{period}"]', *_lines_of(table)]
         return "\n".join(lines) + "\n"
 
     @staticmethod
@@ -231,6 +254,10 @@ def one_step_errors(
     if not errors:
         raise InputError("barriers: got none, wanted at least one")
     return {kind: np.where(np.isneginf(values), 0.0, values) for kind, values in errors.items()}
+
+
+def _lines_of(table: Mapping[str, float]) -> list[str]:
+    return [f'"{kind}" = {float(value)!r}' for kind, value in table.items()]
 
 
 def _check_number(name: str, value: Any, low: float) -> None:

@@ -151,9 +151,9 @@ class FilteredRobot:
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
         filtering = SafetyFilter.for_model(model, settings, backup=scene.backup)
-        longer = held.times_longer(model.period, settings)
-        phased = None if before is None else PhasedMargin(before, held.calibration.widened(longer), settings.eta)
-        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased, longer)
+        calibration, longer = held.margin_over(model.period, settings)
+        phased = None if before is None else PhasedMargin(before, calibration.epsilon, settings.eta)
+        margin = WatchedMargin(calibration, Ceiling.of_settings(settings), phased, longer)
         return cls(held, model, filtering, scene, margin, Trail(model))
 
     @property

@@ -30,17 +30,14 @@ class HeldModel:
     calibration: MarginCalibration
     """As the settings choose it: conformal, by the theorem, or one number."""
 
-    def times_longer(self, period: float, settings: FilterSettings) -> float:
-        """How many times as long as the steps of the calibration those of ``period`` [s] are, at least 1.
+    def margin_over(self, period: float, settings: FilterSettings) -> tuple[MarginCalibration, float]:
+        """The margins for steps of ``period`` [s], and how many times as long as any calibrated on they are.
 
-        A number that the settings name was calibrated on none.
+        A number that the settings name was calibrated on none, and stays.
         """
-        named = isinstance(settings.margin, str) and self.calibration.date != _NEVER
-        return self.calibration.times_longer(period, self.model.period) if named else 1.0
-
-    def margin_over(self, period: float, settings: FilterSettings) -> dict[str, float]:
-        """The margins by kind for steps of ``period`` [s]; as many times as wide as these are ``times_longer``."""
-        return self.calibration.widened(self.times_longer(period, settings))
+        if isinstance(settings.margin, str) and self.calibration.date != _NEVER:
+            return self.calibration.over(period, self.model.period)
+        return self.calibration, 1.0
 
 
 def uncalibrated(settings: FilterSettings, fingerprint: str) -> MarginCalibration:

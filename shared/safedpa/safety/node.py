@@ -259,8 +259,8 @@ class SafetyFilterNode(AbstractNode):
         if memory is None or memory.decision is None or isinstance(memory.barriers, str):
             return margin_change(current, held.calibration.epsilon, {}, self._settings.eta)
         h = least_by_kind(memory.barriers, memory.decision.state.values)
-        coming = held.margin_over(memory.model.period, self._settings)
-        return margin_change(memory.margin.epsilon, coming, h, self._settings.eta)
+        coming, _ = held.margin_over(memory.model.period, self._settings)
+        return margin_change(memory.margin.epsilon, coming.epsilon, h, self._settings.eta)
 
 
 def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -25,15 +26,15 @@ def settings_named(source: str) -> FilterSettings:
 def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | None:
     """The calibration in a file or under a name; without one the shipped one of this very model, or None.
 
-    Raises InputError when it cannot be read.
+    With those of its longer steps, where they ship. Raises InputError when it cannot be read.
     """
     if source:
         return MarginCalibration.load(_path(source, "named_margins"))
-    for path in _shipped("named_margins").values():
-        calibration = MarginCalibration.load(path)
-        if calibration.fingerprint == fingerprint(model):
-            return calibration
-    return None
+    shipped = map(MarginCalibration.load, _shipped("named_margins").values())
+    found = sorted((one for one in shipped if one.fingerprint == fingerprint(model)), key=lambda one: one.period)
+    if not found:
+        return None
+    return replace(found[0], slower={f"{one.period:g}": one.epsilon for one in found[1:]})
 
 
 def _path(source: str, kind: str) -> Path:

@@ -53,7 +53,7 @@ class WatchedMargin:
         """``longer``: how many times as long as the calibration's the steps are; beyond 1 it promises nothing."""
         self._margins = {
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
-            for kind, calibrated in calibration.widened(longer).items()
+            for kind, calibrated in calibration.epsilon.items()
         }
         self.promised = calibration.coverage if calibration.date != "never" and longer == 1.0 else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""

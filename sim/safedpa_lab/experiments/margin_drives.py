@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -46,8 +47,8 @@ _STARTS: Final = (-0.6, 0.6)
 """rad; from there the corridor can be kept in every wind that is drawn."""
 
 
-def _car(seed: int) -> Robot:
-    return CarRobot(Scene.random(seed, LOADS[seed % len(LOADS)]), 0.05)
+def _car(seed: int, period: float = 0.05) -> Robot:
+    return CarRobot(Scene.random(seed, LOADS[seed % len(LOADS)]), period)
 
 
 def _pendulum(seed: int) -> Robot:
@@ -88,10 +89,14 @@ class Driver:
     seconds: float
     controller: str | None = None
     """None: as the model allows."""
+    period: float = 0.0
+    """s; 0: the model's own."""
 
 
 DRIVERS: Final = {
     "car": Driver("car", "car", _car, 20.0),
+    "car_10_hz": Driver("car", "car", partial(_car, period=0.1), 20.0, period=0.1),
+    "car_5_hz": Driver("car", "car", partial(_car, period=0.2), 20.0, period=0.2),
     "car_learned": Driver("car_learned", "car", _car, 20.0),
     "pendulum": Driver("pendulum", "pendulum", _pendulum, 6.0),
     "pendulum_learned": Driver("pendulum_learned", "pendulum", _pendulum, 6.0),
@@ -146,7 +151,7 @@ def driven(order: DriveOrder) -> DriveResult:
         if item.topic is LATENT and isinstance(item.message, LatentMessage):
             latents[item.message.tick] = item.message
 
-    ticks = round((order.seconds or driver.seconds) / model.period)
+    ticks = round((order.seconds or driver.seconds) / (driver.period or model.period))
     for tick in drive(robot, nodes, ticks, hear=hear):
         states.append(tick.state)
         statuses[tick.verdict.status] += 1

@@ -157,7 +157,11 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
 
 def _shipped(name: str) -> MarginCalibration | None:
     """None: of this one there is only what its settings assume."""
-    return margin_for(load_model(DRIVERS[name].model))
+    model = load_model(DRIVERS[name].model)
+    shipped, period = margin_for(model), DRIVERS[name].period
+    if shipped is None or not period:
+        return shipped
+    return replace(shipped.over(period, model.period)[0], theorem={}, period=period, slower={})
 
 
 def _shipped_alone(name: str, fresh: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
@@ -222,7 +226,7 @@ def _calibrated(
     found = calibration_from_drives(
         heights, asked_for, time.strftime("%Y-%m-%d"), fingerprint(model), _ceiling(name), origin
     )
-    return replace(found, period=model.period)
+    return replace(found, period=DRIVERS[name].period or model.period)
 
 
 def _ceiling(name: str) -> Ceiling:
