@@ -140,6 +140,8 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     assert MarginCalibration.parse(calibration.write()) == calibration
     assert margin_from_text(margin_text(calibration)) == calibration
     assert calibration.chosen(0.02).slower == {}
+    narrower = replace(OF_QUICK_STEPS, period=0.0, slower={"0.05": dict.fromkeys(EPSILON, 0.0)})
+    assert narrower.over(0.05, 0.05)[0].epsilon == EPSILON, "a table of the same steps takes nothing away"
 
 
 def test_of_a_margin_that_is_not_that_of_a_step_nothing_is_known_of_longer_ones() -> None:

@@ -130,13 +130,11 @@ class MarginCalibration:
         them so many times the widest: what steps come to that are so long if all parts of each err in one way.
         ``own`` [s] is the model's own period, which stands where none is told.
         """
-        tables = {self.period or own: self.epsilon} | {float(name): table for name, table in self.slower.items()}
-        longest = max(tables)
-        until = min((known for known in tables if period <= _SAME_PERIOD * known), default=longest)
-        times = max(1.0, period / longest) if period > _SAME_PERIOD * longest else 1.0
-        widest = {
-            kind: times * max(table[kind] for known, table in tables.items() if known <= until) for kind in self.epsilon
-        }
+        tables = [(self.period or own, self.epsilon), *((float(name), table) for name, table in self.slower.items())]
+        longest = max(known for known, _ in tables)
+        until = min((known for known, _ in tables if period <= _SAME_PERIOD * known), default=longest)
+        times = period / longest if period > _SAME_PERIOD * longest else 1.0
+        widest = {kind: times * max(table[kind] for known, table in tables if known <= until) for kind in self.epsilon}
         return replace(self, epsilon=widest), times
 
     def write(self) -> str:

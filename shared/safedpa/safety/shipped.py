@@ -34,7 +34,8 @@ def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | Non
     found = sorted((one for one in shipped if one.fingerprint == fingerprint(model)), key=lambda one: one.period)
     if not found:
         return None
-    return replace(found[0], slower={f"{one.period:g}": one.epsilon for one in found[1:]})
+    slower = [one for one in found[1:] if one.coverage >= found[0].coverage]
+    return replace(found[0], slower={f"{one.period:g}": one.epsilon for one in slower})
 
 
 def _path(source: str, kind: str) -> Path:
