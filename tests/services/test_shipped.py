@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from safedpa.dynamics import Setting, fingerprint, load_model
 from safedpa.errors import InputError
-from safedpa.safety import FilterSettings, shipped
+from safedpa.safety import FilterSettings, MarginCalibration, shipped
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 
@@ -40,6 +41,19 @@ def test_the_shipped_car_has_margins_of_its_longer_steps_beside_its_own() -> Non
     assert alone is not None
     assert (alone.period, alone.slower) == (0.1, {})
     assert alone.fingerprint == margin.fingerprint
+
+
+def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In whatever order the files stand; what covers more than is promised may stand in."""
+    model = load_model("car")
+    own = replace(MarginCalibration({"obstacle": 0.01}, 0.9, 100, "2026-11-28", fingerprint(model)), period=0.05)
+    told = {"a": (0.1, 0.8), "b": (0.05, 0.9), "c": (0.4, 0.99), "d": (0.2, 0.9)}
+    for name, (period, coverage) in told.items():
+        replace(own, period=period, coverage=coverage).save(tmp_path / f"{name}.toml")
+    monkeypatch.setattr(shipped, "_shipped", lambda _: {name: tmp_path / f"{name}.toml" for name in told})
+    assert margin_for(model) == replace(own, slower={"0.2": own.epsilon, "0.4": own.epsilon})
 
 
 def test_another_model_has_no_shipped_margin_and_refuses_this_one() -> None:
