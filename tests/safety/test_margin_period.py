@@ -104,6 +104,19 @@ def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps
     assert memory_of(node).margin.epsilon["obstacle"] == pytest.approx(10.0 * EPSILON["obstacle"])
 
 
+@pytest.mark.parametrize(("slow", "then"), [(0.1, QUICK), (0.1, 0.05)])
+def test_a_robot_that_goes_on_quicker_is_not_held_to_what_its_long_steps_took(slow: float, then: float) -> None:
+    """Nor told how long they were."""
+    node, verdict = answered(OF_QUICK_STEPS, slow)
+    assert f"A step is {slow / QUICK:g} times" in verdict.sentence
+    state = state_at(1, period=then, applied=verdict.action)
+    verdict = asked(node, state, latent_at(state))
+    assert f"A step is {slow / QUICK:g} times" not in verdict.sentence
+    times = then / QUICK
+    assert memory_of(node).margin.epsilon == pytest.approx({kind: times * value for kind, value in EPSILON.items()})
+    assert verdict.promised == (0.99 if times == 1.0 else -1.0)
+
+
 def test_what_an_offered_model_would_bring_is_told_at_the_robots_own_period() -> None:
     node, _ = answered(OF_QUICK_STEPS)
     held = HeldModel(CAR, "another", replace(OF_QUICK_STEPS, epsilon={"obstacle": 0.02}, fingerprint="another"))

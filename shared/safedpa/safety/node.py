@@ -101,7 +101,7 @@ class SafetyFilterNode(AbstractNode):
             broken = self._broken.pop(robot, None)
             before = None if broken is None else broken.margin.epsilon
             memory = FilteredRobot.begun(self._versions.of(robot), self._settings, before, state.period)
-            if broken is not None and broken.held is memory.held and broken.model.period >= memory.model.period:
+            if broken is not None and _same_margin(broken, memory):
                 memory.margin = broken.margin
                 memory.margin.expect(None)
             memory.remember_way(broken)
@@ -261,6 +261,12 @@ class SafetyFilterNode(AbstractNode):
         h = least_by_kind(memory.barriers, memory.decision.state.values)
         coming, _ = held.margin_over(memory.model.period, self._settings)
         return margin_change(memory.margin.epsilon, coming.epsilon, h, self._settings.eta)
+
+
+def _same_margin(before: FilteredRobot, now: FilteredRobot) -> bool:
+    """Whether what was watched goes on: of the same model, and of steps no shorter that were calibrated alike."""
+    alike = before.held is now.held and before.margin.longer == now.margin.longer
+    return alike and before.model.period >= now.model.period
 
 
 def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:

@@ -57,6 +57,8 @@ class WatchedMargin:
         }
         self.promised = calibration.coverage if calibration.date != "never" and longer == 1.0 else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
+        self.longer = longer
+        """How many times as long as the calibration's the steps are; 1 for those and shorter ones."""
         self._longer = _LONGER.format(longer) if longer != 1.0 else ""
         self._ceiling, self._phased = ceiling, phased
         self.learns = True
