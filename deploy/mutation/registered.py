@@ -172,7 +172,7 @@ MODULES = {
     "robots.car.reversed_way": ("test_towed_reach.py",),
     "robots.car.towed_reach": ("test_towed_reach.py",),
     "calibration": ("test_margin_conformal.py", *DRIVES, "test_run_calibration.py", "test_margin_period.py"),
-    "run_calibration": ("test_run_calibration.py", "test_strangers.py"),
+    "run_calibration": ("test_run_calibration.py", "test_log_margin.py", "test_strangers.py"),
     "recorded": ("test_theory_command.py", "test_margin_period.py"),
     "ceiling": ("test_watched_margin.py", *DRIVES),
     "drive_calibration": DRIVES,

@@ -1,21 +1,31 @@
-"""From a model on disk to driving it: whether ``safedpa up`` takes it, and by which command."""
+"""From a model on disk to driving it: the margin beside it, whether ``safedpa up`` takes it, and by which command."""
 
 from __future__ import annotations
 
+import datetime
 import os
 import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.dynamics.own import EFFECTS_VARIABLE
 from safedpa.errors import InputError
-from safedpa.robot import DEFAULT_ROBOT, own_robots, robot_named
+from safedpa.records.run import Run
+from safedpa.robot import DEFAULT_ROBOT, own_robots, robot_like, robot_named
 from safedpa.systems.driven import why_not_driven
 
-__all__ = ["drive_command", "why_refused"]
+__all__ = ["RATES", "MarginBeside", "drive_command", "margin_beside", "why_refused"]
+
+RATES = (1.0, 500.0)
+"""Ticks per second, at least and at most, that ``safedpa up`` drives at."""
 
 _SAME_RATE = 0.01
 """Relative difference of periods up to which networks are asked as they were trained."""
+_COVERAGE = 0.99
+"""Share of steps that a margin covers."""
 
 
 def why_refused(model: PhysicsModel) -> str:
@@ -39,10 +49,14 @@ def why_refused(model: PhysicsModel) -> str:
     return ""
 
 
-def drive_command(model: PhysicsModel, path: Path, margin: Path | None, own: Path | None = None) -> str:
+def drive_command(
+    model: PhysicsModel, path: Path, margin: Path | None, own: Path | None = None, period: float = 0.0
+) -> str:
     """The command that drives the simulated robot with the model at ``path``, for a shell.
 
     ``own``: the file of the user's own robot or effects; None: that of the environment, if one is named there.
+    ``period`` [s]: of the steps of the margin, at whose rate it drives where they are not the model's and a robot can
+    be driven at it; 0: not told.
     """
     name = model.system.name
     files = [str(own)] if own else [item for item in os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep) if item]
@@ -52,4 +66,51 @@ def drive_command(model: PhysicsModel, path: Path, margin: Path | None, own: Pat
     if files:
         words += ["--robot-file" if name in own_robots() else "--effects", files[0]]
     words += ["--model", str(path), *(["--margin", str(margin)] if margin else [])]
+    another = period > 0.0 and abs(period / model.period - 1.0) > _SAME_RATE
+    if another and RATES[0] <= 1.0 / period <= RATES[1]:
+        words += ["--rate", f"{1.0 / period:.4g}"]
     return shlex.join(words)
+
+
+@final
+@dataclass(frozen=True)
+class MarginBeside:
+    """Where the margin lies, of which steps it is, and what a person has to know of it."""
+
+    path: Path | None = None
+    """None: there is none."""
+    period: float = 0.0
+    """s, of its steps; 0: there is none."""
+    said: str = ""
+    """Sentences; empty where all is as usual."""
+
+
+def margin_beside(
+    model: PhysicsModel,
+    runs: Sequence[Run],
+    path: Path,
+    fewer: Callable[[Sequence[Run]], Sequence[Run]] = lambda runs: runs,
+) -> MarginBeside:
+    """Calibrates the margin of ``model`` on ``runs`` and writes it to ``path``, in place of one of an earlier model.
+
+    Of the model's own steps, or of those that the runs have; where they tell none, why. Nothing is written or said for
+    a robot that does not say which barriers may be drawn around a state. ``fewer`` thins long runs out.
+    """
+    from safedpa.adaptation import HistoryEstimator
+    from safedpa.safety.run_calibration import log_margin, log_margin_told
+
+    path.unlink(missing_ok=True)
+    robot = robot_like(model.system)
+    if robot is None or not robot.calibrates_from_logs:
+        return MarginBeside()
+    # phi tells a learned latent tick by tick, in the filter as here
+    learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
+    estimator = (lambda: HistoryEstimator(model)) if learned else None
+    today = datetime.date.today().isoformat()
+    try:
+        found = log_margin(model, robot.settings(), runs, _COVERAGE, today, estimator=estimator, fewer=fewer)
+    except InputError as error:
+        why = str(error).removeprefix("margin: ")
+        return MarginBeside(said=f"No margin was calibrated: {why}; the filter's settings stand in for it")
+    found.calibration.save(path)
+    return MarginBeside(path, found.period, log_margin_told(model, found))

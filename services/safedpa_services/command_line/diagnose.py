@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import json
 import math
 from pathlib import Path
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
     from safedpa.diagnosis.document import Report
     from safedpa.records.run import Run
+    from safedpa_services.driving import MarginBeside
 
 __all__ = ["command", "story_lines"]
 
@@ -39,8 +39,6 @@ WRITTEN = ("report.json", "report.html", "diagnosis.rrd", "model.toml", "margin.
 """Files of a diagnosis."""
 BAR = 40
 """Characters of the longest bar."""
-COVERAGE = 0.99
-"""Share of steps that the margin beside the diagnosed model covers."""
 ROWS = 60_000
 """Rows, evenly spread, from which the margin is taken: an actuator's memory is followed along all of them."""
 WORSE = 3
@@ -128,40 +126,17 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
         _show(report, out, margin, options["effects"])
 
 
-def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
-    """Calibrates the filter's margin for the diagnosed model and writes it beside it; None where there is none to tell.
-
-    Only for robots that say which barriers may be drawn around a state, and only when the data allowed a verdict.
-    """
-    from safedpa.adaptation import HistoryEstimator
+def _margin(report: Report, runs: Sequence[Run], out: Path) -> MarginBeside:
+    """The filter's margin for the diagnosed model, beside it; none where the data allowed no verdict."""
     from safedpa.compare.excerpt import excerpt
-    from safedpa.dynamics import LearnedBase
-    from safedpa.errors import InputError
-    from safedpa.robot import robot_like
-    from safedpa.safety.run_calibration import calibration_from_runs
+    from safedpa_services.driving import MarginBeside, margin_beside
 
-    path, model = out / "margin.toml", report.models[-1]
-    path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
+    path = out / "margin.toml"
     judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
-    robot = robot_like(model.system)
-    if not judged or robot is None or not robot.calibrates_from_logs:
-        return None
-    # phi tells a learned latent tick by tick, in the filter as here
-    learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
-    estimator = (lambda: HistoryEstimator(model)) if learned else None
-    try:
-        calibration = calibration_from_runs(
-            model,
-            robot.settings(),
-            excerpt(runs, ROWS, report.horizon),
-            COVERAGE,
-            datetime.date.today().isoformat(),
-            estimator=estimator,
-        )
-    except InputError:  # too few transitions at the model's period: the filter's settings stand in for it
-        return None
-    calibration.save(path)
-    return path
+    if not judged:
+        path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
+        return MarginBeside()
+    return margin_beside(report.models[-1], runs, path, lambda some: excerpt(some, ROWS, report.horizon))
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
@@ -182,7 +157,7 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
     write_recording(document, runs, report.models, out)
 
 
-def _show(report: Report, out: Path, margin: Path | None, own: Path | None) -> None:
+def _show(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> None:
     from safedpa_services.driving import drive_command
     from safedpa_services.terminal import terminal
 
@@ -191,8 +166,10 @@ def _show(report: Report, out: Path, margin: Path | None, own: Path | None) -> N
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
-    if margin is not None:
-        command = drive_command(report.models[-1], out / "model.toml", margin, own)
+    if margin.said:
+        console.print(margin.said, markup=False)
+    if margin.path is not None:
+        command = drive_command(report.models[-1], out / "model.toml", margin.path, own, margin.period)
         console.print(f"Drive with it: {command}", markup=False)
 
 

@@ -226,6 +226,7 @@ def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.perception import load_perception
     from safedpa.robot import robot_named
     from safedpa.safety.shipped import margin_for
+    from safedpa_services.driving import RATES
     from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
@@ -239,8 +240,8 @@ def _plan(options: dict[str, Any]) -> Plan:
         "settings": options["settings"] or driven.settings_name,
         "rate": driven.rate if options["rate"] is None else options["rate"],
     }
-    if not 1.0 <= options["rate"] <= 500.0:
-        raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
+    if not RATES[0] <= options["rate"] <= RATES[1]:
+        raise InputError(f"--rate: got {options['rate']}, wanted {RATES[0]:g} to {RATES[1]:g} ticks per second")
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
     margin_for(model, options["margin"])

@@ -6,7 +6,6 @@ end.
 
 from __future__ import annotations
 
-import datetime
 import json
 import pickle
 from collections.abc import Callable, Iterator, Sequence
@@ -16,14 +15,12 @@ from typing import Any
 
 from safedpa.diagnosis.stepwise import Step, with_final
 from safedpa.disk import why_not_written
-from safedpa.dynamics import LearnedBase, PhysicsModel, save_model
+from safedpa.dynamics import PhysicsModel, save_model
 from safedpa.errors import InputError
 from safedpa.limits import parse_json, readable, text_of_file
 from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run
-from safedpa.robot import robot_like
-from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa_services.driving import drive_command, why_refused
+from safedpa_services.driving import drive_command, margin_beside, why_refused
 from safedpa_services.workbench.recordings import Choice, Made
 
 __all__ = [
@@ -45,8 +42,6 @@ STEPS = (
     (0.8, "Saving: calibrates the filter's margin on the recordings"),
 )
 """From which share on what is done."""
-_COVERAGE = 0.99
-"""Share of steps that the margin covers."""
 
 
 def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, tell: Callable[[float], None]) -> str:
@@ -63,34 +58,21 @@ def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, t
         folder.mkdir(parents=True, exist_ok=True)
         save_model(model, folder / "model.toml")
         tell(0.8)
-        margin = _margin(model, runs, folder / "margin.toml")
+        margin = margin_beside(model, runs, folder / "margin.toml")
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be written to ({why_not_written(error)}); choose another folder with --out"
         ) from error
-    written = f"{folder / 'model.toml'}{' and margin.toml' if margin else ''}"
-    driven = "" if why_refused(model) else f": {drive_command(model, folder / 'model.toml', margin)}"
-    return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}"
+    path = folder / "model.toml"
+    written = f"{path}{' and margin.toml' if margin.path else ''}"
+    driven = "" if why_refused(model) else f": {drive_command(model, path, margin.path, period=margin.period)}"
+    said = f". {margin.said}" if margin.said else ""
+    return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}{said}"
 
 
 def _as_given(model: PhysicsModel, given: PhysicsModel) -> PhysicsModel:
     free = set(given.latent_names)
     return model.with_settings({path: replace(item, free=path in free) for path, item in model.settings.items()})
-
-
-def _margin(model: PhysicsModel, runs: Sequence[Run], path: Path) -> Path | None:
-    """Writes the margin; None for a robot whose margin logs do not tell, or too few transitions at its period."""
-    path.unlink(missing_ok=True)  # of an earlier model
-    robot = robot_like(model.system)
-    if isinstance(model.base, LearnedBase) or robot is None or not robot.calibrates_from_logs:
-        return None
-    try:
-        today = datetime.date.today().isoformat()
-        calibration = calibration_from_runs(model, robot.settings(), runs, _COVERAGE, today)
-    except InputError:  # the filter's settings stand in for it
-        return None
-    calibration.save(path)
-    return path
 
 
 SESSION_FILE = "session.json"

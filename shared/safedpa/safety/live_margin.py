@@ -6,13 +6,13 @@ import datetime
 from collections.abc import Callable
 from dataclasses import replace
 
-from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
 from safedpa.robot import robot_like
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
-from safedpa.safety.run_calibration import LatentAlong, calibration_from_runs, is_period_of
+from safedpa.safety.run_calibration import LatentAlong, calibration_from_runs
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["live_margin"]
@@ -36,13 +36,11 @@ def live_margin(
     robot = robot_like(model.system)
     if robot is None or not robot.calibrates_from_logs:
         return ""
-    date, own = datetime.date.today().isoformat(), fingerprint(model)
-    another = run.period > 0.0 and not is_period_of(model, run.period)  # not where no stretch has two rows
-    stepping = model.with_period(run.period) if another else model
+    date = datetime.date.today().isoformat()
+    period = run.period if run.period > 0.0 else 0.0  # none where no stretch has two rows
 
     def calibrated(part: Run) -> MarginCalibration:
-        found = calibration_from_runs(stepping, settings, [part], _COVERAGE, date, footprint, estimator)
-        return replace(found, fingerprint=own)
+        return calibration_from_runs(model, settings, [part], _COVERAGE, date, footprint, estimator, period)
 
     found = calibrated(run)
     try:

@@ -2,26 +2,29 @@
 
 Recordings of the bus tell which scene the car was in; a run of a log does not. So every transition is placed among
 obstacles drawn around the car, near enough to matter: the error of h depends on where they stand. That of a pendulum's
-corridor does not depend on its edges.
+corridor does not depend on its edges. A margin is of steps of one length: the model's own where the logs have enough of
+them, else those that they have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records.run import Run
 from safedpa.robot import robot_like, robots
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.compatibility import check_settings
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["LatentAlong", "calibration_from_runs", "is_period_of"]
+__all__ = ["LatentAlong", "LogMargin", "calibration_from_runs", "is_period_of", "log_margin", "log_margin_told"]
 
 Values = NDArray[np.float64]
 
@@ -39,6 +42,24 @@ _MOST = 3000
 """Transitions; more narrow the quantile by less than its own spread."""
 _SAME_PERIOD = 0.1
 """Relative difference of a row's period from the model's beyond which its transition is left out."""
+_BLOCK = 20
+"""Steps whose median is one rate: a clock that jitters by half moves it by a tenth."""
+_OTHER_RATE = 0.25
+"""Relative difference of such medians from which it is another rate."""
+_STRAY = 0.1
+"""Share of the time that may be of another rate, as while a robot starts, without hiding that of the logs."""
+
+
+@final
+@dataclass(frozen=True)
+class LogMargin:
+    """A margin, and of which steps of the logs it is."""
+
+    calibration: MarginCalibration
+    period: float
+    """s, of its steps."""
+    others: int
+    """Steps of other rates, which tell nothing of it."""
 
 
 def calibration_from_runs(
@@ -49,14 +70,16 @@ def calibration_from_runs(
     date: str,
     footprint: tuple[float, ...] = (),
     estimator: Callable[[], LatentAlong] | None = None,
+    period: float = 0.0,
 ) -> MarginCalibration:
     """Margins by kind of barrier: the quantile of h(predicted) - h(measured) over the runs' transitions.
 
     Actuators remember what was commanded before, as they do in the filter. ``footprint`` as in the message
     of the state; empty: the usual one.
     ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
+    ``period`` [s]: of the steps that count, within a tenth of it; 0, or where it is the model's own by as little, that.
     Raises InputError for a model that is of a robot that does not say how, settings of another one, too few transitions
-    at the model's own period, or predictions that are not finite.
+    of that period, or predictions that are not finite.
     """
     robot = robot_like(model.system)
     draw = np.random.default_rng(0)
@@ -67,15 +90,59 @@ def calibration_from_runs(
             f"around a state: {', '.join(name for name, one in robots().items() if one.calibrates_from_logs)}"
         )
     check_settings(settings, model.system)
+    another = period > 0.0 and not is_period_of(model, period)
+    stepping = model.with_period(period) if another else model
     errors: dict[str, list[float]] = {}
-    for before, predicted, after in _predictions(model, runs, estimator):
+    for before, predicted, after in _predictions(stepping, runs, estimator):
         for barrier in robot.barriers_around(before, settings, footprint, draw):
             apart = barrier.values(predicted) - barrier.values(after)
             errors.setdefault(barrier.kind, []).append(float(apart.max()))
     if not errors:
-        raise InputError(f"margin: got no transition of {model.period:g} s, wanted runs at the model's period")
+        raise InputError(
+            f"margin: got no transition of {stepping.period:g} s, wanted runs with steps of that length; "
+            "record at one rate"
+        )
     found = {kind: np.array(values) for kind, values in errors.items()}
-    return calibration_from_errors(found, coverage, date, fingerprint(model), model.period)
+    return calibration_from_errors(found, coverage, date, fingerprint(model), stepping.period)
+
+
+def log_margin(
+    model: PhysicsModel,
+    settings: FilterSettings,
+    runs: Sequence[Run],
+    coverage: float,
+    date: str,
+    *,
+    estimator: Callable[[], LatentAlong] | None = None,
+    fewer: Callable[[Sequence[Run]], Sequence[Run]] = lambda runs: runs,
+) -> LogMargin:
+    """Margins by kind: the ``coverage`` quantile of h(predicted) - h(measured) over the logs' steps of one length.
+
+    Of the model's own period where ceil(coverage / (1 - coverage)) steps are of it, else of the one rate of the logs.
+    ``fewer`` thins long logs out once their rate is known; ``estimator`` as in ``calibration_from_runs``. Raises
+    InputError where the logs have several rates and none of them is the model's, where they are too short, for a
+    model of networks that know one rate alone, and as ``calibration_from_runs``.
+    """
+    known = [run for run in runs if run.period > 0.0]  # none where no stretch has two rows
+    blocks = [part for run in known for part in _blocks(run)]
+    period = _period(model, blocks, smallest_sample(coverage))
+    near = [run for run in known if any(abs(steps / period - 1.0).min() < _OTHER_RATE for steps in _blocks(run))]
+    found = calibration_from_runs(model, settings, fewer(near), coverage, date, estimator=estimator, period=period)
+    others = sum(len(part) for part in blocks if abs(np.median(part) / period - 1.0) > _OTHER_RATE)
+    return LogMargin(found, period, others)
+
+
+def log_margin_told(model: PhysicsModel, found: LogMargin) -> str:
+    """What has to be known of it, one sentence or two; empty where all steps are the model's own."""
+    left = f"; {found.others} steps of other lengths tell nothing of it" if found.others else ""
+    own, period = model.period, found.period
+    if period == own:
+        return left and f"The margin is of the model's own steps of {own:g} s{left}."
+    wider = "wider than needed" if period > own else f"{own / period:.3g} times as wide and promises nothing"
+    return (
+        f"The margin is of steps of {period:.3g} s, as the recordings have them{left}: "
+        f"over the model's own, {own:g} s, it is {wider}; for those record at their rate."
+    )
 
 
 def is_period_of(model: PhysicsModel, period: float) -> bool:
@@ -86,8 +153,8 @@ def is_period_of(model: PhysicsModel, period: float) -> bool:
 def _predictions(
     model: PhysicsModel, runs: Sequence[Run], estimator: Callable[[], LatentAlong] | None
 ) -> Iterator[tuple[Values, Values, Values]]:
-    """(state, predicted next, measured next), evenly spread over all runs."""
-    every = max(1, sum(len(part) for run in runs for part in run.stretches) // _MOST)
+    """(state, predicted next, measured next), evenly spread over those of the model's period in all runs."""
+    every = max(1, round(sum(_own_steps(model, run) for run in runs) / _MOST))
     latent = model.latent if model.latent_names else None
     number = 0
     for run in runs:
@@ -101,7 +168,7 @@ def _predictions(
                 period = float(t[row + 1] - t[row])
                 near = is_period_of(model, period)
                 wanted = near and number % every == 0
-                number += 1
+                number += near
                 if along is not None:
                     latent = along.latent
                 if wanted or memory:
@@ -113,3 +180,40 @@ def _predictions(
                     yield states[row], predicted, states[row + 1]
                 if along is not None and near:
                     along.update(states[row], actions[row], states[row + 1], model.period)
+
+
+def _own_steps(model: PhysicsModel, run: Run) -> int:
+    return sum(is_period_of(model, step) for t, _, _ in run.parts() for step in np.diff(t).tolist())
+
+
+def _blocks(run: Run) -> list[Values]:
+    """The steps [s] of each stretch, some that follow one another at a time."""
+    steps = [np.diff(t) for t, _, _ in run.parts() if len(t) > 1]
+    return [block for part in steps for block in np.array_split(part, -(-len(part) // _BLOCK))]
+
+
+def _period(model: PhysicsModel, blocks: Sequence[Values], least: int) -> float:
+    """The model's own if ``least`` steps are of it, else that of most of the time, s, where it is of nearly all."""
+    if not blocks:
+        raise InputError(f"margin: got no step, wanted recordings with at least {least} of one length; record more")
+    steps = np.concatenate(blocks)
+    own = sum(is_period_of(model, step) for step in steps.tolist())
+    rates, seconds = (np.array([of(part) for part in blocks]) for of in (np.median, np.sum))
+    order = np.argsort(rates)
+    most = rates[order][np.searchsorted(np.cumsum(seconds[order]), 0.5 * seconds.sum())]
+    apart = abs(rates / most - 1.0) > _OTHER_RATE
+    usual = float(np.median(np.concatenate([part for part, other in zip(blocks, apart, strict=True) if not other])))
+    if own >= least or is_period_of(model, usual):
+        return model.period
+    if seconds[apart].sum() > _STRAY * seconds.sum():
+        raise InputError(
+            f"margin: got steps of {rates.min():.3g} to {rates.max():.3g} s, {own or 'none'} of the model's own "
+            f"{model.period:g} s, wanted recordings of one rate or {least} steps of the model's own; diagnose those of "
+            "one rate alone, or record at the model's"
+        )
+    if isinstance(model.base, LearnedBase):
+        raise InputError(
+            f"margin: got steps of {usual:.3g} s, wanted those of {model.period:g} s, on which the model's networks "
+            "were trained; record at that rate"
+        )
+    return usual
