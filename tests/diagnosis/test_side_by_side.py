@@ -92,6 +92,24 @@ def test_sine_and_cosine_by_the_half_angle(angle: float) -> None:
     assert abs(float((table.cos(value) - np.cos(value))[0])) < 1e-15
 
 
+@given(st.floats(-1e6, 1e6))
+def test_of_an_arc_tangent_sine_and_cosine_need_no_angle(tangent: float) -> None:
+    value, table = np.array([tangent]), half_angled(NUMPY)
+    angle = table.atan(value)
+    np.testing.assert_array_equal(angle, np.arctan(value))
+    assert abs(float((table.sin(angle) - np.sin(angle))[0])) < 1e-15
+    assert abs(float((table.cos(angle) - np.cos(angle))[0])) < 1e-15
+
+
+def test_an_angle_that_only_looks_like_an_arc_tangent_is_taken_as_it_is() -> None:
+    """Angles are told apart by what they are, not by where they lay in memory: one that is gone frees its place."""
+    table = half_angled(NUMPY)
+    for tangent in np.linspace(-3.0, 3.0, 50):
+        table.atan(np.array([tangent]))
+        other = np.array([2.5])
+        assert abs(float((table.sin(other) - np.sin(other))[0])) < 1e-15
+
+
 def _random_windows(seed: int) -> tuple[Any, ...]:
     random = np.random.default_rng(seed)
     counts = random.choice([0.0, 0.3, 1.0], size=(7, 9, 3), p=[0.1, 0.1, 0.8])
@@ -110,6 +128,17 @@ def test_what_a_start_explains_is_gone(scale: Any, seed: int) -> None:
         column = (residuals[0, window] * weight[window]).reshape(-1)
         wanted = column - basis @ np.linalg.lstsq(basis, column, rcond=None)[0]
         np.testing.assert_allclose(reduced[window, :, 0], wanted, atol=1e-6 * np.abs(column).max())
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+def test_every_window_is_reduced_by_itself(count: int) -> None:
+    random = np.random.default_rng(count)
+    counts, tangent = random.uniform(size=(count, 9, 3)), random.normal(size=(count, 9, 3, 3))
+    columns, scale = random.normal(size=(count, 9, 3, 4)), np.array([0.1, 1.0, 3.0])
+    whole = Elimination(counts, tangent).reduced(columns, scale)
+    for window in range(count):
+        alone = Elimination(counts[window, None], tangent[window, None]).reduced(columns[window, None], scale)
+        np.testing.assert_allclose(whole[window], alone[0], rtol=1e-9, atol=1e-9)
 
 
 @given(arrays(np.float64, 3, elements=st.floats(1e-3, 10.0)), st.integers(0, 100))

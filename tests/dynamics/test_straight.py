@@ -15,6 +15,7 @@ from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.dynamics.straight import StraightSteps
 from safedpa.effects import Context, Parameter, RateEffect, Stage
 from safedpa.effects.library import effects_of
+from safedpa.equations.tape import Recorded, Tape
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point", "car_learned", "pendulum_learned")
@@ -99,6 +100,15 @@ def test_a_model_tells_its_straight_step_once_it_has_one() -> None:
 
 def test_every_equation_of_the_project_can_be_recorded() -> None:
     assert [model.effects for model in ALL if not has_recorded(quick(model))] == []
+
+
+def test_what_gives_the_same_number_is_not_written_down() -> None:
+    tape = Tape()
+    number = Recorded(tape, "s0")
+    assert all(each is number for each in (1.0 * number, number * 1.0, number / 1.0))
+    others = [number * 2.0, number + 0.0, 1.0 / number, number**1.0, number - 1.0]
+    assert [form for _, form, _ in tape.lines] == ["{0} * {1}", "{0} + {1}", "{0} / {1}", "{0} ** {1}", "{0} - {1}"]
+    assert all(each is not number for each in others)
 
 
 CAR = quick(load_model("car"))

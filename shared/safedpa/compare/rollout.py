@@ -23,7 +23,7 @@ from safedpa.records.run import Run
 from safedpa.systems import System
 
 __all__ = [
-    "check_system", "common_period", "felt_actions", "felt_columns", "predict_run", "rollout", "rollout_at",
+    "check_system", "felt_actions", "felt_columns", "predict_run", "rollout", "rollout_at",
     "rollout_steps",
 ]  # fmt: skip
 
@@ -32,9 +32,6 @@ Columns = dict[str, Floats]
 
 _REMEMBERED = 16
 """How many chains of commands are kept: a search over effects asks for the same ones again and again."""
-
-_SAME = 1e-6
-"""Largest relative difference of periods that count as one."""
 
 
 def rollout(model: PhysicsModel, windows: Windows) -> Floats:
@@ -90,7 +87,7 @@ def rollout_steps(model: PhysicsModel, windows: Windows) -> Iterator[tuple[int, 
     order = np.argsort(-windows.steps, kind="stable")
     start, steps = windows.start[order], windows.steps[order]
     states = list(windows.states[start].T)
-    period = common_period(windows)
+    period = windows.common_period
     for step in range(int(steps.max(initial=0))):
         active = int(np.searchsorted(-steps, -step, side="left"))
         rows = start[:active] + step
@@ -152,12 +149,6 @@ def _followed(command: CommandEffect, columns: Columns, own: dict[str, float], w
             felt.append([out[name] for name in names])
     table = np.array(felt, dtype=np.float64).T
     return dict(zip(names, table, strict=True))
-
-
-def common_period(windows: Windows) -> float | None:
-    """The one period of all rows, or None where rows are spaced irregularly."""
-    middle = float(np.median(windows.period))
-    return middle if np.ptp(windows.period) <= _SAME * middle else None
 
 
 def check_system(mine: System, theirs: System, run: str) -> None:

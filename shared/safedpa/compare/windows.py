@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ __all__ = ["Windows", "check_runs", "windows_of"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
+
+_SAME = 1e-6
+"""Largest relative difference of periods that count as one."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,12 @@ class Windows:
     def end(self) -> Rows:
         """Last row of each window, shape (windows,)."""
         return self.start + self.steps
+
+    @cached_property
+    def common_period(self) -> float | None:
+        """The one period [s] of all rows, or None where rows are spaced irregularly."""
+        middle = float(np.median(self.period))
+        return middle if np.ptp(self.period) <= _SAME * middle else None
 
     def rows_after(self, seconds: float) -> Rows:
         """The row nearest to ``seconds`` after each start, inside the window and after the start, shape (windows,)."""

@@ -45,6 +45,9 @@ _WORTHWHILE = 200
 _MOST_PERIODS = 8
 """Services see one period; recordings with irregular sampling see any number."""
 
+_ARRAY_FORMS = {"clip": "minimum(maximum({0}, {1}), {2})"}
+"""What the table of numpy does, without a call of Python's."""
+
 _DEEPEST = 40
 """Brackets in one expression: Python's own parser takes no more than 200 within each other."""
 
@@ -148,7 +151,7 @@ def straight_arrays(
     if taped is None or taped[0].calls:
         return None
     tape, head, names = taped
-    return _compiled(head, tape, names, {}, NUMPY, freeing=True)
+    return _compiled(head, tape, names, _ARRAY_FORMS, NUMPY, freeing=True)
 
 
 def paced(equations_of: Callable[[float], Equations]) -> Equations:

@@ -100,17 +100,23 @@ class Recorded:
         return self.tape.record("abs({0})", self)
 
 
-def _binary(form: str, *, swapped: bool = False) -> Callable[[Recorded, Any], Recorded]:
+def _binary(form: str, *, swapped: bool = False, neutral: float | None = None) -> Callable[[Recorded, Any], Recorded]:
+    """With ``neutral`` beside it a number is that number again to the last bit, and nothing is written down."""
+
     def operation(self: Recorded, other: Any) -> Recorded:
+        if neutral is not None and isinstance(other, float) and other == neutral:
+            return self
         first, second = (other, self) if swapped else (self, other)
         return self.tape.record(form, first, second)
 
     return operation
 
 
+# Of sums none is neutral: 0 makes 0 of -0.
 for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "**"}.items():
-    setattr(Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
-    setattr(Recorded, f"__r{_name}__", _binary(f"{{0}} {_sign} {{1}}", swapped=True))
+    _form, _one = f"{{0}} {_sign} {{1}}", 1.0 if _sign in "*/" else None
+    setattr(Recorded, f"__{_name}__", _binary(_form, neutral=_one))
+    setattr(Recorded, f"__r{_name}__", _binary(_form, swapped=True, neutral=_one if _sign == "*" else None))
 for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}.items():
     setattr(Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.rollout import common_period, felt_columns
+from safedpa.compare.rollout import felt_columns
 from safedpa.compare.side_by_side import SideBySide
 from safedpa.compare.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
@@ -25,7 +25,7 @@ def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, start
     count, size = len(windows), starts.shape[-1]
     mechanics, felt = SideBySide(models), _felt(models, windows)
     states = [np.ascontiguousarray(starts[..., index]) for index in range(size)]
-    period = common_period(windows)
+    period = windows.common_period
     found = np.empty((count, len(rows), size, len(models)))
     wanted = {int(row): index for index, row in enumerate(rows)}
     last = int(rows[-1])
