@@ -23,24 +23,35 @@ def test_the_shipped_margin_belongs_to_the_shipped_car() -> None:
     assert margin.transitions > 5000
 
 
-def test_the_shipped_car_has_margins_of_its_longer_steps_beside_its_own() -> None:
-    """Each from its own file, with the same kinds; what is asked for by name comes alone."""
-    model = load_model("car")
+@pytest.mark.parametrize(
+    ("name", "hertz"),
+    [
+        ("car", (10, 5)),
+        ("car_measured", (10, 5)),
+        ("pendulum", (50, 25)),
+        ("differential_drive", (10, 5)),
+        ("car_learned", ()),
+        ("pendulum_learned", ()),
+    ],
+)
+def test_shipped_robots_have_margins_of_their_longer_steps_beside_their_own(name: str, hertz: tuple[int, ...]) -> None:
+    """Each from its own file, with the same kinds; what is asked for by name comes alone. Networks know one rate."""
+    model = load_model(name)
     margin = margin_for(model)
     assert margin is not None
     assert margin.period == model.period
-    assert margin.slower == {
-        f"{hertz:g}": found.epsilon
-        for hertz, found in ((0.1, margin_for(model, "car_10_hz")), (0.2, margin_for(model, "car_5_hz")))
-        if found is not None
-    }
-    assert len(margin.slower) == 2
-    for epsilon in (margin.epsilon, *margin.slower.values()):
-        assert set(epsilon) == {"obstacle", "field", "speed"}
-    alone = margin_for(model, "car_10_hz")
-    assert alone is not None
-    assert (alone.period, alone.slower) == (0.1, {})
-    assert alone.fingerprint == margin.fingerprint
+    told = [margin_for(model, f"{name}_{rate}_hz") for rate in hertz]
+    alone = [one for one in told if one is not None]
+    assert [one.period for one in alone] == [1.0 / rate for rate in hertz]
+    assert margin.slower == {f"{one.period:g}": one.epsilon for one in alone}
+    for one in alone:
+        assert set(one.epsilon) == set(margin.epsilon)
+        assert (one.slower, one.fingerprint) == ({}, margin.fingerprint)
+        assert (one.coverage, one.drives) == (0.99, 150)
+        counted = [share for kind, share in one.covered.items() if kind.startswith("conformal.")]
+        assert len(counted) == len(one.epsilon)
+        assert min(counted) >= one.coverage, "of the steps of fresh drives; what covered less does not ship"
+        assert margin.over(one.period, model.period)[1] == 1.0, "so the filter promises it"
 
 
 def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others(

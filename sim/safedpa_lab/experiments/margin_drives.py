@@ -51,7 +51,12 @@ def _car(seed: int, period: float = 0.05) -> Robot:
     return CarRobot(Scene.random(seed, LOADS[seed % len(LOADS)]), period)
 
 
-def _pendulum(seed: int) -> Robot:
+def _bare_car(seed: int, period: float = 0.05) -> Robot:
+    """Without a load, as the measured model and its own margin know it: one is found by diagnosis."""
+    return CarRobot(Scene.random(seed, "none"), period)
+
+
+def _pendulum(seed: int, period: float = 0.01) -> Robot:
     """Balancing and swinging up in turn.
 
     Balancing begins all over the corridor, not only in its middle as the task does: a service that is started again
@@ -59,7 +64,7 @@ def _pendulum(seed: int) -> Robot:
     """
     speed, direction = _drawn(seed, _MOST_WIND)
     task = replace(TASKS["balance"], starts=_STARTS) if seed % 2 else TASKS["swing"]
-    return PendulumRobot(task, wind_towards(speed, direction), seed)
+    return PendulumRobot(task, wind_towards(speed, direction), seed, period=period)
 
 
 def _point(seed: int) -> Robot:
@@ -67,10 +72,10 @@ def _point(seed: int) -> Robot:
     return PointRobot(force_towards(newton, direction), seed)
 
 
-def _wheels(seed: int) -> Robot:
+def _wheels(seed: int, period: float = 0.05) -> Robot:
     """Every world in turn."""
     world = WORLDS[list(WORLDS)[seed % len(WORLDS)]]
-    return StandInRobot(robot_named("differential_drive"), 0.05, seed, world)
+    return StandInRobot(robot_named("differential_drive"), period, seed, world)
 
 
 def _drawn(seed: int, most: float) -> tuple[float, float]:
@@ -97,12 +102,23 @@ DRIVERS: Final = {
     "car": Driver("car", "car", _car, 20.0),
     "car_10_hz": Driver("car", "car", partial(_car, period=0.1), 20.0, period=0.1),
     "car_5_hz": Driver("car", "car", partial(_car, period=0.2), 20.0, period=0.2),
+    "car_measured": Driver("car_measured", "car", _bare_car, 20.0),
+    "car_measured_10_hz": Driver("car_measured", "car", partial(_bare_car, period=0.1), 20.0, period=0.1),
+    "car_measured_5_hz": Driver("car_measured", "car", partial(_bare_car, period=0.2), 20.0, period=0.2),
     "car_learned": Driver("car_learned", "car", _car, 20.0),
     "pendulum": Driver("pendulum", "pendulum", _pendulum, 6.0),
+    "pendulum_50_hz": Driver("pendulum", "pendulum", partial(_pendulum, period=0.02), 6.0, period=0.02),
+    "pendulum_25_hz": Driver("pendulum", "pendulum", partial(_pendulum, period=0.04), 6.0, period=0.04),
     "pendulum_learned": Driver("pendulum_learned", "pendulum", _pendulum, 6.0),
     "point": Driver("point_wind", "point", _point, 10.0),
     "point_learned": Driver("point_learned", "point", _point, 10.0, "goal_seeker"),
     "differential_drive": Driver("differential_drive", "differential_drive", _wheels, 20.0, "straight"),
+    "differential_drive_10_hz": Driver(
+        "differential_drive", "differential_drive", partial(_wheels, period=0.1), 20.0, "straight", 0.1
+    ),
+    "differential_drive_5_hz": Driver(
+        "differential_drive", "differential_drive", partial(_wheels, period=0.2), 20.0, "straight", 0.2
+    ),
 }
 """By name of the margin that ships."""
 
