@@ -24,7 +24,8 @@ def _sense_to_act(monkeypatch: pytest.MonkeyPatch, effort: Effort, watched: Any)
 
     def both(seconds: float, rate: float) -> dict[str, Any]:
         asked.append((seconds, rate))
-        return {"real_loop_us": LOOP, "bare_chain_us": {"p50": 800.0, "p99": 10.0 * rate + 800.0, "p999": 2000.0}}
+        chain = {"p50": 800.0, "p99": 10.0 * rate + 800.0, "p999": 2000.0, "late_share": 1e-6 * rate}
+        return {"real_loop_us": LOOP, "bare_chain_us": chain}
 
     monkeypatch.setattr(sense_to_act, "latency_benchmark", both)
     monkeypatch.setattr(sense_to_act, "real_loop", watched)
@@ -46,8 +47,40 @@ def test_the_loop_is_held_beside_the_bare_chain_of_its_run(monkeypatch: pytest.M
     assert [target.reached for target in row.targets] == [False, False, True, False, False, True]
     assert row.targets[0].floor == Floor("the bare chain", 1000.0)
     assert not row.targets[0].forbidden
+    assert [target.floor for target in row.targets[1:4:2]] == [
+        Floor("as late as the bare chain", 0.0),
+        Floor("as late as the bare chain", 24.0),
+    ]
+    assert [target.forbidden for target in row.targets[1:4:2]] == [False, True]
+    assert [set(entry.figures) for entry in row.peers] == [{"p50", "p99", "p999"}] * 2
     assert [entry.problem for entry in row.ours] == ["20 Hz", "200 Hz", "20 Hz, watched"]
     assert "workbench" in row.ours[-1].note
+
+
+def test_the_chain_runs_before_and_after_the_loop_and_tells_what_comes_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+
+    def times(seconds: float, rate: float) -> list[float]:
+        told.append(("chain", seconds, rate))
+        return [1000.0] * (round(seconds * rate) - 2) + [5001.0]  # one is late, one never comes
+
+    def loop(seconds: float, rate: float) -> dict[str, float]:
+        told.append(("loop", seconds, rate))
+        return dict(LOOP)
+
+    monkeypatch.setattr(latency, "bare_times", times)
+    monkeypatch.setattr(latency, "real_loop", loop)
+    found = latency.latency_benchmark(600.0, 200.0)
+    assert told == [("chain", 60.0, 200.0), ("loop", 600.0, 200.0), ("chain", 60.0, 200.0)]
+    assert found["bare_chain_us"] == {
+        "p50": 1000.0,
+        "p99": 1000.0,
+        "p999": 1000.0,
+        "late_share": pytest.approx(4 / 24000),
+    }
+    told.clear()
+    latency.latency_benchmark(20.0, 20.0)
+    assert told[0] == ("chain", 10.0, 20.0)
 
 
 def test_a_watched_loop_that_does_not_come_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
