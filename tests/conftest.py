@@ -47,7 +47,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """xdist would begin with the files of most tests, and end with one core on a file of one long test."""
+    """xdist would begin with the files of most tests, and end with one core on a file of one long test.
+
+    What a script starts in the background ignores interrupts, and so would every process that a test starts: one that
+    is to end by an interrupt were waited for until patience ends.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
     gc.disable()  # what is collected stays to the end: looking through it for garbage is a fifth of the collection
