@@ -8,9 +8,10 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.check_probes import Checked, Probe
 from safedpa.safety.check_report import FilterIssue, gathered
+from safedpa.safety.stacks import stacked
 
 __all__ = ["gradient_issues", "margin_issues", "scale_issues", "tick_issues"]
 
@@ -116,13 +117,14 @@ def _one_sided(checked: Checked, probe: Probe, moved: Values, used: NDArray[np.i
 
 def tick_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
     """Barriers that dip between two ticks by more than epsilon / eta, on ways that chase after a smaller h."""
-    blind = [row for part, rows in _rows_of_parts(checked) if part.since(probes[0].state) is part for row in rows]
+    parts = [(part, rows) for part, rows in _rows_of_parts(checked) if part.since(probes[0].state) is part]
     worst: dict[int, tuple[float, float]] = {}
-    for row in blind:
+    alone = [(row, stacked([part]), entry) for part, rows in parts for entry, row in enumerate(rows)]
+    for row, part, entry in alone:
         free = [probe for probe in probes if probe.h[row] >= 0.0]
         order = np.argsort([probe.h[row] for probe in free])
         for at in order[:: max(1, len(order) // _CHASES)].tolist():
-            dip, ends = _deepest_dip(checked, free[at].state, row)
+            dip, ends = _deepest_dip(checked, free[at].state, part, entry, checked.threshold[row])
             if dip > worst.get(row, (checked.threshold[row], 0.0))[0]:
                 worst[row] = dip, ends
     cases = {
@@ -146,29 +148,27 @@ def _rows_of_parts(checked: Checked) -> list[tuple[AbstractBarrier, range]]:
     return found
 
 
-def _deepest_dip(checked: Checked, state: Values, row: int) -> tuple[float, float]:
-    """By how much h_row falls below both ends of a tick at the most, and the lower end, while h is chased.
+def _deepest_dip(
+    checked: Checked, state: Values, part: AbstractStack, entry: int, threshold: float
+) -> tuple[float, float]:
+    """By how much h falls below both ends of a tick at the most, and the lower end, while h is chased.
 
-    Only where it falls below epsilon / eta: above, nothing is near.
+    h is that ``entry`` of the ``part``, no other is asked. Only where it falls below epsilon / eta: above, nothing is
+    near.
     """
     low, high = checked.bounds
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    worst = (0.0, 0.0)
+    sides, shares = np.diag(half), np.arange(1, _BETWEEN) / _BETWEEN
+    worst, here = (0.0, 0.0), part.values(state)[entry]
     for _ in range(_CHASED_TICKS):
-        base = checked.after(state, middle)
-        effect = np.array(
-            [
-                checked.h(checked.after(state, middle + part))[row]
-                - checked.h(checked.after(state, middle - part))[row]
-                for part in np.diag(half)
-            ]
-        )
+        both = [[part.values(checked.after(state, middle + way))[entry] for way in (side, -side)] for side in sides]
+        effect = np.array([more - less for more, less in both])
         largest = np.abs(effect).max()
-        following = checked.after(state, middle - half * effect / largest) if largest > 0.0 else base
-        ends = min(checked.h(state)[row], checked.h(following)[row])
-        shares = np.arange(1, _BETWEEN) / _BETWEEN
-        between = min(checked.h(state + share * (following - state))[row] for share in shares)
-        if ends >= 0.0 and between < checked.threshold[row] and ends - between > worst[0]:
+        following = checked.after(state, middle - (half * effect / largest if largest > 0.0 else 0.0))
+        there = part.values(following)[entry]
+        ends = min(here, there)
+        between = min(part.values(state + share * (following - state))[entry] for share in shares)
+        if ends >= 0.0 and between < threshold and ends - between > worst[0]:
             worst = float(ends - between), float(ends)
-        state = following
+        state, here = following, there
     return worst
