@@ -82,10 +82,10 @@ def test_what_is_slower_than_it_may_be_ends_with_an_error(
 @pytest.mark.processes
 @pytest.mark.slow
 def test_rows_of_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = ["--only", "adaptation", "--only", "filter"]
+    rows = ["--only", "batch", "--only", "decision-parts"]  # of those that load neither torch nor another's programs
     assert safedpa.run(["bench", "against", str(ROOT), "--pairs", "1", *rows, "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)["figures"]
-    assert {"filter, physics, 8 obstacles [us]", "adaptation, encoder [us]"} <= set(figures)
+    assert {"decision-parts, the whole decision, physics [us]", "batch, all at once [us]"} <= set(figures)
     assert all(row["unit"] == "us" and 1.0 < row["ours"] < 1e5 for row in figures.values())
 
 
