@@ -31,9 +31,8 @@ def clean() -> dict[str, Row]:
     return measured(Programs())
 
 
-@pytest.fixture
-def plant(monkeypatch):
-    """Changes every verdict on its way out: ``plant(lambda verdict, wish: ...)``."""
+def planted_by(patch):
+    """plant(change), until the ``patch`` is undone."""
 
     def planted(change):
         original = SafetyFilter.decide
@@ -41,9 +40,24 @@ def plant(monkeypatch):
         def decide(self, state, wish, *others, **known):
             return change(original(self, state, wish, *others, **known), wish)
 
-        monkeypatch.setattr(SafetyFilter, "decide", decide)
+        patch.setattr(SafetyFilter, "decide", decide)
 
     return planted
+
+
+@pytest.fixture
+def plant(monkeypatch):
+    """Changes every verdict on its way out: ``plant(lambda verdict, wish: ...)``."""
+    return planted_by(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def all_passed() -> Result:
+    """What the programs count behind a filter that passes everything."""
+    attack = Programs()
+    with pytest.MonkeyPatch.context() as patch:
+        planted_by(patch)(passes_everything)
+        return attack.told([attack.work(piece) for piece in attack.pieces(1, small=True)])
 
 
 def frozen(action):
@@ -72,9 +86,8 @@ def test_the_programs_notice_a_filter_that_goes_not_all_the_way(clean, plant):
     assert after > before + 50
 
 
-def test_the_programs_notice_actions_that_are_swapped_for_the_wish(plant):
-    plant(passes_everything)
-    found = measured(Programs())
+def test_the_programs_notice_actions_that_are_swapped_for_the_wish(all_passed):
+    found = {row.what: row for row in all_passed.rows}
     assert found["passed or corrected, condition broken"].measured > 200
     assert found["passed or corrected, predicted h < 0"].measured > 100
     assert found["h < 0 now, and not told (or told wrongly)"].measured > 25
@@ -114,11 +127,8 @@ def test_the_programs_notice_an_exception_and_a_refusal(plant, monkeypatch):
     assert found["raised an exception"].measured == found["raised an exception"].of == 330
 
 
-def test_the_worst_programs_are_told_with_their_numbers(plant):
-    plant(passes_everything)
-    attack = Programs()
-    result = attack.told([attack.work(piece) for piece in attack.pieces(1, small=True)])
-    worst = [case for case in result.worst if case["fault"] == "condition broken"]
+def test_the_worst_programs_are_told_with_their_numbers(all_passed):
+    worst = [case for case in all_passed.worst if case["fault"] == "condition broken"]
     assert worst[0]["size"] >= worst[-1]["size"] > 0.0
     assert worst[0]["count"] > 200
     assert 0 <= worst[0]["number"] < 330
