@@ -18,7 +18,7 @@ PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""
 POLLING = 100
 """ms; a page that is asked at every picture that it draws computes nothing else."""
-BUSY_SECONDS = 25.0
+BUSY_SECONDS = 18.0
 """Longer than a page that answers nothing was kept when that was 10 s; no longer than the shortest now."""
 BARS = "document.querySelectorAll('.stages .value').length === {}"
 
@@ -86,8 +86,8 @@ def errors(page):
     return page.locator(".stages .value").all_inner_texts()
 
 
-def test_nothing_is_lost(browser, bench, drives):
-    model, runs = drives
+def test_nothing_is_lost(browser, bench, short_drives):
+    model, runs = short_drives
     address = bench.start(model, runs[0])
     for _ in range(3):  # tabs that go while they load: what is asked of them is never answered
         page = browser.new_page()
@@ -135,9 +135,9 @@ def test_nothing_is_lost(browser, bench, drives):
     assert "page goes on after an error" not in bench.said
 
 
-def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, bench, drives):
+def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, bench, short_drives):
     """What was typed in it would be lost. A question that nobody answers keeps a browser as busy as a lack of time."""
-    model, runs = drives
+    model, runs = short_drives
     page = opened(browser, bench.start(model, runs[0]), 1)
     page.evaluate("window.stays = true")
     page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
