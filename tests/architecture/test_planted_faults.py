@@ -248,7 +248,7 @@ def test_a_fault_after_which_nothing_ends_is_noticed(
 
     source = (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
     copy, first = copied.Copy(tree, tmp_path), source.index("largest / 1000.0")
-    monkeypatch.setattr(copied, "_ROOM_SECONDS", 10.0)
+    monkeypatch.setattr(copied, "_ROOM_SECONDS", 2.0)  # beside five times what a sound run takes
     after = "next(_ for _ in iter(int, 1) if _)"
     fault = Fault("", "shared/safedpa/safety/margin.py", 0, "margin", "largest / 1000.0", after, first, first + 16)
     found = copy.tried(fault, ["tests/safety/test_margin.py"], 60.0)
