@@ -17,6 +17,8 @@ _FROM = re.compile(r"^\s*from (safedpa\w*(?:\.\w+)*) import (\([^)]*\)|[^\n]*)",
 _IMPORT = re.compile(r"^\s*import (safedpa\w*(?:\.\w+)*)", re.MULTILINE)
 _NAMED = re.compile(r"""["'](safedpa_\w+(?:\.\w+)*)(\.\{)?""")
 """A module in a string: of a process to start, or "package.{name}", which may be any of the package."""
+_MAY_BE_COMMENT = re.compile(r"^\s*#", re.MULTILINE)
+"""A line that is a comment, unless it is within a string: most files have none, and all strings need not be found."""
 _COMMAND_LINE = "safedpa_services"
 """Started as a process it may come to any of the services."""
 _CHANGES_NOTHING = ("safedpa_lab.provenance", "safedpa_services.command_line.group")
@@ -69,7 +71,8 @@ def without_words(source: str) -> str:
                 silent |= set(range(statement.lineno, (statement.end_lineno or statement.lineno) + 1))
             elif isinstance(statement, ast.AST):
                 waiting.append(statement)
-    lines, within = enumerate(source.splitlines(), 1), _within_strings(whole)
+    lines = enumerate(source.splitlines(), 1)
+    within = _within_strings(whole) if _MAY_BE_COMMENT.search(source) else set()
     kept = ((number, line) for number, line in lines if number not in silent and line.strip())
     return "\n".join(line for number, line in kept if number in within or line.strip()[0] != "#")
 
