@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -48,6 +49,43 @@ def test_without_a_finding_the_band_is_told_and_how_long_it_is_still_learned(dia
 def test_with_a_finding_what_is_done_about_it_is_told(diagnosis: RobotDiagnosis, finding: _Finding, told: str) -> None:
     diagnosis.watch.band, diagnosis._finding = BAND, finding
     assert diagnosis._sentence("") == f"finding 7: {ERROR}, its band ends at 0.250; {told}"
+
+
+def _entry(error: float | None, decision: str, stage: int = 0, effect: str = "drag") -> dict[str, Any]:
+    return {"stage": stage, "effect": effect, "heldout_error": error, "decision": decision}
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        [_entry(None, "rejected"), _entry(0.3, "accepted")],
+        [_entry(0.3, "accepted"), _entry(0.2, "rejected")],
+        [_entry(0.7, "rejected"), _entry(0.3, "rejected"), _entry(None, "rejected")],
+        [_entry(0.1, "accepted", stage=1), _entry(0.1, "accepted", effect="lag"), _entry(0.3, "accepted")],
+    ],
+)
+def test_of_entries_with_one_name_the_accepted_or_best_one_is_told(
+    diagnosis: RobotDiagnosis, entries: list[dict[str, Any]]
+) -> None:
+    """As it is and under a condition an effect has one name."""
+    report = {"stages": [{"heldout_error": 0.9}], "candidates": entries}
+    outcome = WorkOutcome(json.dumps(report), ("drag",), {"drag": "a model"})
+    diagnosis.watch.band, diagnosis._finding = BAND, _Finding(0, 30.0, outcome=outcome)
+    assert "drag explains it: held-out error 0.900 without, 0.300 with it" in diagnosis._sentence("")
+
+
+@pytest.mark.parametrize("entries", [[], [_entry(None, "rejected")]])
+def test_an_effect_without_an_error_is_told_without_one(
+    diagnosis: RobotDiagnosis, entries: list[dict[str, Any]]
+) -> None:
+    report = {"stages": [{"heldout_error": None}], "candidates": entries}
+    diagnosis.watch.band, diagnosis._finding = (
+        BAND,
+        _Finding(0, 30.0, outcome=WorkOutcome(json.dumps(report), ("drag",))),
+    )
+    assert diagnosis._sentence("").endswith(
+        "drag may explain it, but unseen data do not confirm it: held-out error unknown without, unknown with it"
+    )
 
 
 @pytest.mark.parametrize(("open_", "told"), [(False, True), (True, False)])

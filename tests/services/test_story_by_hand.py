@@ -13,7 +13,7 @@ from tests.services.test_demo_story import STAMP, STATE
 
 from safedpa.bus import Answer, Bus, FindingMessage, MemoryBroker, MemoryTransport, Request
 from safedpa.errors import SafedpaError
-from safedpa_services.supervisor.story import Story
+from safedpa_services.supervisor.story import Story, _promise
 
 
 class Told(Story):
@@ -93,6 +93,18 @@ def test_what_promises_sixty_percent_is_accepted_and_at_the_second_search_whatev
             searches = search
     assert searches == accepted_after
     assert story.told.effect == "drag"
+
+
+def test_an_effect_promises_what_the_entry_does_that_was_accepted() -> None:
+    """Tried under a condition it has the name of the one without."""
+    document = json.loads(report(0.1))
+    own = document["candidates"][0] | {"decision": "accepted"}
+    document["candidates"] = [
+        own | {"decision": "rejected", "heldout_error": 0.05, "indistinguishable_from": ["x"]},
+        own,
+    ]
+    assert _promise(json.dumps(document), "drag") == (pytest.approx(0.75), ())
+    assert _promise(json.dumps(document), "tow") == (0.0, ())
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,13 @@ def test_cards_show_what_can_be_read_and_name_the_rest():
     assert live_cards("car", None, ()) == ([], "")
 
 
+def test_of_two_entries_of_one_name_the_accepted_one_has_the_card():
+    own = REPORT["candidates"][0]
+    tried_first = {**own, "heldout_error": None, "decision": "rejected", "parameters": {}}
+    (card,), _ = live_cards("car", {**REPORT, "candidates": [tried_first, own]}, ("towed_load",))
+    assert (card.decision, card.equals) == ("accepted", ("payload",))
+
+
 def test_the_link_tells_answers_their_absence_and_nonsense_in_words(finished):
     broker = MemoryBroker()
     link = LiveLink(Bus(MemoryTransport(broker), "fleet"))

@@ -18,6 +18,7 @@ from typing import Any, Final
 from safedpa.bus import Answer, Bus, FindingMessage, Request, StateMessage
 from safedpa.errors import SafedpaError
 from safedpa.limits import parse_json
+from safedpa.live.named_candidate import named_candidate
 from safedpa_services.supervisor.watch import Watch
 
 __all__ = ["WANTED_FALL", "Story", "Told", "Unsaid"]
@@ -244,7 +245,7 @@ def _promise(report: str, effect: str) -> tuple[float, tuple[str, ...]]:
     """By how much an effect lets the error on unseen data fall, as a share, and what cannot be told from it."""
     document = parse_json(report)
     before = document["stages"][0]["heldout_error"]
-    for item in document["candidates"]:
-        if item["stage"] == 0 and item["effect"] == effect and item["heldout_error"] is not None:
-            return 1.0 - item["heldout_error"] / before, tuple(item["indistinguishable_from"])
-    return 0.0, ()
+    own = named_candidate(document["candidates"], effect)
+    if own is None or own["heldout_error"] is None or before is None:
+        return 0.0, ()
+    return 1.0 - own["heldout_error"] / before, tuple(own["indistinguishable_from"])

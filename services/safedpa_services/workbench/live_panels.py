@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from safedpa.diagnosis.document import Candidate, Value
+from safedpa.live.named_candidate import named_candidate
 from safedpa_services.workbench.elements import escaped
 from safedpa_services.workbench.evidence import Card, card_of
 from safedpa_services.workbench.live_book import RobotBook
@@ -94,15 +95,15 @@ def live_cards(robot: str, report: dict[str, Any] | None, accepted: Sequence[str
     ``robot`` is the kind of robot. What the report says in a way that cannot be read is left out; an effect without a
     readable entry has a card with its name alone.
     """
-    entries: dict[str, Candidate] = {}
+    readable: list[Candidate] = []
     before = 0.0
     if report is not None:
         before = _number(_first(report.get("stages")).get("heldout_error"))
-        for entry in report["candidates"]:
-            candidate = _candidate(entry)
-            if candidate is not None and candidate.stage == 0:
-                entries.setdefault(candidate.effect, candidate)
-    cards = [card_of(robot, entries.get(name) or _bare(name), before, None, {}) for name in accepted]
+        readable = [candidate for candidate in map(_candidate, report["candidates"]) if candidate is not None]
+    entries = [{**vars(candidate), "itself": candidate} for candidate in readable]
+    named = [(name, named_candidate(entries, name)) for name in accepted]
+    shown = [_bare(name) if entry is None else entry["itself"] for name, entry in named]
+    cards = [card_of(robot, candidate, before, None, {}) for candidate in shown]
     return cards, _experiment({} if report is None else report)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, parse_model
+from safedpa.live.named_candidate import named_candidate
 from safedpa.live.watch import VerdictFacts, Watch
 from safedpa.live.work import AbstractWorker, Work, WorkOutcome
 from safedpa.records.run import Run, Stretch
@@ -299,10 +300,15 @@ def _told_outcome(outcome: WorkOutcome) -> str:
     if not outcome.effects:
         return "no effect of the library explains it"
     first, report = outcome.effects[0], json.loads(outcome.report)
-    before = report["stages"][0]["heldout_error"]
-    after = next(item["heldout_error"] for item in report["candidates"] if item["effect"] == first)
+    own = named_candidate(report["candidates"], first) or {}
+    before, after = _error_told(report["stages"][0]["heldout_error"]), _error_told(own.get("heldout_error"))
     certain = "explains it" if outcome.documents else "may explain it, but unseen data do not confirm it"
-    return f"{first} {certain}: held-out error {before:.3f} without, {after:.3f} with it"
+    return f"{first} {certain}: held-out error {before} without, {after} with it"
+
+
+def _error_told(error: float | None) -> str:
+    """Not every prediction stays a number, and not every candidate is tried on unseen data."""
+    return "unknown" if error is None else f"{error:.3f}"
 
 
 def _decision(verdict: VerdictMessage | None) -> VerdictFacts | None:

@@ -13,6 +13,7 @@ from safedpa.adaptation import AdaptationNode, LatentEstimator
 from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, Received, Request, StateMessage
 from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.live.finding import RobotDiagnosis
+from safedpa.live.named_candidate import named_candidate
 from safedpa.live.node import DiagnosisNode
 from safedpa.live.work import AbstractWorker, Calibrate, InlineWorker, WorkOutcome
 from safedpa.policy import PolicyNode
@@ -207,15 +208,16 @@ class _Notes:
     @staticmethod
     def _worth_it(effect: str, report: dict[str, Any]) -> bool:
         """Whether unseen data promise the fall that is asked for."""
-        own = next(item for item in report["candidates"] if item["stage"] == 0 and item["effect"] == effect)
-        before: float = report["stages"][0]["heldout_error"]
-        return bool(own["heldout_error"] < _FALL * before)
+        own = named_candidate(report["candidates"], effect)
+        before: float | None = report["stages"][0]["heldout_error"]
+        after: float | None = None if own is None else own["heldout_error"]
+        return before is not None and after is not None and after < _FALL * before
 
     def _take_down(self, diagnosis: RobotDiagnosis, effect: str, report: dict[str, Any]) -> None:
         found = self._found
         if effect != found.effect:
             found.found, found.effect = diagnosis.time, effect
-        for item in report["candidates"]:
-            if item["stage"] == 0 and item["effect"] == effect:
-                found.group = tuple(item["indistinguishable_from"])
-                found.numbers = {name: value["value"] for name, value in item["parameters"].items()}
+        own = named_candidate(report["candidates"], effect)
+        if own is not None:
+            found.group = tuple(own["indistinguishable_from"])
+            found.numbers = {name: value["value"] for name, value in own["parameters"].items()}

@@ -1,0 +1,24 @@
+"""Which entry of a search's report is meant by the name of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+__all__ = ["named_candidate"]
+
+
+def named_candidate(candidates: Iterable[Mapping[str, Any]], effect: str) -> Mapping[str, Any] | None:
+    """Of a report's ``candidates`` the one that an effect's name stands for; None where there is none.
+
+    As it is and under a condition (below a speed, in a place) an effect is tried under one name. Of the first stage's
+    entries of that name it is the accepted one, else the one with the least error on unseen data; one that was not
+    tried on them has no error and comes last.
+    """
+    own = [item for item in candidates if item.get("stage", 0) == 0 and item["effect"] == effect]
+    return min(own, key=_place, default=None)
+
+
+def _place(item: Mapping[str, Any]) -> tuple[bool, bool, float]:
+    error = item.get("heldout_error")
+    return item.get("decision") != "accepted", error is None, 0.0 if error is None else float(error)
