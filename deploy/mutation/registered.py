@@ -210,6 +210,7 @@ MODULES = {
         "test_filter_node.py",
         "test_rehearsal.py",
         "test_filtered_robot.py",
+        "test_margin_period.py",
         *WATCHED,
         "../operations/test_stop_orders.py",
         "../services/test_shipped.py",

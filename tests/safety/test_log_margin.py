@@ -169,3 +169,9 @@ def test_the_margin_of_a_model_with_free_numbers_stays_its_own() -> None:
     found, _ = told(log_of(np.full(300, 0.02)), model=free)
     assert found.calibration.fingerprint == fingerprint(free)
     assert MarginCalibration.parse(found.calibration.write()) == found.calibration
+
+
+def test_stretches_of_two_rows_have_a_step() -> None:
+    """Of a log that loses every third row."""
+    found = log_margin(CAR, SETTINGS, [log_of([0.1] * 399, gaps=2)], 0.99, "2026-11-28")
+    assert (found.period, found.calibration.transitions) == (pytest.approx(0.1), 200)
