@@ -68,6 +68,17 @@ def test_what_is_remembered_is_no_part_of_what_windows_are() -> None:
     assert "memo" not in repr(found)
 
 
+@pytest.mark.parametrize(("jitter", "same"), [(0.0, True), (5e-7, True), (1e-5, False), (0.5, False)])
+@pytest.mark.parametrize("period", [0.01, 4.0])
+def test_rows_have_one_period_to_a_millionth_of_it(period: float, jitter: float, same: bool) -> None:
+    """Beyond that each row keeps its own."""
+    steps = np.full(20, period)
+    steps[7] *= 1.0 + jitter
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    found = windows_of([recording(times.tolist())], 4.0 * period).common_period
+    assert found == (pytest.approx(period, rel=1e-6) if same else None)
+
+
 def test_a_selection_keeps_table_and_memory() -> None:
     found = windows_of([recording(quarters(9), quarters(4, 90.0))], 0.5, stride=2)
     assert found.start.tolist() == [0, 2, 4, 6, 10]
