@@ -60,6 +60,7 @@ def _entry(error: float | None, decision: str, stage: int = 0, effect: str = "dr
     [
         [_entry(None, "rejected"), _entry(0.3, "accepted")],
         [_entry(0.3, "accepted"), _entry(0.2, "rejected")],
+        [_entry(float("nan"), "rejected"), _entry(0.3, "rejected")],
         [_entry(0.7, "rejected"), _entry(0.3, "rejected"), _entry(None, "rejected")],
         [_entry(0.1, "accepted", stage=1), _entry(0.1, "accepted", effect="lag"), _entry(0.3, "accepted")],
     ],

@@ -246,6 +246,6 @@ def _promise(report: str, effect: str) -> tuple[float, tuple[str, ...]]:
     document = parse_json(report)
     before = document["stages"][0]["heldout_error"]
     own = named_candidate(document["candidates"], effect)
-    if own is None or own["heldout_error"] is None or before is None:
+    if own is None or own["heldout_error"] is None or not before:
         return 0.0, ()
     return 1.0 - own["heldout_error"] / before, tuple(own["indistinguishable_from"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import inf, isnan
 from typing import Any
 
 __all__ = ["named_candidate"]
@@ -20,5 +21,7 @@ def named_candidate(candidates: Iterable[Mapping[str, Any]], effect: str) -> Map
 
 
 def _place(item: Mapping[str, Any]) -> tuple[bool, bool, float]:
-    error = item.get("heldout_error")
-    return item.get("decision") != "accepted", error is None, 0.0 if error is None else float(error)
+    """Sorts the accepted one first, then by error; NaN, which is neither before nor after a number, as none."""
+    told = item.get("heldout_error")
+    error = inf if told is None or isnan(told) else float(told)
+    return item.get("decision") != "accepted", error == inf, error
