@@ -83,6 +83,12 @@ def test_the_chain_runs_before_and_after_the_loop_and_tells_what_comes_late(monk
     assert told[0] == ("chain", 10.0, 20.0)
 
 
+def test_a_chain_from_which_nothing_arrives_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "bare_times", lambda *_: [])
+    with pytest.raises(SafedpaError, match="got none of 40 messages"):
+        latency.bare_chain(2.0, 20.0)
+
+
 def test_a_watched_loop_that_does_not_come_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def watched(*_: Any, **__: Any) -> dict[str, Any]:
         raise SafedpaError("safedpa up: ran without workbench")

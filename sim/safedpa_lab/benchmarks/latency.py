@@ -79,7 +79,12 @@ def bare_chain(seconds: float, rate: float) -> dict[str, float]:
 
 
 def _account(times: list[float], sent: int, rate: float) -> dict[str, float]:
-    """Percentiles of ``times`` [us], and the share of the ``sent`` that took longer than a period or were lost."""
+    """Percentiles of ``times`` [us], and the share of the ``sent`` that took longer than a period or were lost.
+
+    Raises SafedpaError where none arrived.
+    """
+    if not times:
+        raise SafedpaError(f"bare chain: got none of {sent} messages, wanted one at least; measure for longer")
     found = np.percentile(times, [50.0, 99.0, 99.9])
     in_time = sum(value <= 1e6 / rate for value in times)
     percentiles = {name: round(float(value), 1) for name, value in zip(("p50", "p99", "p999"), found, strict=True)}
