@@ -73,6 +73,7 @@ MODULES = {
         "test_filter_ways.py",
         "test_laws_in_the_filter.py",
         "test_on_its_way.py",
+        "test_searched.py",
     ),
     "search": (
         "test_filter_search.py",
@@ -103,6 +104,7 @@ MODULES = {
         "test_filter_recorded.py",
     ),
     "retreat": ("test_retreat.py",),
+    "searched": ("test_searched.py",),
     "lattice": ("test_lattice.py",),
     "highest": ("test_highest.py", "test_least_unsafe.py", "test_least_unsafe_truths.py"),
     "inputs": ("test_inputs_checked.py", "test_filter_inputs.py", "test_isolation.py"),

@@ -36,6 +36,7 @@ MODULES = (
     "safedpa.safety.remembered",
     "safedpa.safety.retreat",
     "safedpa.safety.search",
+    "safedpa.safety.searched",
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
     "safedpa.safety.watched_margin",

@@ -63,7 +63,9 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _found_beside_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The runs that it starts are of small tests that need no plugin: to import those takes longer than all else."""
     monkeypatch.syspath_prepend(MUTATION)
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 
 @pytest.mark.parametrize(

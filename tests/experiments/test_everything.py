@@ -17,8 +17,10 @@ from safedpa_lab.experiments.everything import ELSEWHERE, PARTS, Part, chosen, m
 from safedpa_lab.provenance.record import KEY
 from safedpa_services.command_line.group import safedpa
 
-QUICK = Part("theory", ("theory", "car_learned"), ("--states", "2000"), 2)
-BAD = Part("bad", ("theory", "no_such_model"), (), 1)
+DRIVES = ("controllers", "--seeds", "1", "--controller", "goal_seeker")
+QUICK = Part("controllers", DRIVES, ("--seconds", "1"), 2)
+"""One of the experiments that need no torch: what is looked at is how they are made, not which."""
+BAD = Part("bad", ("controllers", "--controller", "no_such_controller"), (), 1)
 
 
 def test_every_experiment_is_a_part_or_is_said_why_not() -> None:
@@ -74,7 +76,7 @@ def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> 
     )
     first = make([QUICK], tmp_path, small=True, tell=tell)
     assert said == [runs, done]
-    assert first["theory"]["exit_code"] == 0
+    assert first["controllers"]["exit_code"] == 0
     assert json.loads((tmp_path / "all.json").read_text()) == first
     assert make([QUICK], tmp_path, small=True, tell=tell) == first
     assert said[2:] == [old]
@@ -92,17 +94,17 @@ def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> 
 
 
 def test_a_small_result_is_none_of_the_whole_experiment(tmp_path: Path) -> None:
-    part = Part("theory", ("theory", "car_learned", "--states", "2100"), ("--states", "2000"), 2)
+    part = Part("controllers", (*DRIVES, "--seconds", "2"), ("--seconds", "1"), 2)
     make([part], tmp_path, small=True)
     make([part], tmp_path)
-    assert "--states 2100" in json.loads(part.result(tmp_path).read_text())[KEY]["command"]
+    assert "--seconds 2" in json.loads(part.result(tmp_path).read_text())[KEY]["command"]
 
 
 def test_one_that_fails_is_told_and_keeps_none_from_running(tmp_path: Path) -> None:
     account = make([BAD, QUICK], tmp_path, small=True)
     assert account["bad"]["exit_code"] != 0
-    assert "no_such_model" in account["bad"]["last_words"]
-    assert account["theory"]["exit_code"] == 0
+    assert "no_such_controller" in account["bad"]["last_words"]
+    assert account["controllers"]["exit_code"] == 0
     said: list[str] = []
     make([BAD], tmp_path, small=True, tell=lambda _part, words: said.append(words))
     assert said[0].startswith("runs"), "what failed is tried again"
@@ -114,8 +116,8 @@ def test_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"safedpa experiment {' '.join(part.words)}" in listed for part in PARTS)
     assert safedpa.run(["experiment", "all"]) == 2
     assert "wanted a folder" in capsys.readouterr().err
-    words = ["experiment", "all", "--small", "--only", "theory", "--out", str(tmp_path / "new" / "all"), "--json"]
+    words = ["experiment", "all", "--small", "--only", "controllers", "--out", str(tmp_path / "new" / "all"), "--json"]
     assert safedpa.run(words) == 0
     told = capsys.readouterr()
-    assert json.loads(told.out)["theory"]["exit_code"] == 0
-    assert "1 of 1: theory: done" in told.err
+    assert json.loads(told.out)["controllers"]["exit_code"] == 0
+    assert "1 of 1: controllers: done" in told.err

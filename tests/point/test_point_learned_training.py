@@ -24,7 +24,7 @@ PUNISHED = ("rma", "rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
 
 
 def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 60)  # what it does, no figure, is looked at here
+    monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 10)  # what it does, no figure, is looked at here
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
     assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", *PUNISHED, "17"]

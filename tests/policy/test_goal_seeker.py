@@ -117,6 +117,52 @@ def test_turning_and_shifting_the_world_changes_nothing(start: State, goal: Poin
     assert turned == pytest.approx(wish, abs=1e-6)
 
 
+def shuttled(settings: GoalSeekerSettings, seconds: float = 40.0) -> list[str]:
+    """The modes, one after the other, where what is beside it lets it turn to the goal's side backwards alone."""
+    seeker, state, modes = GoalSeeker(settings), (0.0, 0.0, 0.0, 0.0), [""]
+    for tick in range(round(seconds / PERIOD)):
+        speed, steer = seeker.wish(tick * PERIOD, state, (0.3, -0.9))
+        x, y, _, speed = moved(state, (speed, max(steer, 0.0) if speed > 0.0 else steer))
+        state = (min(x, 0.3), y, 0.0, speed)  # the heading is where it was after a turn that comes to nothing
+        if seeker.mode != modes[-1]:
+            modes.append(seeker.mode)
+    return modes[1:]
+
+
+def test_room_that_leads_nowhere_is_not_made_for_ever() -> None:
+    """Forwards and backwards it is held back nowhere, and comes no nearer: for 60 s at 50 Hz."""
+    modes = shuttled(SETTINGS)
+    before = modes[: modes.index("detour")]
+    assert before.count("make_room") == SETTINGS.rooms + 1
+    assert "back_off" not in before
+    assert "detour" not in shuttled(GoalSeekerSettings(rooms=1000)), (
+        "else something else ends it, and this tests nothing"
+    )
+
+
+def test_after_so_much_room_it_passes_the_goal_by_further_and_on_both_sides() -> None:
+    seeker = GoalSeeker(GoalSeekerSettings(rooms=0))
+    lasted: list[float] = []
+    sides: list[float] = []
+    time = 0.0
+    for attempt in range(1, 6):
+        while seeker.mode != "make_room":
+            seeker.wish(time, (0.0, 0.0, 0.0, 0.0), (0.0, -0.9))
+            time += PERIOD
+        while seeker.mode == "make_room":  # the goal is straight ahead at once
+            seeker.wish(time, (0.0, 0.9, -math.pi / 2, 0.0), (0.0, -0.9))
+            time += PERIOD
+        assert seeker.mode == "detour", attempt
+        began = time
+        sides.append(seeker._side)
+        while seeker.mode == "detour":
+            seeker.wish(time, (0.0, 0.9 - 1.2 * (time - began), -math.pi / 2, 0.0), (0.0, -0.9))
+            time += PERIOD
+        lasted.append(time - began)
+    assert lasted == pytest.approx([SETTINGS.detour_seconds * share for share in (1, 2, 3, 4, 4)], abs=2.1 * PERIOD)
+    assert sides[0] == -sides[1] == sides[2] == -sides[3]
+
+
 def held(seeker: GoalSeeker, seconds: float, start: float = 0.0) -> list[tuple[str, tuple[float, float]]]:
     """What it wishes while something holds it in place, by mode."""
     found = []

@@ -25,8 +25,9 @@ from tests.safety.node_steps import (
 
 from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.dynamics.straight import walked
 from safedpa.errors import InputError
-from safedpa.safety.filtered_robot import FilteredRobot, _walked
+from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.found_delay import FoundDelay
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.prediction import Prediction
@@ -252,7 +253,7 @@ def test_a_step_on_the_straight_line_is_taken_at_its_own_time() -> None:
         return [entry + 1.0 for entry in entries]
 
     state = state_at(4)
-    rows = _walked(step, state, np.zeros(2), np.zeros(1), 3)
+    rows = walked(step, state.values, np.zeros(2), np.zeros(1), state.robot_time, state.period, 3)
     assert times == pytest.approx([0.2, 0.25, 0.3])
     assert rows == tuple(tuple(value + count for value in state.values) for count in (1.0, 2.0, 3.0))
 
@@ -263,10 +264,11 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
         return np.array(((0.0, 0.0, 0.0, bad),)), ("memory",)
 
     memory = driven()
-    assert _walked(lambda entries, *_: [*entries[:3], bad], state_at(1), np.zeros(2), np.zeros(1), 2) == ()
+    state = state_at(1)
+    assert walked(lambda at, *_: [*at[:3], bad], state.values, np.zeros(2), np.zeros(1), 0.05, 0.05, 2) == ()
     monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
     monkeypatch.setattr(PhysicsModel, "held", broken)
-    assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent) == ((), None)
+    assert memory.predicted(state, verdict_of(memory), CAR.latent) == ((), None)
     late = driven(CAR)
     late.pending = SimpleNamespace(sent=(1,))
     monkeypatch.setattr(Trail, "expected", lambda *_: broken()[0])

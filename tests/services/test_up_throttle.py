@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shlex
-import subprocess
-import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ from safedpa_services.workbench.session_files import saved
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
 SECONDS = "20"
-"""Of each drive: two goals and more, and three drives hold what hides in the motor."""
+"""Of each drive: two goals and more, and two drives hold what hides in the motor."""
+UNFILTERED_SECONDS = "10"
+"""It runs into an obstacle before the first goal."""
 
 
 def quiet(_share: float) -> None:
@@ -30,11 +32,11 @@ def quiet(_share: float) -> None:
 
 
 def run(words: list[str]) -> dict[str, Any]:
-    done = subprocess.run(
-        [sys.executable, "-m", "safedpa_services", *words], capture_output=True, text=True, timeout=500, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    """The command, in this process, which has imported what it needs; what it starts are processes all the same."""
+    said = io.StringIO()
+    with redirect_stdout(said):
+        assert safedpa.run(words) == 0
+    return json.loads(said.getvalue())
 
 
 def up(folder: Path, *options: str) -> dict[str, Any]:
@@ -56,7 +58,7 @@ def test_it_drives_is_safe_and_repeats_bit_for_bit(driven_once: dict[str, Any], 
     assert first["collisions"] == 0
     assert set(first["verdicts"]) <= {"passed", "corrected", "relaxed"}
     assert all(service["restarts"] == 0 for service in first["services"])
-    unfiltered = up(tmp_path, "--model", "dart_car", "--seconds", SECONDS, "--seed", "3", "--no-filter")
+    unfiltered = up(tmp_path, "--model", "dart_car", "--seconds", UNFILTERED_SECONDS, "--seed", "3", "--no-filter")
     assert unfiltered["collisions"] > 0
 
 
@@ -80,10 +82,8 @@ def test_what_it_cannot_is_refused_before_anything_starts(
 
 def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once: dict[str, Any], tmp_path: Path) -> None:
     """Dead zone, back-EMF, friction and a bent steering curve: the plain model has none of them, the stand-in has."""
-    further = [
-        up(tmp_path / "drives", "--model", "dart_car", "--seconds", SECONDS, "--seed", str(seed)) for seed in (11, 12)
-    ]
-    recordings = [drive["recording"] for drive in (driven_once, *further)]
+    further = up(tmp_path / "drives", "--model", "dart_car", "--seconds", SECONDS, "--seed", "4")
+    recordings = [drive["recording"] for drive in (driven_once, further)]
     report = run(["diagnose", "dart_car", *recordings, "--out", str(tmp_path / "found"), "--json"])
     assert report["verdict"] == "effect_missing"
     assert {"drive_dead_zone", "rolling_resistance", "turning_drag"} & set(report["added"])

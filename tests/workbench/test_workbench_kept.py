@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from safedpa.bus.transport import ports
+
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
@@ -59,12 +61,20 @@ class Bench:
         return [(item["do"], item["effect"]) for item in kept["decisions"]]
 
 
-@pytest.fixture
-def bench(free_port, tmp_path):
-    made = Bench(tmp_path, free_port)
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """One for all tests: who wants what it has, at its start, takes ``begun``."""
+    made = Bench(tmp_path_factory.mktemp("bench"), ports.free_port())
     yield made
     made.end()
     made.terminal.close()
+
+
+@pytest.fixture(scope="module")
+def begun(bench, short_drives):
+    """The address of that one, started with a drive. The last test of this file ends it; no other decides anything."""
+    model, runs = short_drives
+    return bench.start(model, runs[0])
 
 
 NOTE_SAVING = """() => {
@@ -86,9 +96,21 @@ def errors(page):
     return page.locator(".stages .value").all_inner_texts()
 
 
-def test_nothing_is_lost(browser, bench, short_drives):
-    model, runs = short_drives
-    address = bench.start(model, runs[0])
+def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, begun):
+    """What was typed in it would be lost. A question that nobody answers keeps a browser as busy as a lack of time."""
+    page = opened(browser, begun, 1)
+    page.evaluate("window.stays = true")
+    page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
+    page.evaluate("alert('busy')")
+    page.wait_for_timeout(2000)  # who was forgotten begins anew now
+    assert page.evaluate("window.stays === true")
+    page.get_by_label("select the cell of the map with the largest error").click()
+    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
+    page.close()
+
+
+def test_nothing_is_lost(browser, bench, begun):
+    address = begun
     for _ in range(3):  # tabs that go while they load: what is asked of them is never answered
         page = browser.new_page()
         page.goto(address, wait_until="commit")
@@ -133,17 +155,3 @@ def test_nothing_is_lost(browser, bench, short_drives):
     bench.end()
     assert "Traceback" not in bench.said
     assert "page goes on after an error" not in bench.said
-
-
-def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, bench, short_drives):
-    """What was typed in it would be lost. A question that nobody answers keeps a browser as busy as a lack of time."""
-    model, runs = short_drives
-    page = opened(browser, bench.start(model, runs[0]), 1)
-    page.evaluate("window.stays = true")
-    page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
-    page.evaluate("alert('busy')")
-    page.wait_for_timeout(2000)  # who was forgotten begins anew now
-    assert page.evaluate("window.stays === true")
-    page.get_by_label("select the cell of the map with the largest error").click()
-    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
-    page.close()

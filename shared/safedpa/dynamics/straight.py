@@ -15,6 +15,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from safedpa.dynamics.tangent import StraightTangent, compiled_tangent, tangent_text, written_key
 from safedpa.dynamics.written_steps import WRITTEN
 from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
@@ -32,6 +35,7 @@ __all__ = [
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
+    "walked",
 ]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -39,6 +43,29 @@ StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], li
 
 Equations = Callable[[Sequence[Any], Sequence[Any], Sequence[Any], Any, Operations], Sequence[Any]]
 """The same, with the table that the equations take their functions from."""
+
+
+def walked(
+    step: StraightStep,
+    entries: Iterable[float],
+    held: NDArray[np.float64],
+    latent: NDArray[np.float64],
+    seconds: float,
+    period: float,
+    steps: int,
+) -> tuple[tuple[float, ...], ...]:
+    """(steps, states) that follow under a held action (actions,) from ``seconds`` since the start on.
+
+    Empty where a number is refused, or not finite; a model's ``held`` does the same with arrays, and answers then.
+    """
+    rows, action, free = list[tuple[float, ...]](), held.tolist(), latent.tolist()
+    try:
+        for index in range(steps):
+            rows.append(entries := tuple(step(entries, action, free, seconds + index * period)))
+    except (ValueError, ArithmeticError):
+        return ()
+    return tuple(rows) if math.isfinite(sum(map(sum, rows))) else ()
+
 
 _WORTHWHILE = 200
 """Steps of one period, after which recording (a few milliseconds) pays: a fit tries thousands of models briefly."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, nan
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -24,6 +24,7 @@ from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.retreat import retreated
 from safedpa.safety.search import DecisionError, towards
 from safedpa.safety.search import search as _search
+from safedpa.safety.searched import Searched
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.stacks import Stacks
 from safedpa.safety.verdict import Status, Verdict
@@ -82,9 +83,11 @@ class Request:
         epsilon: Mapping[str, float],
         stale: Sequence[str],
         time: Any = None,
+        searched: Searched | None = None,
     ) -> None:
         self.state, self.wish, self.latent, self.memory = state, wish, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
+        self.searched = Searched() if searched is None else searched
 
 
 @final
@@ -104,6 +107,8 @@ class Decision:
         self._needs_latent = wanted is not None and len(wanted.names) > 0
         given = self._needs_latent or request.latent is not None
         self._latent = self._checked("latent", request.latent, wanted) if given else None
+        self._seconds = nan
+        """Since the start of the run; NaN: not told."""
         self._tell_time(request.time)
         self._margin = 0.0
         self._conditions: Conditions | None = None
@@ -112,7 +117,8 @@ class Decision:
         """A model that depends on the time since the start is asked at that time, and not at all without it."""
         prediction = self._tools.prediction
         if isinstance(seconds, (float, int)) and 0.0 <= seconds < inf:
-            prediction.tell_time(float(seconds))
+            self._seconds = float(seconds)
+            prediction.tell_time(self._seconds)
         elif prediction.timed:  # to any other model the time says nothing
             self._problems.append(
                 f"time: got {seconds!r}, wanted the seconds since the start of the run, on which the model depends"
@@ -188,6 +194,10 @@ class Decision:
         found, solver = search(conditions, program, wish, asked, rounds)
         if found.kept:
             return self._kept(conditions, wish, found, "", solver)
+        searched = self._request.searched
+        held = searched.still(conditions, self._seconds)
+        if held is not None and not held.kept:
+            return self._verdict(Status.relaxed, held, f"{self._worst(conditions, held)}{searched.said}", solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
         other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
@@ -201,6 +211,7 @@ class Decision:
         if best.kept:
             other, solver = self._from_elsewhere(conditions, wish, asked, [best])
             return self._kept(conditions, wish, other, "Found among the least unsafe actions.", solver)
+        searched.note(conditions, best, self._seconds, said)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
     def _kept(self, conditions: Conditions, wish: Action, found: Outcome, reason: str, solver: str) -> Verdict:

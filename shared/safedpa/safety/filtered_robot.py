@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, Inputs, LatentMessage, Stale, StateMessage, SurroundingsMessage
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.straight import StraightStep
+from safedpa.dynamics.straight import walked
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.ceiling import Ceiling
@@ -24,6 +24,7 @@ from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import AbstractScene
 from safedpa.safety.scenes import scene_of
+from safedpa.safety.searched import Searched
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.standstill import Standstill, places_of
 from safedpa.safety.surroundings_ahead import moved_on
@@ -40,8 +41,8 @@ Rows = tuple[tuple[float, ...], ...]
 _LATENT_PATIENCE = 1.0
 """s; for so long the last latent stands in for a missing one: in a second a load does not change unnoticed."""
 _PATH_STEPS, _PATH_EVERY = 8, 4
-"""The path is for those who look on, and five times a second is enough for them: told with every fourth tick, it costs
-a fleet a tenth less. The next state, which the watch over the margin needs, is told with every tick."""
+"""The path is for those who look on: told with every fourth tick, it costs a fleet a tenth less. The next state, which
+the watch over the margin needs, is told with every tick."""
 NO_BARRIERS = Barriers(())
 _EARLY, _OLD = -1e-6, 1.0
 """s that a source's newest scan may be old, whatever perception allows: rounding, and as long as a latent."""
@@ -71,20 +72,6 @@ def _same_scene(one: StateMessage, other: StateMessage) -> bool:
         (one.obstacles, one.field, one.footprint, one.corridor, one.towed)
         == (other.obstacles, other.field, other.footprint, other.corridor, other.towed)
     )
-
-
-def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Values, steps: int) -> Rows:
-    """The next states under an action by the model's straight line; empty where a number is refused, or not finite.
-
-    The model's ``held`` does the same with arrays at both ends, and answers then.
-    """
-    rows, entries, action, free = [], state.values, held.tolist(), latent.tolist()
-    try:
-        for index in range(steps):
-            rows.append(entries := tuple(step(entries, action, free, state.robot_time + index * state.period)))
-    except (ValueError, ArithmeticError):
-        return ()
-    return tuple(rows) if isfinite(sum(map(sum, rows))) else ()
 
 
 @dataclass
@@ -126,6 +113,7 @@ class FilteredRobot:
     sensed: tuple[int, frozenset[str]] = (-1, frozenset())
     """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
+    searched: Searched = field(default_factory=Searched)
     rehearsed: bool = False
     """Whether all that a decision may need was gone through once, with this model."""
 
@@ -323,7 +311,9 @@ class FilteredRobot:
             return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
         step = model.straight(state.period)
         free = model.latent if latent is None else latent
-        if step is not None and (rows := _walked(step, state, verdict.action, free, steps)):
+        if step is not None and (
+            rows := walked(step, state.values, verdict.action, free, state.robot_time, state.period, steps)
+        ):
             return rows, self.memory
         values = np.array(state.values)
         found, memory = model.held(values, verdict.action, self.memory, latent, steps, period=state.period)
@@ -408,7 +398,7 @@ class FilteredRobot:
             return ()
         free = model.latent if latent is None else latent
         step = model.straight(state.period)
-        if step is not None and (rows := _walked(step, state, action, free, 1)):
+        if step is not None and (rows := walked(step, state.values, action, free, state.robot_time, state.period, 1)):
             return rows
         found, _ = model.held(np.array(state.values), action, self.memory, latent, 1, period=state.period)
         return tuple(map(tuple, found)) if np.isfinite(found).all() else ()

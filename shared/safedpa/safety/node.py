@@ -164,7 +164,7 @@ class SafetyFilterNode(AbstractNode):
             verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
-            verdict = memory.filter.decide(state.values, wished, latent, **known)
+            verdict = memory.filter.decide(state.values, wished, latent, **known, searched=memory.searched)
             verdict = memory.out_of_the_layer(state, verdict, latent)
             verdict = memory.out_of_dead_band(
                 state,

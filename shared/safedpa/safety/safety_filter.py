@@ -38,6 +38,7 @@ from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
+from safedpa.safety.searched import Searched
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.stacks import Stacks
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
@@ -154,14 +155,17 @@ class SafetyFilter:
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
         time: float | None = None,
+        searched: Searched | None = None,
     ) -> Verdict:
         """The verdict for ``state`` (states,), ``wish`` (actions,), ``latent`` (latents,); raises nothing.
 
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
-        ``time`` [s] since the start of the run; a model that depends on it has the backup without.
+        ``time`` [s] since the start of the run; a model that depends on it has the backup without. ``searched`` is what
+        is remembered of this robot's last search for the least unsafe action; without, every tick searches wholly.
         """
-        return self._answer(_decided, self._request(state, wish, latent, memory, barriers, epsilon, stale, time))
+        request = self._request(state, wish, latent, memory, barriers, epsilon, stale, time, searched)
+        return self._answer(_decided, request)
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
         """The verdict where nothing but the wish is missing, for a robot that has no stand; arguments as in ``decide``.
@@ -215,10 +219,19 @@ class SafetyFilter:
         return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are kept.")
 
     def _request(
-        self, state: Any, wish: Any, latent: Any, memory: Any, barriers: Any, epsilon: Any, stale: Any, time: Any
+        self,
+        state: Any,
+        wish: Any,
+        latent: Any,
+        memory: Any,
+        barriers: Any,
+        epsilon: Any,
+        stale: Any,
+        time: Any,
+        searched: Searched | None = None,
     ) -> Request:
         scene = self._barriers if barriers is None else barriers
-        return Request(state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale, time)
+        return Request(state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale, time, searched)
 
     def _answer(self, answer: Callable[[Decision], Verdict], request: Request) -> Verdict:
         """What a decision answers, if none is under way: two at once would share their workspaces, and mix."""

@@ -56,6 +56,8 @@ class GoalSeekerSettings:
     """s for each such way."""
     room_seconds: float = 4.0
     """Longest time to make room; then something is behind it, and it tries a detour."""
+    rooms: int = 3
+    """How often it makes room for one goal before it takes a detour after each: what hinders it is still there."""
     turning_bearing: float = 1.3
     """rad from the heading to the goal, beyond which it turns round in several moves."""
     turning_moves: int = 6
@@ -89,7 +91,7 @@ class GoalSeeker:
         self._mode_ends = self._earliest = 0.0
         self._held_at = (0.0, 0.0)
         self._side = 1.0
-        self._attempts = self._moves = 0
+        self._attempts = self._moves = self._rooms = 0
         self._turns_round = self._turned_over = False
         self._goal: tuple[float, ...] = ()
         self._trail: deque[tuple[float, float, float]] = deque()
@@ -103,8 +105,8 @@ class GoalSeeker:
         """(target_speed [m/s], steer [rad]) at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
         x, y, yaw, _ = state
         if goal != self._goal:
-            self._goal, self._attempts, self._moves, self._mode = goal, 0, 0, _Mode.SEEK
-            self._turned_over = False
+            self._goal, self._mode, self._turned_over = goal, _Mode.SEEK, False
+            self._attempts = self._moves = self._rooms = 0
             self._trail.clear()
         distance = math.hypot(goal[0] - x, goal[1] - y)
         bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
@@ -137,11 +139,8 @@ class GoalSeeker:
         elif mode is _Mode.SEEK and outside < -self.settings.reach:
             self._side = _side_of(bearing)
             self._enter(_Mode.MAKE_ROOM, time + self.settings.room_seconds)
-        elif mode is _Mode.MAKE_ROOM and outside > 0.0:
-            self._enter(_Mode.SEEK, time)
-        elif mode is _Mode.MAKE_ROOM and (stuck or time >= self._mode_ends):
-            self._attempts += 1
-            self._enter(_Mode.DETOUR, time + self.settings.detour_seconds)
+        elif mode is _Mode.MAKE_ROOM and (stuck or time >= self._mode_ends or outside > 0.0):
+            self._leave_room(time, made=outside > 0.0)
         elif mode is _Mode.BACK_OFF and stuck and not self._turned_over and not self._turns_round:
             self._turned_over = True
             self._trail.clear()
@@ -150,6 +149,17 @@ class GoalSeeker:
             self._enter(_Mode.SEEK if self._turns_round else _Mode.DETOUR, time + ahead)
         elif mode is _Mode.DETOUR and time >= self._mode_ends:
             self._enter(_Mode.SEEK, time)
+
+    def _leave_room(self, time: float, *, made: bool) -> None:
+        """Towards the goal where room was ``made``, unless that has led nowhere so often that it passes the goal."""
+        self._rooms += made
+        if made and self._rooms <= self.settings.rooms:
+            self._enter(_Mode.SEEK, time)
+            return
+        self._attempts += 1
+        if made and self._attempts % 2 == 0:
+            self._side = -self._side
+        self._enter(_Mode.DETOUR, time + self.settings.detour_seconds * (min(self._attempts, 4) if made else 1))
 
     def _choose_side(self, bearing: float) -> None:
         """Which way the nose turns while it backs off, and whether it goes on turning afterwards."""
