@@ -41,7 +41,17 @@ def test_diagnose_tells_and_writes(log, tmp_path, capsys):
 def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     assert safedpa.run(["diagnose", str(log.model), str(log.runs[0]), "--json", "--out", str(tmp_path)]) == 0
-    assert json.loads(capsys.readouterr().out)["robot"] == "car"
+    document = json.loads(capsys.readouterr().out)
+    assert document["robot"] == "car"
+    margin, model = tmp_path / "margin.toml", tmp_path / "model.toml"
+    told = document.pop("margin")
+    assert told.pop("period") == pytest.approx(0.05)
+    assert told == {
+        "file": str(margin),
+        "said": "",
+        "drive": f"safedpa up --model {model} --margin {margin}",
+    }
+    assert document == json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
 
 
 def test_add_fits_one_effect_by_choice(log, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,11 +32,11 @@ def thinned(path: Path, every: int, out: Path) -> str:
     return str(out)
 
 
-def diagnosed(log, rates, folder, capsys, monkeypatch) -> str:
+def diagnosed(log, rates, folder, capsys, monkeypatch, *words: str) -> str:
     """What is said of the log's runs, every n-th row of each."""
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     paths = [thinned(path, every, folder / path.name) for path, every in zip(log.runs, rates, strict=True)]
-    assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(folder / "out")]) == 0
+    assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(folder / "out"), *words]) == 0
     return str(capsys.readouterr().out)
 
 
@@ -49,13 +50,14 @@ def test_slower_logs_give_a_margin_of_their_steps(log, tmp_path, capsys, monkeyp
 
 
 def test_logs_of_several_rates_give_none_and_the_reason(log, tmp_path, capsys, monkeypatch) -> None:
-    said = diagnosed(log, (2, 4, 4), tmp_path, capsys, monkeypatch)
+    margin = json.loads(diagnosed(log, (2, 4, 4), tmp_path, capsys, monkeypatch, "--json"))["margin"]
     assert not (tmp_path / "out" / "margin.toml").exists()
-    (line,) = [line for line in said.splitlines() if "margin" in line]
+    line = margin.pop("said")
     assert line.startswith(
         "No margin was calibrated: got steps of 0.1 to 0.2 s, none of the model's own 0.05 s, wanted"
     )
     assert line.endswith("; the filter's settings stand in for it")
+    assert margin == {"file": None, "period": None, "drive": None}
 
 
 def every_nth(run: Run, every: int) -> Run:

@@ -121,7 +121,8 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
             tell(1, 2)
             margin = _margin(report, recorded, out)
     if options["as_json"]:
-        click.echo(json.dumps(document, allow_nan=False))
+        told = _margin_document(report, out, margin, options["effects"])
+        click.echo(json.dumps({**document, "margin": told}, allow_nan=False))
     else:
         _show(report, out, margin, options["effects"])
 
@@ -137,6 +138,17 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> MarginBeside:
         path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
         return MarginBeside()
     return margin_beside(report.models[-1], runs, path, lambda some: excerpt(some, ROWS, report.horizon))
+
+
+def _margin_document(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> dict[str, Any]:
+    """Where the margin lies and of which steps [s] it is, None where there is none; what is said of it; how to drive."""
+    from safedpa_services.driving import drive_command
+
+    told: dict[str, Any] = {"file": None, "period": None, "said": margin.said, "drive": None}
+    if margin.path is not None:
+        drive = drive_command(report.models[-1], out / "model.toml", margin.path, own, margin.period)
+        told |= {"file": str(margin.path), "period": margin.period, "drive": drive}
+    return told
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
@@ -158,7 +170,6 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
 
 def _show(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> None:
-    from safedpa_services.driving import drive_command
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False, soft_wrap=True)
@@ -166,11 +177,11 @@ def _show(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> 
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
-    if margin.said:
-        console.print(margin.said, markup=False)
-    if margin.path is not None:
-        command = drive_command(report.models[-1], out / "model.toml", margin.path, own, margin.period)
-        console.print(f"Drive with it: {command}", markup=False)
+    told = _margin_document(report, out, margin, own)
+    if told["said"]:
+        console.print(told["said"], markup=False)
+    if told["drive"] is not None:
+        console.print(f"Drive with it: {told['drive']}", markup=False)
 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:

@@ -167,8 +167,9 @@ def _deepest_dip(
         following = checked.after(state, middle - (half * effect / largest if largest > 0.0 else 0.0))
         there = part.values(following)[entry]
         ends = min(here, there)
-        between = min(part.values(state + share * (following - state))[entry] for share in shares)
-        if ends >= 0.0 and between < threshold and ends - between > worst[0]:
-            worst = float(ends - between), float(ends)
+        if ends >= 0.0:  # below it there is nothing to fall from
+            between = min(part.values(state + share * (following - state))[entry] for share in shares)
+            if between < threshold and ends - between > worst[0]:
+                worst = float(ends - between), float(ends)
         state, here = following, there
     return worst
