@@ -141,7 +141,7 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> MarginBeside:
 
 
 def _margin_document(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> dict[str, Any]:
-    """Where the margin lies and of which steps [s] it is, None where there is none; what is said of it; how to drive."""
+    """Where the margin lies and of which steps [s] it is, None: none; what is said of it; how to drive."""
     from safedpa_services.driving import drive_command
 
     told: dict[str, Any] = {"file": None, "period": None, "said": margin.said, "drive": None}
