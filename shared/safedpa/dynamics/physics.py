@@ -35,7 +35,7 @@ __all__ = ["PhysicsModel", "Setting"]
 
 _Values = Mapping[str, Named]
 """Parameter values by owner ("base" or an effect's name) and name."""
-_STRUCTURE = ("base", "holds", "effects", "system", "period", "_commands", "_felts", "_rates", "_sensors")
+_STRUCTURE = ("base", "holds", "effects", "system", "period", "_commands", "_apart", "_felts", "_rates", "_sensors")
 """What models of one structure have in common, whatever their numbers."""
 
 
@@ -72,6 +72,9 @@ class PhysicsModel(AbstractDynamics):
         self.latent_names = tuple(path for path in self.parameters if self.settings[path].free)
         ordered = sorted(self.effects, key=lambda item: item.stage)
         self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
+        rest = dict.fromkeys(self.system.action_names, 0.0)
+        self._apart = any(item.initial_memory(rest) is not None for item in self._commands)
+        """Whether an actuator remembers: what it makes of an action then depends on more than the action."""
         self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
         self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
@@ -119,7 +122,7 @@ class PhysicsModel(AbstractDynamics):
         )
 
     def initial_memory(self, action: Array, latent: Array | None = None) -> Any:  # noqa: D102
-        if not self._commands:
+        if not self._apart:
             return ()
         named = dict(zip(self.system.action_names, columns(action, action), strict=True))
         return self._settled(named, self._values(latent, action), common_operations(action, latent))
@@ -159,7 +162,7 @@ class PhysicsModel(AbstractDynamics):
         There is none for actuators that remember, for equations that cannot be recorded, and before the model was asked
         often enough for recording to pay.
         """
-        return None if self._commands else self._straight.floats(period)
+        return None if self._apart else self._straight.floats(period)
 
     def write_straight(self) -> None:
         """Records the step of one period now, in some milliseconds, before somebody waits for it."""
@@ -167,7 +170,7 @@ class PhysicsModel(AbstractDynamics):
 
     def straight_tangent(self) -> StraightTangent | None:
         """One robot's next state and its slopes in the action over one period, of plain numbers; None as there."""
-        return None if self._commands else self._straight.tangent(self.period)
+        return None if self._apart else self._straight.tangent(self.period)
 
     @cached_property
     def straight_sensitivity(self) -> StraightTangent | None:
@@ -175,7 +178,7 @@ class PhysicsModel(AbstractDynamics):
 
         Recorded when it is first asked for. None as ``straight``, and where a network is asked on the way.
         """
-        if self._commands or not (self._takes_complex and self.base.straight):
+        if self._apart or not (self._takes_complex and self.base.straight):
             return None
         names = self.system.state_names, self.system.action_names, self.latent_names
         return straight_sensitivity(self.equations(self.period), *names)
@@ -187,7 +190,7 @@ class PhysicsModel(AbstractDynamics):
         as near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot
         at a time.
         """
-        if self._commands or not (self._takes_complex and self.base.straight):
+        if self._apart or not (self._takes_complex and self.base.straight):
             return None
         names = self.system.state_names, self.system.action_names, self.latent_names
         if period is not None:
@@ -217,7 +220,7 @@ class PhysicsModel(AbstractDynamics):
         time: float = 0.0,
     ) -> tuple[Array, Array]:
         around, time = self._middle if around is None else around, self.clock.seconds + time
-        quick = None if self._commands else self._quick_tangent(state, around, latent, time)
+        quick = None if self._apart else self._quick_tangent(state, around, latent, time)
         if quick is not None:
             return quick
         operations = common_operations(state, around, latent)
@@ -234,8 +237,7 @@ class PhysicsModel(AbstractDynamics):
             if quick is not None:
                 felt = action
                 with contextlib.suppress(ValueError, ArithmeticError):  # answered below
-                    if self._commands:
-                        named = dict(zip(names, action, strict=True))
+                    if self._apart:
                         felt = list(self._felt(named, memory, values, self.period, operations)[0].values())
                     return quick(measured, felt, free, time)
             return self._advance(true, named, memory, values, self.period, time, operations)[0]
@@ -254,7 +256,7 @@ class PhysicsModel(AbstractDynamics):
         return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
 
     def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:  # noqa: D102
-        if not self._commands and single_robot(state, around, latent):
+        if not self._apart and single_robot(state, around, latent):
             tangent = self._straight.tangent(self.period)
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
@@ -319,7 +321,7 @@ class PhysicsModel(AbstractDynamics):
             return None
         try:
             felt = action.tolist()
-            if self._commands:
+            if self._apart:
                 named = dict(zip(self.system.action_names, felt, strict=True))
                 after, memory = self._felt(named, memory, self._values(latent, state), period, FLOATS)
                 felt = after.values()
@@ -351,7 +353,7 @@ class PhysicsModel(AbstractDynamics):
         return straight_step(self.equations(period), *names)
 
     def equations(self, period: float) -> Equations:
-        """One period without actuators that remember, as ``straight`` records it."""
+        """One period as ``straight`` records it, from what is felt of the action where actuators remember."""
 
         def equations(
             state: Sequence[Scalar],
@@ -362,7 +364,9 @@ class PhysicsModel(AbstractDynamics):
         ) -> Sequence[Scalar]:
             values = self._with_free(latent) if latent else self._fixed
             measured = dict(zip(self.system.state_names, state, strict=True))
-            felt = dict(zip(self.system.action_names, action, strict=True))
+            felt: Named = dict(zip(self.system.action_names, action, strict=True))
+            if not self._apart:
+                felt, _ = self._felt(felt, (), values, period, operations)
             return self._integrated(self._true(measured, values), felt, values, period, time, operations)
 
         return equations
@@ -372,15 +376,16 @@ class PhysicsModel(AbstractDynamics):
     ) -> tuple[Named, tuple[Any, ...]]:
         """What the mechanics feel of an action, and the actuators' memory after it."""
         remembered = []
-        for command, own in zip(self._commands, memory, strict=True):
+        owns = memory if self._apart else (None,) * len(self._commands)
+        for command, own in zip(self._commands, owns, strict=True):
             action, kept = command.transform(action, own, values[command.name], period, operations)
             remembered.append(kept)
-        return action, tuple(remembered)
+        return action, tuple(remembered) if self._apart else ()
 
     def _settled(self, action: Named, values: _Values, operations: Operations) -> tuple[Any, ...]:
         """Each actuator's memory once it has settled at what those before it make of the action."""
         memory = []
-        for item in self._commands:
+        for item in self._commands if self._apart else ():
             own = item.initial_memory(action)
             memory.append(own)
             action, _ = item.transform(action, own, values[item.name], self.period, operations)
