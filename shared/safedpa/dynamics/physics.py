@@ -73,8 +73,7 @@ class PhysicsModel(AbstractDynamics):
         ordered = sorted(self.effects, key=lambda item: item.stage)
         self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
         rest = dict.fromkeys(self.system.action_names, 0.0)
-        self._apart = any(item.initial_memory(rest) is not None for item in self._commands)
-        """Whether an actuator remembers: what it makes of an action then depends on more than the action."""
+        self._apart = any(item.initial_memory(rest) is not None for item in self._commands)  # whether one remembers
         self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
         self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
@@ -157,10 +156,8 @@ class PhysicsModel(AbstractDynamics):
         return list(after.values()), remembered
 
     def straight(self, period: float) -> StraightStep | None:
-        """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``.
-
-        There is none for actuators that remember, for equations that cannot be recorded, and before the model was asked
-        often enough for recording to pay.
+        """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``, as with
+        actuators that remember, equations that cannot be recorded, and before it is asked often enough for that to pay.
         """
         return None if self._apart else self._straight.floats(period)
 
@@ -186,9 +183,8 @@ class PhysicsModel(AbstractDynamics):
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
 
-        Without a ``period`` here, it follows the latent as one more entry, and sines and cosines come from one tangent,
-        as near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot
-        at a time.
+        Without a ``period`` it follows the latent as one more entry, sines and cosines come from one tangent, as near as
+        rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot alone.
         """
         if self._apart or not (self._takes_complex and self.base.straight):
             return None
@@ -225,8 +221,7 @@ class PhysicsModel(AbstractDynamics):
             return quick
         operations = common_operations(state, around, latent)
         values = self._values(latent, state)
-        true = self._restored(state, values)
-        names = self.system.action_names
+        true, names = self._restored(state, values), self.system.action_names
         measured, free = columns(state, state), columns(self.latent if latent is None else latent, state)
         if memory is None:
             memory = self._settled(dict(zip(names, columns(around, state), strict=True)), values, operations)
@@ -376,7 +371,7 @@ class PhysicsModel(AbstractDynamics):
     ) -> tuple[Named, tuple[Any, ...]]:
         """What the mechanics feel of an action, and the actuators' memory after it."""
         remembered = []
-        owns = memory if self._apart else (None,) * len(self._commands)
+        owns = memory if self._apart or memory else (None,) * len(self._commands)
         for command, own in zip(self._commands, owns, strict=True):
             action, kept = command.transform(action, own, values[command.name], period, operations)
             remembered.append(kept)

@@ -83,11 +83,11 @@ class Request:
         epsilon: Mapping[str, float],
         stale: Sequence[str],
         time: Any = None,
-        searched: Searched | None = None,
+        searched: Any = None,
     ) -> None:
         self.state, self.wish, self.latent, self.memory = state, wish, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
-        self.searched = Searched() if searched is None else searched
+        self.searched = searched if isinstance(searched, Searched) else Searched()
 
 
 @final
@@ -116,8 +116,9 @@ class Decision:
     def _tell_time(self, seconds: Any) -> None:
         """A model that depends on the time since the start is asked at that time, and not at all without it."""
         prediction = self._tools.prediction
-        if isinstance(seconds, (float, int)) and 0.0 <= seconds < inf:
-            self._seconds = float(seconds)
+        told = float(seconds) if isinstance(seconds, (float, int)) else nan
+        if 0.0 <= told < inf:
+            self._seconds = told
             prediction.tell_time(self._seconds)
         elif prediction.timed:  # to any other model the time says nothing
             self._problems.append(
@@ -195,9 +196,10 @@ class Decision:
         if found.kept:
             return self._kept(conditions, wish, found, "", solver)
         searched = self._request.searched
-        held = searched.still(conditions, self._seconds)
+        held = searched.still(conditions, program.sides, self._seconds)
         if held is not None and not held.kept:
-            return self._verdict(Status.relaxed, held, f"{self._worst(conditions, held)}{searched.said}", solver)
+            said = f"{self._worst(conditions, held)}{searched.said} Found a moment ago, and no worse now."
+            return self._verdict(Status.relaxed, held, said, solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
         other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
@@ -211,7 +213,7 @@ class Decision:
         if best.kept:
             other, solver = self._from_elsewhere(conditions, wish, asked, [best])
             return self._kept(conditions, wish, other, "Found among the least unsafe actions.", solver)
-        searched.note(conditions, best, self._seconds, said)
+        searched.note(best, self._seconds, said)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
     def _kept(self, conditions: Conditions, wish: Action, found: Outcome, reason: str, solver: str) -> Verdict:

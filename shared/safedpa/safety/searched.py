@@ -2,7 +2,8 @@
 
 Where no action keeps every condition some seventy are looked at, and a robot that stands in its margin's boundary layer
 is in that place for seconds on end. At 20 ticks a second each tick looks anew. A robot of a shorter period looks as
-often, and in the ticks between holds what was found, as long as it is no worse than when it was found.
+often, or more, and in the ticks between holds what was found, as long as that breaks no other condition than it did,
+and none of them more.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ from math import inf
 from typing import Final, Protocol, final
 
 from safedpa.safety.conditions import Outcome, Plain
+from safedpa.safety.program_rows import Side, within
 
 __all__ = ["LASTS", "Searched"]
 
 LASTS: Final = 0.05
-"""s after a whole search within which no other is needed."""
+"""s for which an action is in force that one whole search found, at the most."""
 
 _ROUNDING: Final = 1e-6
 """Of that time."""
 _WORSE: Final = 0.01
-"""Share by which what is missing may have grown since, and the least h fallen."""
+"""Share by which what a condition misses may have grown since, and its h fallen."""
 
 
 class _Posed(Protocol):
@@ -30,38 +32,48 @@ class _Posed(Protocol):
     def outcome(self, action: Plain) -> Outcome:
         """What the action leads to."""
 
-    def tightest(self, found: Outcome) -> float:
-        """Its least residual, as a share of the barrier's scale."""
-
 
 @final
 class Searched:
     """What the last whole search of one robot found; empty at first."""
 
     def __init__(self) -> None:
-        self._action: Sequence[float] = ()
-        self._seconds = inf
-        """By the robot's clock, of the tick that was searched in."""
-        self._tightest = self._least = inf
-        """Least residual as a share of the barrier's scale, and least h, that were predicted then."""
+        self._found: Outcome | None = None
+        self._seconds = self._asked = inf
+        """By the robot's clock, of the tick that was searched in, and of the last one."""
         self.said = ""
         """What a verdict has to say beyond the barriers that are not kept."""
 
-    def note(self, conditions: _Posed, found: Outcome, seconds: float, said: str) -> None:
+    def note(self, found: Outcome, seconds: float, said: str) -> None:
         """Remembers what a search at ``seconds`` found."""
-        self._action, self._seconds, self.said = found.action, seconds, said
-        self._tightest, self._least = conditions.tightest(found), found.least
+        self._found, self._seconds, self._asked, self.said = found, seconds, seconds, said
 
-    def still(self, conditions: _Posed, seconds: float) -> Outcome | None:
-        """What the action found leads to now; None where it was found too long ago, or not before now, or is worse now.
+    def still(self, conditions: _Posed, sides: Sequence[Side], seconds: float) -> Outcome | None:
+        """What the action found leads to now; None where another search is due, or it is worse now.
 
-        Worse: it misses a condition by more than a hundredth more of its scale, or leads to an h that is lower by more
-        than a hundredth, or below 0.
+        Due: the action would be in force for longer than ``LASTS`` by the next tick, or the clock was set back. Worse:
+        it breaks a condition that it did not, misses one by a hundredth more, or leads to an h of such a one that is
+        lower by a hundredth, or to any h below 0. Each condition is held against itself: what one barrier is short of
+        says nothing of another.
         """
-        since = seconds - self._seconds
-        if not 0.0 < since < (1.0 - _ROUNDING) * LASTS:
+        found, since, step = self._found, seconds - self._seconds, seconds - self._asked
+        self._asked = seconds
+        if found is None or not 0.0 < since <= (1.0 + _ROUNDING) * LASTS - step:
             return None
-        now = conditions.outcome(self._action)
-        if not (now.usable and now.least >= (1.0 - _WORSE) * self._least >= 0.0):
+        action = tuple(found.action)
+        if len(action) != len(sides) or within(action, tuple(sides)) != action:  # of another filter
             return None
-        return now if conditions.tightest(now) >= (1.0 + _WORSE) * self._tightest else None
+        now = conditions.outcome(action)
+        return now if now.usable and now.least >= 0.0 and _no_worse(now, found) else None
+
+
+def _no_worse(now: Outcome, then: Outcome) -> bool:
+    """Whether each condition that is broken now was broken then, and by as much."""
+    if len(now.residual) != len(then.residual):
+        return False
+    for row in now.broken:
+        if row not in then.broken or now.residual[row] < (1.0 + _WORSE) * then.residual[row]:
+            return False
+        if now.h_next[row] < (1.0 - _WORSE) * then.h_next[row]:
+            return False
+    return True
