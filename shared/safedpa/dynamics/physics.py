@@ -157,7 +157,7 @@ class PhysicsModel(AbstractDynamics):
 
     def straight(self, period: float) -> StraightStep | None:
         """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``, as with
-        actuators that remember, equations that cannot be recorded, and before it is asked often enough for that to pay.
+        actuators that remember, equations that cannot be recorded, and before it is asked so often that it pays.
         """
         return None if self._apart else self._straight.floats(period)
 
