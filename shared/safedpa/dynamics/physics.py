@@ -183,8 +183,8 @@ class PhysicsModel(AbstractDynamics):
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
 
-        Without a ``period`` it follows the latent as one more entry, sines and cosines come from one tangent, as near as
-        rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot alone.
+        Without a ``period`` it follows the latent as one more entry, and sines and cosines come from one tangent, as
+        near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot.
         """
         if self._apart or not (self._takes_complex and self.base.straight):
             return None
