@@ -114,6 +114,7 @@ class FilteredRobot:
     """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
     searched: Searched = field(default_factory=Searched)
+    """What the last whole search for the least unsafe action found, for periods too short to search in each."""
     rehearsed: bool = False
     """Whether all that a decision may need was gone through once, with this model."""
 

@@ -5,8 +5,9 @@ Towards the goal it follows an arc (pure pursuit): with the goal at distance d a
     steer = atan(2 wheelbase sin(b) / d),   target_speed = min(cruise, approach d) max(cos(b), slow)
 
 A goal inside the turning circle of its side (radius wheelbase / tan(steer limit)) would be circled for ever; there it
-first makes room, backwards with the wheels turned away. Where it makes no headway (the filter holds it back, or it
-stands against a wall) it backs off, by a way and not by a time: a robot that tows is slow in reverse. Then it heads
+first makes room, backwards with the wheels turned away; where that has led nowhere three times it passes the goal by,
+to one side and then the other. Where it makes no headway (the filter holds it back, or it stands against a wall) it
+backs off, by a way and not by a time: a robot that tows is slow in reverse. Then it heads
 past the goal's direction to one side, to the other side the next time; but where the goal lies abeam or behind, it
 turns round in several moves, always to the same side. Held back again meanwhile, it tries the next thing at once:
 backwards first with the wheels turned the other way.
