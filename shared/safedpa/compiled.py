@@ -26,6 +26,7 @@ MODULES = (
     "safedpa.safety.decision",
     "safedpa.safety.ceiling",
     "safedpa.safety.found_delay",
+    "safedpa.safety.highest",
     "safedpa.safety.inputs",
     "safedpa.safety.lattice",
     "safedpa.safety.least_unsafe",

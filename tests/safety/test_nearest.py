@@ -35,8 +35,8 @@ def test_what_it_gives_is_what_piqp_gives(
     assert finite
     closed = closest(rows, wish, program.sides, program.weights.tolist()) if rows else None
     if closed is None:
-        return  # no row can be broken, or PIQP answers
-    certain = program._with_slack(rows, wish, len(table))
+        return  # no row can be broken, or slack is needed
+    certain = program._by_solver(rows, wish, len(table))
     np.testing.assert_array_equal(quick.action, closed)
     assert max(quick.slack) == 0.0
     if certain.solved and max(certain.slack) < 1e-9:

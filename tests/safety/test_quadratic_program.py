@@ -1,4 +1,4 @@
-"""PIQP, in the filter's form, against quadprog and against the optimality conditions."""
+"""The filter's program, whoever solves it, against quadprog and against the optimality conditions."""
 
 from typing import Any
 
@@ -7,7 +7,8 @@ import pytest
 import quadprog
 
 from safedpa.safety import QuadraticProgram, Solution
-from safedpa.safety.quadratic_program import LINEAR, QUADRATIC
+from safedpa.safety.nearest import LINEAR, QUADRATIC
+from safedpa.safety.program_rows import breakable
 
 
 def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:
@@ -45,6 +46,11 @@ def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.nda
     """The solution for arrays, in arrays."""
     found = program.solve(A.tolist(), b.tolist(), wish.tolist())
     return Solution(np.array(found.action), np.array(found.slack), found.solved, found.status)
+
+
+def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
+    """The solution of PIQP, which one or two actions are asked for only where nothing else is certain."""
+    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], wish.tolist(), len(b))
 
 
 def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, wish: Any) -> float:
@@ -124,13 +130,14 @@ def test_a_workspace_forgets_the_problem_before() -> None:
         A, wish = random.normal(size=(rows, 2)), random.normal(size=2)
         b = A @ random.uniform(-1, 1, 2) + 0.2
         fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
-        np.testing.assert_allclose(solved(program, A, b, wish).action, solved(fresh, A, b, wish).action, atol=1e-7)
+        one, other = (by_solver(each, A, b, wish).action for each in (program, fresh))
+        np.testing.assert_allclose(one, other, atol=1e-7)
 
 
 def test_one_workspace_for_each_power_of_two() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     for rows in range(1, 10):
-        solved(program, np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))  # not without slack
+        by_solver(program, np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))
     assert sorted(program._workspaces) == [(size, 1e-11) for size in (1, 2, 4, 8, 16)]
 
 
@@ -244,7 +251,7 @@ def gives_up(program: QuadraticProgram, accuracy: float) -> None:
 def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     gives_up(program, 1e-11)
-    solution = solved(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
+    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
     assert (solution.solved, solution.status) == (True, "solved")
     assert solution.action[0] == pytest.approx(1.0, abs=1e-6)
     assert solution.slack[0] == pytest.approx(0.5, abs=1e-6)
@@ -254,5 +261,5 @@ def test_two_solvers_that_give_up_are_not_believed() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     gives_up(program, 1e-11)
     gives_up(program, 1e-8)
-    solution = solved(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
+    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
     assert (solution.solved, solution.status) == (False, "max iter reached")

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, isfinite, isnan, nan
-from typing import Final, final
+from typing import Final, Protocol, final
 
 from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.highest import HighestProgram
 from safedpa.safety.lattice import NEARBY, around
 from safedpa.safety.not_finite import NotFiniteError
 from safedpa.safety.program_rows import Side, within
@@ -46,10 +45,19 @@ _STEPS: Final = (0.5, 0.125)
 """Shares of the way to a solution that are tried where its end is no better."""
 
 
+class _Highest(Protocol):
+    """What is needed of ``HighestProgram``."""
+
+    def solve(
+        self, slopes: Sequence[Sequence[float]], heights: Sequence[float], levels: Sequence[float]
+    ) -> list[float] | None:
+        """u (actions,) with the least free row as high as it can be."""
+
+
 def least_unsafe(
     conditions: Conditions,
     program: QuadraticProgram,
-    highest: HighestProgram,
+    highest: _Highest,
     wish: Action,
     backup: Outcome,
     known: Sequence[Outcome],
@@ -86,7 +94,7 @@ class _Lift:
         self,
         conditions: Conditions,
         program: QuadraticProgram,
-        highest: HighestProgram,
+        highest: _Highest,
         wish: Action,
         backup: Outcome,
         usable: list[Outcome],
@@ -346,10 +354,7 @@ class _Lift:
         found = self._highest.solve(
             [slopes[place] for place in which], [bases[place] for place in which], [levels[place] for place in which]
         )
-        if found is None:
-            return []
-        u: list[float] = found.tolist()
-        return u
+        return [] if found is None else found
 
     def _best(self, others: list[_Seen]) -> _Seen:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""

@@ -1,14 +1,14 @@
-"""The quadratic program's conditions in the scaled variables u = (a - low) / (high - low), and its closed form."""
+"""The quadratic program's conditions in u = (a - low) / (high - low), and its solution for one or two actions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final
 
-from safedpa.safety.nearest import NearestKept
+from safedpa.safety.nearest import NearestKept, NearestWithSlack
 from safedpa.safety.solution import Solution
 
-__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "cornered", "solved_at_once", "within"]
+__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "least_missed", "solved_at_once", "within"]
 
 ScaledRow = tuple[list[float], float, int, float]
 """Slopes (actions,), limit, index and reach of a condition: slopes u >= limit, the slopes' sizes summing to 1.
@@ -30,10 +30,7 @@ def solved_at_once(
     sides: tuple[Side, ...],
     weights: Sequence[float],
 ) -> tuple[Solution | None, list[ScaledRow]]:
-    """The minimiser where it needs no slack and one or two actions have it in closed form, and the ``breakable`` rows.
-
-    None: ask a solver.
-    """
+    """The minimiser of one or two actions where it is certain, and the ``breakable`` rows; None: ask a solver."""
     finite, rows = breakable(A, b, sides)
     if not finite:
         return Solution([side[0] for side in sides], [0.0] * len(b), False, "numbers not finite"), rows
@@ -41,8 +38,10 @@ def solved_at_once(
         return Solution(within(wish, sides), [0.0] * len(b), True, "not needed"), rows
     if len(sides) > 2:
         return None, rows
-    action = closest(rows, wish, sides, weights)
-    return None if action is None else Solution(action, [0.0] * len(b), True, "solved"), rows
+    action, slack = closest(rows, wish, sides, weights), [0.0] * len(b)
+    if action is None:
+        action = least_missed(rows, wish, sides, weights, slack)
+    return None if action is None else Solution(action, slack, True, "solved"), rows
 
 
 def breakable(
@@ -91,51 +90,56 @@ def breakable(
 def closest(
     rows: Sequence[ScaledRow], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
 ) -> list[float] | None:
-    """Of one or two actions: the minimiser without slack in closed form; None: ask the solver."""
-    low, _, width = sides[0]
-    base, reach, weight, aside = 0.0, 1.0, weights[0], 0.0
-    single = len(sides) == 1  # beside a second one that nothing depends on
-    if not single:
-        base, _, reach = sides[1]
-        weight, aside = weights[1], (wish[1] - base) / reach
-    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight)
+    """Of one or two actions: the minimiser without slack; None: there is none, or it is not certain."""
+    x, y, weight = _wanted(wish, sides, weights)
+    problem = NearestKept(x, y, weights[0], weight)
     for index in range(len(rows)):
         slopes, limit, _, _ = rows[index]
-        problem.add(slopes[0], 0.0 if single else slopes[1], limit)
-    if not problem.solve():
-        return None
-    return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]
+        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
+    return _action(problem.x, problem.y, sides) if problem.solve() else None
 
 
-def cornered(
+def least_missed(
     rows: Sequence[ScaledRow],
     wish: Sequence[float],
     sides: tuple[Side, ...],
     weights: Sequence[float],
-    linear: float,
-    quadratic: float,
-) -> list[int] | None:
-    """Of two actions: the corner of their range, 0 and 1 for lowest and highest, that is the minimiser with slack.
+    slack: list[float],
+) -> list[float] | None:
+    """Of one or two actions: the minimiser with slack, which is written into ``slack``; None: it is not certain."""
+    x, y, weight = _wanted(wish, sides, weights)
+    problem = NearestWithSlack(x, y, weights[0], weight)
+    for index in range(len(rows)):
+        slopes, limit, _, _ = rows[index]
+        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
+    if not problem.solve():
+        return None
+    x, y = problem.x, problem.y
+    for index in range(len(rows)):
+        slopes, limit, place, reach = rows[index]
+        missing = limit - slopes[0] * x - (slopes[1] * y if len(slopes) > 1 else 0.0)
+        slack[place] = reach * missing if missing > 0.0 else 0.0
+    return _action(x, y, sides)
 
-    There a row misses s_i >= 0 and pulls with its price, linear + 2 quadratic s_i where s_i > 0 and nothing else; the
-    corner is the minimiser if the sum of all pulls, the wish's among them, leads out of the range or nowhere in every
-    entry: the Karush-Kuhn-Tucker conditions of a convex program. None: no corner is, or some price lies in between.
-    """
-    (low, _, width), (base, _, reach) = sides
-    x, y = (wish[0] - low) / width, (wish[1] - base) / reach
-    for right in range(2):
-        for upper in range(2):
-            across, along = 2.0 * weights[0] * (x - right), 2.0 * weights[1] * (y - upper)
-            for index in range(len(rows)):
-                slopes, limit, _, _ = rows[index]
-                missing = limit - slopes[0] * right - slopes[1] * upper
-                if missing > 0.0:
-                    price = linear + 2.0 * quadratic * missing
-                    across += price * slopes[0]
-                    along += price * slopes[1]
-            if (across >= 0.0 if right else across <= 0.0) and (along >= 0.0 if upper else along <= 0.0):
-                return [right, upper]
-    return None
+
+def _wanted(wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:
+    """The wish in the unit square, and the second one's weight; a single action stands beside one that is nothing."""
+    low, _, width = sides[0]
+    x: float = (wish[0] - low) / width
+    if len(sides) == 1:
+        return x, 0.0, weights[0]
+    low, _, width = sides[1]
+    return x, (wish[1] - low) / width, weights[1]
+
+
+def _action(x: float, y: float, sides: tuple[Side, ...]) -> list[float]:
+    """Of one or two actions; exactly the bound where it lies there."""
+    low, high, width = sides[0]
+    action = [high if x == 1.0 else low + width * x]
+    if len(sides) > 1:
+        low, high, width = sides[1]
+        action.append(high if y == 1.0 else low + width * y)
+    return action
 
 
 def within(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...]:

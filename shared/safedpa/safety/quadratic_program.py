@@ -8,18 +8,13 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.program_rows import ScaledRow, Side, apart, cornered, solved_at_once
+from safedpa.safety.nearest import LINEAR, QUADRATIC
+from safedpa.safety.program_rows import ScaledRow, Side, apart, solved_at_once
 from safedpa.safety.solution import Solution
 
-__all__ = ["LINEAR", "QUADRATIC", "QuadraticProgram", "Solution"]
+__all__ = ["QuadraticProgram", "Solution"]
 
 Values = NDArray[np.float64]
-
-LINEAR: Final = 1e4
-"""rho1: price of slack, as a share of what the actions can change in its condition. A condition is given up only where
-a ten-thousandth of that would cost the whole range of an action."""
-QUADRATIC: Final = 1e5
-"""rho: price of the same slack squared: of two that must be given up, neither wholly."""
 
 _NO_CONDITION = -1.0
 """Right-hand side of padding rows 0 a + s >= -1, which always hold."""
@@ -37,9 +32,8 @@ class QuadraticProgram:
     low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
     slack. Solved in the variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can
     break are left out (exact: their slack is 0), as are those that no action changes. Of one or two actions the
-    solution without slack is found in closed form and taken where it proves to be the optimum, and so is, of two, a
-    corner of their range with slack. Else PIQP solves it, the rows padded to a power of two, so that each of its
-    workspaces is built once.
+    solution is found in a few steps, and taken where it proves to be the optimum. Else PIQP solves it, the rows padded
+    to a power of two, so that each of its workspaces is built once.
     """
 
     def __init__(self, low: Values, high: Values, weights: Values) -> None:
@@ -53,21 +47,9 @@ class QuadraticProgram:
     def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
         answer, rows = solved_at_once(A, b, wish, self.sides, self._weights)
-        return answer or self._cornered(rows, wish, len(b)) or self._with_slack(rows, wish, len(b))
+        return answer or self._by_solver(rows, wish, len(b))
 
-    def _cornered(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution | None:
-        """The minimiser where it is a corner of two actions' range: what conditions out of reach mostly lead to."""
-        if len(self.sides) != 2:
-            return None
-        corner = cornered(rows, wish, self.sides, self._weights, LINEAR, QUADRATIC)
-        if corner is None:
-            return None
-        slack = [0.0] * count
-        for slopes, limit, index, reach in rows:
-            slack[index] = reach * max(0.0, limit - slopes[0] * corner[0] - slopes[1] * corner[1])
-        return Solution([side[upper] for side, upper in zip(self.sides, corner, strict=True)], slack, True, "solved")
-
-    def _with_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
+    def _by_solver(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
         """The minimiser by PIQP; by a second, less exacting one where the first gives up."""
         actions = len(self.sides)
         wanted = [(value - low) / width for value, (low, _, width) in zip(wish, self.sides, strict=True)]
