@@ -8,7 +8,7 @@ COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run search test test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
+.PHONY: help demo run search test test-long test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -33,8 +33,13 @@ $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_s
 TESTERS ?= 3
 
 # Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
-test: environment  ## runs all tests
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile
+
+test: environment  ## the tests that one waits for, on two cores less than six minutes
+	@$(PYTEST) -m "not long"
+
+test-long: environment  ## all other tests: trainings, experiments, searches, browsers, processes
+	@$(PYTEST) -m long
 
 # Every day another seed; what it finds is kept as an @example of its test.
 SEED ?= $(shell date +%Y%m%d)
@@ -67,7 +72,7 @@ types: environment  ## mypy, strict
 contracts: environment  ## import-linter: imports go down only, services never import each other
 	@$(BIN)/lint-imports
 
-check: lint types contracts test  ## all of it
+check: lint types contracts test test-long  ## all of it
 
 docs: environment  ## the pages as a site, in build/site: open index.html there, no server and no network needed
 	@$(BIN)/python docs/generate.py --check

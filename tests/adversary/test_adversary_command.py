@@ -65,6 +65,7 @@ def _few_programs(monkeypatch):
     monkeypatch.setattr("safedpa_lab.experiments.adversary.programs._SMALL", 40)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_programs")
 def test_parts_run_into_one_folder_become_one_page(tmp_path, capsys):
     out = tmp_path / "found"
@@ -79,6 +80,7 @@ def test_parts_run_into_one_folder_become_one_page(tmp_path, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_programs")
 def test_what_was_found_is_kept_where_a_run_is_ended(tmp_path, monkeypatch, capsys):
     def ended(self, answers):
@@ -92,6 +94,7 @@ def test_what_was_found_is_kept_where_a_run_is_ended(tmp_path, monkeypatch, caps
     capsys.readouterr()
 
 
+@pytest.mark.long
 def test_the_same_seed_finds_the_same_with_any_number_of_processes():
     def figures(workers, seed):
         found = adversary(attacks_named(["programs"]), seed, small=True, workers=workers)

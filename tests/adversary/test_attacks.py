@@ -79,6 +79,7 @@ def a_little_less(verdict, wish):
     return replace(verdict, action=frozen(moved))
 
 
+@pytest.mark.long
 def test_the_programs_notice_a_filter_that_goes_not_all_the_way(clean, plant):
     before = clean["passed or corrected, condition broken"].measured
     plant(a_little_less)
@@ -94,6 +95,7 @@ def test_the_programs_notice_actions_that_are_swapped_for_the_wish(all_passed):
     assert found["action out of bounds"].measured > 100
 
 
+@pytest.mark.long
 def test_the_programs_notice_corrections_that_go_too_far(clean, plant):
     def middle(verdict, wish):
         if verdict.status is not Status.passed:
@@ -140,6 +142,7 @@ def test_the_drive_at_scale_one_stops_before_the_wall_and_a_deaf_filter_does_not
     assert drive(Units()).furthest > 1.0
 
 
+@pytest.mark.long
 def test_other_units_of_a_filter_with_an_absolute_tolerance_are_noticed(plant):
     """Planted: the wish is believed whenever h is small, as an absolute tolerance would have it."""
 
@@ -198,6 +201,7 @@ def test_the_systems_crash_behind_a_filter_that_passes_everything(plant):
     assert not any(row.held for what, row in found.items() if what.endswith("largest break, in scales"))
 
 
+@pytest.mark.long
 def test_the_systems_notice_what_the_grid_knows_better(plant):
     def gives_up(verdict, wish):
         return replace(verdict, status=Status.relaxed) if verdict.status is Status.corrected else verdict

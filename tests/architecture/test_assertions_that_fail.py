@@ -6,6 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.long
+
 COMMAND = Path(__file__).parents[2] / "deploy" / "mutation" / "assertions.py"
 CAN = """
 import pytest

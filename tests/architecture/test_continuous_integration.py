@@ -7,6 +7,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).parents[2] / ".ci" / "run"
 LOG = """\
 ..s.s                                                                    [100%]
@@ -38,14 +40,39 @@ def test_where_all_is_tested_nothing_is_said(tmp_path: Path) -> None:
 def test_it_is_told_after_all_parts_and_before_failures_and_summary() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     order = (
-        "make --no-print-directory test ",
-        'not_tested "$log"',
+        'part "quick tests" run_tests test\n',
+        'part "long tests" run_tests test-long\n',
+        'not_tested "$programs/test.log"',
         'echo "TIME: ',
         'echo "FAILED: $name"',
-        "| tail -n 1",
+        'summary "$programs/$run.log"',
     )
     places = [text.index(part) for part in order]
     assert places == sorted(places)
+
+
+@pytest.mark.parametrize(
+    ("failed", "last"),
+    [
+        ("", "test"),
+        ("types", "test"),
+        ("'quick tests'", "test"),
+        ("'quick tests' 'long tests'", "test"),
+        ("'long tests'", "test-long"),
+        ("types 'long tests' fleet", "test-long"),
+    ],
+)
+def test_the_last_line_is_a_summary_and_that_of_the_run_that_failed(tmp_path: Path, failed: str, last: str) -> None:
+    for run in ("test", "test-long"):
+        (tmp_path / f"{run}.log").write_text(f"{LOG}== 1 passed of {run} in 600.00s ==\nreal 10m\n", encoding="utf-8")
+    text = SCRIPT.read_text(encoding="utf-8")
+    begin = text.index("summary() {")
+    function = text[begin : text.index("\n}\n", begin) + 3]
+    end = text[text.index("runs=(test-long test)") : text.index("[ ${#failed[@]} -eq 0 ]")]
+    told = f"set -uo pipefail\n{function}\nprograms={tmp_path} failed=({failed})\n{end}"
+    lines = subprocess.run(["bash", "-c", told], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert len(lines) == 2
+    assert lines[-1] == f"== 1 passed of {last} in 600.00s =="
 
 
 def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(tmp_path: Path) -> None:

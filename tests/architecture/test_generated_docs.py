@@ -15,6 +15,7 @@ from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, Received, Sta
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
+@pytest.mark.long
 def test_the_generated_parts_are_current() -> None:
     program = [sys.executable, DOCS / "generate.py", "--check"]
     done = subprocess.run(program, capture_output=True, text=True, check=False)

@@ -72,6 +72,7 @@ def test_lines_are_code_told_or_blank(house: ModuleType, tmp_path: Path) -> None
     assert "| all | 6 | 1 | 4 | 1 | 1 | 0 |" in house.table(found)
 
 
+@pytest.mark.long
 def test_the_house_itself_is_counted(whole: dict[str, Any]) -> None:
     assert len(whole) > 500
     assert whole["safedpa.safety.safety_filter"].importers >= {"safedpa.safety.batch"}
@@ -130,10 +131,12 @@ TWICE = {"Grid", "Proposal", "Request", "RunError", "Seen", "Sensed", "Stage", "
 """Names that several public classes of ``safedpa`` still have."""
 
 
+@pytest.mark.long
 def test_no_further_name_is_given_twice(house: ModuleType, whole: dict[str, Any]) -> None:
     assert set(house.twice_named(whole)) <= TWICE
 
 
+@pytest.mark.long
 def test_no_further_module_stands_alone_that_could_be_one_with_another(
     house: ModuleType, whole: dict[str, Any]
 ) -> None:
@@ -157,6 +160,7 @@ def test_who_asks_for_a_state_by_its_name_is_found(house: ModuleType, tmp_path: 
     assert [line.partition(":")[0] for line in house.asks_for_names(found)] == ["safedpa.a"]
 
 
+@pytest.mark.long
 def test_no_further_place_asks_for_states_by_name(house: ModuleType, whole: dict[str, Any]) -> None:
     assert len(house.asks_for_names(whole)) <= MOST_ASKING
 

@@ -163,6 +163,7 @@ def near() -> Any:
     return Nearness(ROOT)
 
 
+@pytest.mark.long
 def test_the_nearest_tests_import_the_module(tree: Path, near: Any) -> None:
     from near import Nearness
 
@@ -200,6 +201,7 @@ def test_a_number_of_a_module_is_reached_where_a_function_reads_it_and_not_by_im
     assert 'now > (__import__("reached").told() and SECONDS)' in text
 
 
+@pytest.mark.long
 def test_what_leads_to_a_module_by_no_import_is_asked_after_all_that_does(near: Any) -> None:
     assert near.files("services/safedpa_services/command_line/serve.py", "_Sayings.__call__", 60)
     far = near.files("sim/safedpa_lab/experiments/point_figures.py", "_path", 60)
@@ -216,6 +218,7 @@ def test_slow_tests_of_the_nearest_files_run_before_quick_ones_of_farther_files(
     assert at["slow", NEAR - 1] < at["not slow", NEAR]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -> None:
     from copied import Copy
@@ -241,6 +244,7 @@ def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -
     assert kept == (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_fault_after_which_nothing_ends_is_noticed(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -257,6 +261,7 @@ def test_a_fault_after_which_nothing_ends_is_noticed(
     assert found.by == "tests/safety/test_margin.py::test_the_margin (does not end)"
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_fault_that_no_test_outlives_the_import_of_is_noticed(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -301,6 +306,7 @@ def test_who_says_why_nothing_can_notice_a_fault_has_closed_it_and_the_page_tell
     assert page(record).endswith("\n- a.py:3: y is x\n")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_sweep_plants_every_fault_and_keeps_what_came_out(tree: Path, tmp_path: Path) -> None:
     import shutil

@@ -14,6 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import safedpa
 import safedpa_lab
 import safedpa_services
@@ -124,11 +126,13 @@ def test_all_is_complete_and_importable() -> None:
     assert not_so(wrong_in_package, PACKAGES) == {}
 
 
+@pytest.mark.long
 def test_modules_say_what_they_are_and_what_they_show() -> None:
     assert len(SOURCES) > 500
     assert not_so(wrong_in_module, SOURCES) == {}
 
 
+@pytest.mark.long
 def test_files_and_functions_stay_small() -> None:
     by_hand = [path for path in (*SOURCES, *TESTS) if not path.name.startswith("written_")]  # those are recorded
     assert not_so(too_large, by_hand) == {}
@@ -144,6 +148,7 @@ def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
     assert list(not_so(too_large, [bad])) == [str(bad)]
 
 
+@pytest.mark.long
 def test_no_file_knows_this_machine_or_a_package_index() -> None:
     banned = ["/work/" + "main", "/root" + "/", "pypi" + ".org", "index" + "-url", "find" + "-links"]
     for pattern in ("*.py", "*.toml", "*.md", "*.txt", "Makefile", "*.yml"):

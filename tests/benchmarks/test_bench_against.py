@@ -55,6 +55,7 @@ def test_what_is_no_checkout_is_refused(tmp_path: Path) -> None:
     assert checkout_of(ROOT) == ROOT
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.slow
 def test_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,6 +80,7 @@ def test_what_is_slower_than_it_may_be_ends_with_an_error(
     assert safedpa.run(["bench", "against", str(tmp_path), "--pairs", "1", "--seconds", "1", "--most", most]) == code
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.slow
 def test_rows_of_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]) -> None:

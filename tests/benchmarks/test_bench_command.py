@@ -32,6 +32,7 @@ def test_what_makes_no_sense_is_refused(arguments: list[str], words: str, capsys
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_quick_run_has_every_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, page = tmp_path / "speed.json", tmp_path / "speed.md"
     rows = ("adaptation", "batch", "point-steps")

@@ -41,6 +41,7 @@ def test_a_folder_without_the_drives_is_refused(tmp_path: Path) -> None:
         dart_drives(Effort(quick=True, recordings=tmp_path))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_drives_are_diagnosed_from_their_files(tmp_path: Path) -> None:
     assert "quick" in dart_drives(Effort(quick=True, recordings=_drives(tmp_path, 4)))[0].missing

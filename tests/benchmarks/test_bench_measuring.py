@@ -42,6 +42,7 @@ def test_every_input_is_called_in_turn_and_warmed_up() -> None:
     assert times["processor"]["p50"] >= 0.0
 
 
+@pytest.mark.long
 def test_a_slow_call_ends_with_what_there_is() -> None:
     assert timed(lambda _: sum(range(1000)), [0], 10**6, seconds=0.0)["calls"] == 21
 

@@ -122,6 +122,7 @@ def noise(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     return left_of(0, tmp_path_factory.mktemp("nothing"))[1].std(axis=0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", range(1, len(CASES)))
 def test_the_terms_that_count_as_right_explain_the_logs(number: int, noise: np.ndarray, tmp_path: Path) -> None:
     """Each of them is found by least squares, far from zero, and what they leave is no more than the sensors' noise."""

@@ -151,6 +151,7 @@ def _up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
+@pytest.mark.long
 def test_the_first_page_is_waited_for(site: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = f"recording r\\nlive view {site}/page\\nworkbench {site}/door\\n"
     _up(tmp_path, monkeypatch, f"import sys, time\nsys.stderr.write('{words}')\nsys.stderr.flush()\ntime.sleep(60)\n")
@@ -159,6 +160,7 @@ def test_the_first_page_is_waited_for(site: str, tmp_path: Path, monkeypatch: py
     assert all(0.0 < seconds < 60.0 for seconds in found.values())
 
 
+@pytest.mark.long
 def test_a_start_that_ends_or_shows_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _up(tmp_path, monkeypatch, "import sys\nsys.exit('no room for a page')\n")
     with pytest.raises(SafedpaError, match="ended with exit code 1"):
@@ -189,6 +191,7 @@ def test_the_start_has_a_target_of_each_kind(monkeypatch: pytest.MonkeyPatch) ->
     assert {entry.name for entry in row.ours if entry.problem == "start"} >= {"safedpa up to the workbench"}
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 def test_a_comparison_is_timed_on_a_drive_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.processes,
     pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes by their environment"),
 ]

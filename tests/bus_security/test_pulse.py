@@ -47,6 +47,7 @@ def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     assert not capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
     program = (

@@ -264,7 +264,7 @@ def test_being_a_router_or_a_peer_helps_nobody(network: Any, role: str, guarded:
     assert (b"evil" in {payload for _, payload, _ in ear.heard}) is not guarded
 
 
-@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+@pytest.mark.parametrize("guarded", [True, pytest.param(False, marks=pytest.mark.long)], ids=["blocked", "delivered"])
 def test_what_is_larger_than_its_topic_allows_stops_at_the_router(network: Any, guarded: bool) -> None:
     """All three again and again: the first ones may leave before anybody is known to listen."""
     network.start(guarded=guarded)

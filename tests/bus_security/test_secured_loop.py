@@ -152,6 +152,7 @@ def test_it_drives_as_if_nobody_attacked(network: Any, stack: ExitStack) -> None
     assert all(service.running.poll() is None for service in services)
 
 
+@pytest.mark.long
 def test_nobody_is_denied_what_he_needs(network: Any, stack: ExitStack, tmp_path: Path) -> None:
     """Every process of a fleet, with its own role: the router denies none of them anything."""
     routing = router(stack, network)

@@ -34,7 +34,7 @@ from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.long, pytest.mark.processes]
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 PATIENCE = 240.0

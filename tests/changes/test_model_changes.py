@@ -384,6 +384,7 @@ faults = some.lists(
 losses = some.lists(some.sampled_from([0, 1, 1, 1, 2, 3]), min_size=1, max_size=40)
 
 
+@pytest.mark.long
 @given(story=faults, counts=losses, broken=some.sampled_from(["", *SERVICES]))
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_happens_no_dropped_model_is_used_and_all_agree_in_the_end(

@@ -52,6 +52,7 @@ def _colours(png: bytes) -> int:
     return len([count for count, _ in found if count >= 20])
 
 
+@pytest.mark.long
 @pytest.mark.browser
 def test_the_web_viewer_shows_the_drive(free_port):
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -114,6 +115,7 @@ sys.stdin.read()  # what was drawn is shown for as long as somebody looks
 """
 
 
+@pytest.mark.long
 def test_a_picture_of_a_recording_shows_something_everywhere(recording, tmp_path, capsys):
     out = tmp_path / "picture.png"
     code = safedpa.run(["screenshot", str(recording), "--out", str(out), "--size", "1000x600"])

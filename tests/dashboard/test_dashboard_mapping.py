@@ -56,6 +56,7 @@ def painter(look, tmp_path_factory):
     painter.close()
 
 
+@pytest.mark.long
 @settings(max_examples=100)
 @given(items=st.lists(st.tuples(_ITEMS, st.sampled_from(["r1", "r 2", "ü/x", NO_ROBOT])), max_size=6))
 def test_any_valid_message_can_be_drawn(look, painter, tick_of, items):

@@ -128,10 +128,12 @@ def view_of(tmp_path):
 @pytest.mark.parametrize(
     ("robots", "ticks", "memory"),
     [
-        pytest.param(("r1",), 1500, "256MB", id="after 75 s"),
-        pytest.param(("r1", "r2"), 600, "256MB", id="two robots"),
-        pytest.param(("r1", "r2"), 600, "2MB", id="two robots, memory full"),
-        pytest.param(("r1",), 54_000, SERVER_MEMORY, id="after 45 minutes, as shipped", marks=_LONG),
+        pytest.param(("r1",), 1500, "256MB", id="after 75 s", marks=pytest.mark.long),
+        pytest.param(("r1", "r2"), 600, "256MB", id="two robots", marks=pytest.mark.long),
+        pytest.param(("r1", "r2"), 600, "2MB", id="two robots, memory full", marks=pytest.mark.long),
+        pytest.param(
+            ("r1",), 54_000, SERVER_MEMORY, id="after 45 minutes, as shipped", marks=[_LONG, pytest.mark.long]
+        ),
     ],
 )
 def test_who_joins_late_has_the_present_among_the_first_chunks(
@@ -166,6 +168,7 @@ def test_a_viewer_is_told_that_the_drive_has_ended(look, tick_of, free_port, vie
     viewer.chunks(_is_ended)
 
 
+@pytest.mark.long
 def test_a_dashboard_that_ends_while_it_waits_says_so_to_its_viewer(free_port, view_of):
     command = [sys.executable, "-m", "safedpa_services.dashboard", "--fleet", "nobody", "--grpc-port", str(free_port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)

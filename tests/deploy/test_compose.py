@@ -264,6 +264,7 @@ class OutsideContainers:
         return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_the_commands_of_the_file_make_a_loop_that_is_healthy_and_drives(tmp_path: Path) -> None:
     with ExitStack() as stack:

@@ -98,6 +98,7 @@ def test_the_configuration_for_another_router_is_one_that_zenoh_reads(tmp_path: 
     assert json.loads(read.get_json("transport/link/tls/listen_certificate")) == "/certificates/router.pem"
 
 
+@pytest.mark.long
 def test_the_budget_counts_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     recorder = McapRecorder(path)

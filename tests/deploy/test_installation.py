@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 FOREIGN = ("torch", "plotly", "rerun", "pymunk", "pyarrow", "jinja2", "nicegui", "matplotlib", "gymnasium")
 """What the core must not bring. Of scipy nothing is imported; it comes because piqp's metadata ask for it."""

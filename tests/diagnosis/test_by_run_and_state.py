@@ -63,6 +63,7 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
     assert "gets worse" in json.loads(capsys.readouterr().out)["change"]
 
 
+@pytest.mark.long
 def test_a_diagnosis_says_what_got_worse(plain, runs, with_effect, drive, monkeypatch):
     """Two runs with an offset of the steer and one with the opposite: the mean falls, the third run's yaw suffers."""
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "steering_offset")])

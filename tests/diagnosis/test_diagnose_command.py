@@ -129,6 +129,7 @@ def test_swapped_columns_are_no_physics(log, tmp_path):
     assert "swapped_columns" in {item["kind"] for item in report.data_quality}
 
 
+@pytest.mark.long
 def test_a_teleport_and_a_missing_number_are_cut_and_told(log, tmp_path):
     def spoil(names, table):
         table[100, names.index("yaw")] = np.nan

@@ -38,7 +38,9 @@ def accepted(report, name):
 ONE = [("quadratic_drag", {"coefficient": 0.12}), ("steering_lag", {"time_constant": 0.15})]
 
 
-@pytest.fixture(scope="module", params=ONE, ids=[name for name, _ in ONE])
+@pytest.fixture(
+    scope="module", params=[ONE[0], pytest.param(ONE[1], marks=pytest.mark.long)], ids=[name for name, _ in ONE]
+)
 def one(request, hidden):
     """(name, parameters, report) of logs in which one effect is hidden."""
     name, parameters = request.param
@@ -79,6 +81,7 @@ def test_the_document_is_the_contract(one):
     assert {"variable", "low", "high", "error", "share", "samples"} <= set(document["where"][0])
 
 
+@pytest.mark.long
 def test_two_effects_are_both_found(hidden):
     report = hidden({"rolling_resistance": {"deceleration": 0.45}, "steering_offset": {"angle": 0.04}})
     assert set(report.added) == {"rolling_resistance", "steering_offset"}
@@ -86,6 +89,7 @@ def test_two_effects_are_both_found(hidden):
     assert errors[0] > errors[1] > errors[2]
 
 
+@pytest.mark.long
 def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
     report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True)
     assert report.added[0] in ("viscous_drag", "speed_command_gain")
@@ -93,6 +97,7 @@ def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden)
     assert {"viscous_drag", "speed_command_gain"} <= group
 
 
+@pytest.mark.long
 def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
     report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True)
     assert "payload" not in report.added
@@ -104,6 +109,7 @@ def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
 CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
 
 
+@pytest.mark.long
 def test_a_carpet_is_told_with_its_place(hidden):
     laws = {"rolling_resistance": "where circle"}
     report = hidden({"rolling_resistance": CARPET}, laws=laws, seconds=40.0, seed=194365079)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from safedpa.compare.comparison import with_distinct_names
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run
+
+pytestmark = pytest.mark.long
 
 
 def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data, searched_once):

@@ -67,6 +67,7 @@ def runs_of(model, paths):
     return [load_run(path, model.system) for path in paths]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "names"),
@@ -100,6 +101,7 @@ def test_add_chooses_its_horizon(tmp_path):
     assert short.values["speed_drag.coefficient"].value == pytest.approx(0.6, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_helicopter_of_two_axes_tells_its_rotor_and_its_hinge(tmp_path):
     model = load_model(EXAMPLES / "helicopter.toml")

@@ -44,6 +44,7 @@ def decided(report):
     return report.verdict, report.added, {path: value.value for path, value in report.parameters.items()}
 
 
+@pytest.mark.long
 def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, searched_once):
     """Nor what is searched for, so that one search answers all three."""
     given = logs({"viscous_friction": {"coefficient": 0.05}}, robot="pendulum", runs=2)
@@ -56,6 +57,7 @@ def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, search
     assert [report.horizon for report in reports] == [0.2, 0.6, 1.4]
 
 
+@pytest.mark.long
 def test_add_fits_at_the_horizon_of_the_data(logs):
     given = logs({"rolling_resistance": {"deceleration": 0.3}})
     found = [add_effect(given[0], "rolling_resistance", given[1], horizon) for horizon in (0.3, 1.0)]
@@ -98,6 +100,7 @@ def test_too_little_is_undecided_and_says_what_comes_closest(logs, few):
     assert any(nearest.drive in line for line in told)
 
 
+@pytest.mark.long
 def test_a_straight_drive_does_not_say_that_nothing_is_missing(logs):
     """Without a single change of steer, half of the library could hide anything."""
     model, runs = logs({}, runs=2, seconds=30.0)
@@ -127,6 +130,7 @@ def nothing_hidden(tmp_path_factory):
     return model, diagnose(model, [load_run(str(path), model.system) for path in log.runs])
 
 
+@pytest.mark.long
 def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hidden):
     model, report = nothing_hidden
     assert report.verdict == "nothing_missing"
@@ -143,6 +147,7 @@ def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hi
     assert "0.00" in story_of(document).lead or "would have been found" in story_of(document).lead
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.3, 3.0])
 def test_the_smallest_size_is_what_a_diagnosis_finds(factor, logs, nothing_hidden, request):
     """A third of the size that is told is not found, three times as much is, among all effects."""
@@ -153,6 +158,7 @@ def test_the_smallest_size_is_what_a_diagnosis_finds(factor, logs, nothing_hidde
     assert ("quadratic_drag" in hidden.added) == (factor > 1.0)
 
 
+@pytest.mark.long
 def test_the_same_recording_twice_is_no_more_evidence(logs, few):
     from dataclasses import replace
 

@@ -36,6 +36,7 @@ def said(arguments, capsys):
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.long
 def test_add_fits_number_and_border(log, tmp_path, capsys):
     out = tmp_path / "with.toml"
     words = ["--where", "x above", "--out", out, "--json"]
@@ -95,6 +96,7 @@ def test_words_that_are_none_are_refused_in_one_line(words, told, log, tmp_path,
     assert not out.exists()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_diagnose_tells_it_the_right_way_out(log, tmp_path, capsys):
     document = said(["diagnose", log.model, *log.runs, "--out", tmp_path, "--json"], capsys)

@@ -7,6 +7,8 @@ import pytest
 from safedpa_lab.experiments.diagnosing import diagnosed
 from safedpa_lab.hidden import cases_of, write_case
 
+pytestmark = pytest.mark.long
+
 
 def told(suite, number, seed, folder):
     case = cases_of(suite, number + 1, seed)[number]

@@ -20,7 +20,7 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots import CarRobot
 from safedpa_sim.robots.scene import Scene
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 DRAG = 0.15
 NOISE = np.array([0.002, 0.002, 0.003, 0.015])

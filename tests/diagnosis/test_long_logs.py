@@ -38,6 +38,7 @@ def test_every_kind_of_file_holds_the_same_drive(written):
         assert np.allclose(other.actions, csv.actions[:rows], atol=1e-9)
 
 
+@pytest.mark.long
 def test_what_is_hidden_is_found_in_a_small_part_of_the_rows(written, tmp_path, capsys, monkeypatch):
     folder, paths = written
     names = ("quadratic_drag", "rolling_resistance")
@@ -83,6 +84,7 @@ def test_a_comparison_of_long_logs_starts_farther_apart_and_says_so(written, mon
     }
 
 
+@pytest.mark.long
 def test_the_experiment_measures_a_process_of_its_own(capsys):
     few = ["--runs", "1", "--seconds", "12", "--period", "0.05"]
     assert safedpa.run(["experiment", "long-logs", *few, "--json"]) == 0

@@ -117,6 +117,7 @@ def lost(table):
         table[name][100] = np.nan
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("change", "kind"), [(teleport, "jump"), (lost, "not_a_number")], ids=["teleport", "nan_row"])
 def test_a_defect_is_cut_told_and_does_not_change_the_answer(change, kind, log, tmp_path, capsys):
     code, report, _ = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)

@@ -30,6 +30,7 @@ def here(written, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
 def test_without_a_place_a_new_folder_is_made(command, here, capsys):
     before = {path.name: path.read_bytes() for path in here.iterdir()}

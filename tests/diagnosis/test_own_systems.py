@@ -91,6 +91,7 @@ def simulated(tmp_path):
     return paths
 
 
+@pytest.mark.long
 def test_every_command_takes_a_system_of_ones_own(simulated, tmp_path, capsys):
     own, runs = ["--effects", str(BALL)], [str(path) for path in simulated]
     assert safedpa.run(["effects", "--robot", "ball", "--json", *own]) == 0
@@ -137,6 +138,7 @@ def test_an_entry_point_serves_every_process(tmp_path):
     assert done.stdout.split() == ["ball", "quadratic_drag"], done.stderr
 
 
+@pytest.mark.long
 def test_an_effect_of_ones_own_is_found_in_a_log_and_stands_in_the_model(tmp_path, capsys):
     """Rolling resistance is taken out of the library: what remains is the user's own, the same law by another name."""
     own = tmp_path / "grass.py"

@@ -74,12 +74,14 @@ def test_each_hidden_effect_fits_best_and_with_its_size(name):
         assert abs(own.fit.model.settings[f"{name}.{key}"].value - true) < 0.25 * abs(true)
 
 
+@pytest.mark.long
 def test_a_damped_robot_is_diagnosed_whole():
     report = diagnose(load_model("point"), [driven({"viscous_drag": {"coefficient": 0.6}}, s, 12.0) for s in (11, 12)])
     assert report.added == ("viscous_drag",)
     assert abs(report.parameters["viscous_drag.coefficient"].value - 0.6) < 0.02
 
 
+@pytest.mark.long
 def test_the_commands_take_it(tmp_path, capsys):
     run = driven({"viscous_drag": {"coefficient": 0.6}}, 31)
     names = ("t", *run.system.state_names, *run.system.action_names)

@@ -17,6 +17,7 @@ from safedpa_services.command_line.group import safedpa
 COMMAND = ["experiment", "real-logs", "--processes", "1"]
 
 
+@pytest.mark.long
 def test_the_balls_meet_their_targets(data, tmp_path, capsys):
     out = tmp_path / "balls.json"
     assert safedpa.run([*COMMAND, "--data", str(data), "--part", "balls", "--out", str(out)]) == 0
@@ -29,6 +30,7 @@ def test_the_balls_meet_their_targets(data, tmp_path, capsys):
     assert all(item["met"] for item in result["targets"])
 
 
+@pytest.mark.long
 def test_a_log_that_was_left_out_judges_what_the_others_taught(data, tmp_path, capsys, monkeypatch):
     names = ("viscous_drag", "turning_drag")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])

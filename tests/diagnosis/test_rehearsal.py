@@ -76,6 +76,7 @@ def test_the_check_says_what_can_be_told_and_what_only_as_a_sum(given):
     assert "together with viscous_drag" in told
 
 
+@pytest.mark.long
 def test_a_rehearsal_finds_what_the_check_foretells(given):
     found = rehearsal_of(*given, sizes=(0.002, 1.0), names=("rolling_resistance", "understeer"))
     assert [(trial.effect, trial.found) for trial in found.trials] == [
@@ -87,6 +88,7 @@ def test_a_rehearsal_finds_what_the_check_foretells(given):
     assert found.agreeing == 4
 
 
+@pytest.mark.long
 def test_the_commands_tell_it(log, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     runs = [str(path) for path in log.runs]

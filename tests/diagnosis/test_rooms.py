@@ -12,7 +12,7 @@ from safedpa.dynamics import load_model
 from safedpa.records import load_run
 from safedpa_lab.hidden import Case, write_case
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 CARPET = {"rolling_resistance": {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}}
 

@@ -19,6 +19,7 @@ FEEDBACK = Case("test", 2884420874, {}, drive="throttle", hard=True)
 """Nothing is hidden; unseen blocks alone find a dead zone with 3.6 standard errors and 8 % off the held-out error."""
 
 
+@pytest.mark.long
 def test_what_feedback_feigns_is_not_added(tmp_path):
     log = write_case(FEEDBACK, tmp_path / "case")
     model = load_model(str(log.model))

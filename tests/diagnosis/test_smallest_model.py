@@ -106,6 +106,7 @@ def towing(tmp_path_factory):
     return log, model, [load_run(str(path), model.system) for path in log.runs]
 
 
+@pytest.mark.long
 def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
     """A load's mass moves by several of its deviations with a lag of the drive that takes hardly anything off."""
     _, model, runs = towing
@@ -135,6 +136,7 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
     assert apart > full.deviations(search.shooting)[number]
 
 
+@pytest.mark.long
 def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towing):
     """The report says no number twice with another value."""
     import json

@@ -92,6 +92,7 @@ def strip():
     return report_of(rough, 400)
 
 
+@pytest.mark.long
 def test_drag_by_the_cube_of_the_speed_is_a_formula_and_no_quadratic_drag(cube):
     assert cube.verdict == "unexplained"
     assert cube.added == ()
@@ -105,6 +106,7 @@ def test_drag_by_the_cube_of_the_speed_is_a_formula_and_no_quadratic_drag(cube):
     assert any(item.decision == "suspected" and "formula" in item.reason for item in cube.candidates)
 
 
+@pytest.mark.long
 def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
     report = report_of(lambda state, _: np.array([0.0, 0.0, 0.08 * state[3] ** 2, 0.0]), 500)
     assert report.verdict == "unexplained"
@@ -113,6 +115,7 @@ def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
     assert abs(term.coefficient - 0.08) < 0.004
 
 
+@pytest.mark.long
 def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
     assert strip.verdict == "effect_missing"
     assert strip.added == ("rolling_resistance",)
@@ -127,6 +130,7 @@ def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
     assert abs(numbers["half_width"] - 0.5) < 0.1
 
 
+@pytest.mark.long
 def test_the_report_and_the_page_show_the_formula_its_map_and_that_it_is_no_effect(cube):
     document = json.loads(json.dumps(as_document(cube), allow_nan=False))
     assert document["unexplained"]["terms"][0]["term"] == "speed^3"
@@ -139,6 +143,7 @@ def test_the_report_and_the_page_show_the_formula_its_map_and_that_it_is_no_effe
     assert "fitted, straight between" in page
 
 
+@pytest.mark.long
 def test_a_resonance_is_a_dependence_with_its_profile():
     report = report_of(lambda state, _: on_speed(-0.8 * np.exp(-(((state[3] - 1.2) / 0.2) ** 2))), 900)
     rest = report.unexplained

@@ -12,6 +12,8 @@ from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa_lab.hidden import Case, write_case
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize(
     ("name", "parameter", "value"),

@@ -19,6 +19,7 @@ def test_there_are_three() -> None:
     assert [path.stem for path in NOTEBOOKS] == ["calibrate_a_margin", "diagnose_a_log", "filter_your_own"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_holds_what_its_cells_print(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -17,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.slow,
     pytest.mark.skipif(
         find_spec("material") is None or find_spec("mkdocstrings") is None,

@@ -115,6 +115,7 @@ def test_floats_numpy_and_torch_agree(item: AbstractEffect, data: st.DataObject)
     np.testing.assert_allclose(tensors.numpy(), single, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 @EVERY
 @FEWER
 @given(data=st.data())
@@ -201,6 +202,7 @@ def test_left_and_right_are_mirror_images(item: AbstractEffect, data: st.DataObj
     np.testing.assert_allclose(image * flip_state, direct, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 @EVERY
 @FEW
 @given(data=st.data())

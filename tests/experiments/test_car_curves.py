@@ -227,6 +227,7 @@ WORDS = ["experiment", "car-curves", "--models", str(NOWHERE), "--sweep", "frict
 WORDS += ["--method", "physics", "--method", "goal_seeker", "--episodes", "1", "--drives", "1", "--processes", "1"]
 
 
+@pytest.mark.long
 def test_the_command_writes_tables_picture_and_every_point(out: Path) -> None:
     told = json.loads((out / "car-curves.json").read_text())
     assert told["seeds"] == [1000, 1000]
@@ -252,6 +253,7 @@ def test_the_command_writes_tables_picture_and_every_point(out: Path) -> None:
     assert wanted <= colours
 
 
+@pytest.mark.long
 def test_what_was_driven_before_is_not_driven_again(
     out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -197,6 +197,7 @@ def test_an_unknown_family_is_one_line(tmp_path: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_table_of_the_paper_s_world_names_it(
     paper_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -216,6 +217,7 @@ def test_the_table_of_the_paper_s_world_names_it(
     assert "calibrated with none" in page
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(
     learned_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -172,6 +172,7 @@ def test_the_principal_plane_holds_the_largest_variance():
     assert shares.sum() == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.long
 def test_the_estimate_follows_what_is_hitched():
     model = load_model("car")
     fitting = [recorded_drive(DriveOrder(8000 + i, load, 160)) for i in range(6) for load in ("none", "large_chair")]

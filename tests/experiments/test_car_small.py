@@ -75,6 +75,7 @@ def test_tables_and_pictures_are_written(out):
     assert (out / "car.rrd").stat().st_size > 1000
 
 
+@pytest.mark.long
 def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
     def refused(_):
         raise AssertionError("an episode was driven again")
@@ -102,6 +103,7 @@ def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
     assert (out / "cells" / "physics-box.json").read_text() == before
 
 
+@pytest.mark.long
 def test_another_margin_is_another_cell(out, monkeypatch, capsys):
     class DrivenError(Exception):
         pass

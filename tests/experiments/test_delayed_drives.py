@@ -9,6 +9,7 @@ from safedpa.safety.found_delay import FoundDelay
 from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives, margin_with_delay
 
 
+@pytest.mark.long
 def test_a_known_delay_is_driven_with() -> None:
     """With the margin that belongs to it, which lies where the action begins to act."""
     margin = margin_with_delay(Lateness(0.3), 8, 8.0)
@@ -21,6 +22,7 @@ def test_a_known_delay_is_driven_with() -> None:
     assert found.statuses["passed"] > 0.5 * found.statuses.total()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("channel", ["steer", "drive"])
 def test_a_channel_that_is_late_alone(channel: str) -> None:
     """Over twelve drives: in single scenes more is relaxed than corrected, and which ones depends on each decision."""
@@ -31,6 +33,7 @@ def test_a_channel_that_is_late_alone(channel: str) -> None:
     assert found.statuses["fallback"] == 0
 
 
+@pytest.mark.long
 def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FoundDelay, "observe", lambda *_: None)  # else what nobody tells is found, and looked past too
     told = delayed_drives(Lateness(0.13, told="clock"), 4, 31_000, 8.0)
@@ -42,10 +45,12 @@ def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.Monk
     assert sum(told.statuses[one] for one in trouble) < sum(silent.statuses[one] for one in trouble)
 
 
+@pytest.mark.long
 def test_a_delay_that_nobody_knows_harms_nobody() -> None:
     assert delayed_drives(Lateness(0.15, told="nobody"), 4, 31_000, 8.0).collided == 0
 
 
+@pytest.mark.long
 def test_the_same_drives_again() -> None:
     assert delayed_drives(Lateness(0.13), 1, 5, 3.0) == delayed_drives(Lateness(0.13), 1, 5, 3.0)
 

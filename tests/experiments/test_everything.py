@@ -64,6 +64,7 @@ def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
     assert chosen((), tmp_path) == list(PARTS)
 
 
+@pytest.mark.long
 def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> None:
     said: list[str] = []
 
@@ -93,6 +94,7 @@ def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> 
     assert said[5:] == [runs, done], "it is gone"
 
 
+@pytest.mark.long
 def test_a_small_result_is_none_of_the_whole_experiment(tmp_path: Path) -> None:
     part = Part("controllers", (*DRIVES, "--seconds", "2"), ("--seconds", "1"), 2)
     make([part], tmp_path, small=True)
@@ -100,6 +102,7 @@ def test_a_small_result_is_none_of_the_whole_experiment(tmp_path: Path) -> None:
     assert "--seconds 2" in json.loads(part.result(tmp_path).read_text())[KEY]["command"]
 
 
+@pytest.mark.long
 def test_one_that_fails_is_told_and_keeps_none_from_running(tmp_path: Path) -> None:
     account = make([BAD, QUICK], tmp_path, small=True)
     assert account["bad"]["exit_code"] != 0
@@ -110,6 +113,7 @@ def test_one_that_fails_is_told_and_keeps_none_from_running(tmp_path: Path) -> N
     assert said[0].startswith("runs"), "what failed is tried again"
 
 
+@pytest.mark.long
 def test_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "all", "--list"]) == 0
     listed = capsys.readouterr().out

@@ -46,6 +46,7 @@ def test_intervals_over_drives() -> None:
             bad()
 
 
+@pytest.mark.long
 def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
     asked = [*SMALL, "--skip", "5", "--processes", "1", "--out", str(tmp_path), "--json"]
     cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])

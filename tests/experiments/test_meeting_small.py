@@ -19,6 +19,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField, Touch
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("guard", ["safedpa", "told", "nothing"])
 def test_a_meeting_repeats_bit_for_bit(guard: str) -> None:
     once, again = (run_meeting(Meeting(4690, 2, 1.5, 2.0, guard)) for _ in "12")
@@ -126,6 +127,7 @@ def test_options_that_cannot_be_are_refused(words: list[str], said: str, capsys:
     assert said.lower() in capsys.readouterr().err.lower()
 
 
+@pytest.mark.long
 def test_every_guard_of_an_experiment_has_a_row() -> None:
     found = meeting_experiment([4695], [2], 0.5, guards=("safedpa", "told"), processes=1)
     assert [(row["robots"], row["guard"], row["drives"]) for row in found["rows"]] == [

@@ -34,6 +34,7 @@ def test_a_drive_is_the_same_every_time() -> None:
     assert run_long_drive(long) == run_long_drive(long)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [9003, 7001])
 def test_the_heaviest_load_gets_on_where_it_once_stood(seed: int) -> None:
     """In the dead band of a correction (9003), and short of the margin with all the room ahead (7001)."""
@@ -43,6 +44,7 @@ def test_the_heaviest_load_gets_on_where_it_once_stood(seed: int) -> None:
     assert sum(outcome.statuses.values()) == 1200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("until_action", [0.0, 0.002, 0.006, 0.02])
 def test_a_box_between_two_obstacles_gets_on_however_old_the_state_is(until_action: float) -> None:
     """It once stood for 69 s there, and crawled 0.6 m in 20 s while the policy gave up reversing to one side alone."""

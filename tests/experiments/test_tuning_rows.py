@@ -106,6 +106,7 @@ def test_without_recordings_the_real_car_is_left_out_and_said(tmp_path):
         RealTuning(tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_run_in_small_goes_on_where_it_stood_and_its_page_tells_every_metric(tmp_path):
     experiment = CarTuning(

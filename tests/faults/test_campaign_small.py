@@ -15,6 +15,7 @@ from safedpa_lab.faults.table import all_faults, faults_named, small_faults
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_whatever_fails_the_robot_is_safe_and_drives_again(tmp_path: Path) -> None:
     campaign = run_faults(small_faults(), folder=tmp_path, is_hasty=True)

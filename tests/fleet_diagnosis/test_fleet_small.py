@@ -22,6 +22,7 @@ from safedpa.fleet.robots import RobotLogs, robots_in_folder
 from safedpa_services.command_line.group import safedpa
 
 
+@pytest.mark.long
 def test_every_robot_stands_in_its_group(small_fleet):
     result = small_fleet.result
     assert (result["hidden"]["hits"], result["hidden"]["of"]) == (3, 3)
@@ -31,6 +32,7 @@ def test_every_robot_stands_in_its_group(small_fleet):
     assert result["wrong"] == []
 
 
+@pytest.mark.long
 def test_every_robot_has_its_files_and_they_are_small(small_fleet):
     names = sorted(path.name for path in (small_fleet.out / "robots").iterdir())
     assert names == [f"car_{i:03d}" for i in range(5)]
@@ -43,6 +45,7 @@ def test_every_robot_has_its_files_and_they_are_small(small_fleet):
     assert (small_fleet.out / "plotly.min.js").stat().st_size > 1_000_000
 
 
+@pytest.mark.long
 def test_the_page_holds_every_group_and_robot(small_fleet):
     page = (small_fleet.out / "fleet.html").read_text(encoding="utf-8")
     for text in ("steering_offset", "constant_force", "rolling_resistance", "nothing is missing"):
@@ -52,6 +55,7 @@ def test_the_page_holds_every_group_and_robot(small_fleet):
     assert "http://" not in page.split("<script>")[0]
 
 
+@pytest.mark.long
 def test_done_robots_are_not_done_again_and_the_document_is_the_same(small_fleet, capsys):
     before = json.loads((small_fleet.out / "fleet.json").read_text(encoding="utf-8"))
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1", "--json"]) == 0
@@ -61,6 +65,7 @@ def test_done_robots_are_not_done_again_and_the_document_is_the_same(small_fleet
     assert document["robots"] == before["robots"]
 
 
+@pytest.mark.long
 def test_the_command_tells_who_lacks_what(small_fleet, capsys):
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1"]) == 0
     told = capsys.readouterr().out
@@ -89,15 +94,18 @@ def done(task, small_fleet, tmp_path) -> Path:
     return tmp_path / "out"
 
 
+@pytest.mark.long
 def test_what_is_done_is_kept(task, done):
     assert kept(task, done)
 
 
+@pytest.mark.long
 def test_a_copy_with_another_time_is_the_same_recording(task, done):
     os.utime(task.robot.files[0], ns=(1, 1))
     assert kept(task, done)
 
 
+@pytest.mark.long
 def test_a_fleet_that_was_moved_is_the_same_fleet(task, done, tmp_path):
     shutil.move(tmp_path / "recordings", tmp_path / "archive")
     shutil.move(tmp_path / "model.toml", tmp_path / "archive" / "model.toml")
@@ -106,6 +114,7 @@ def test_a_fleet_that_was_moved_is_the_same_fleet(task, done, tmp_path):
     assert kept(Task(RobotLogs("car_000", files), options, options_digest(options)), done)
 
 
+@pytest.mark.long
 def test_changed_contents_of_the_same_size_are_done_again(task, done):
     path = task.robot.files[0]
     content = path.read_bytes()
@@ -114,11 +123,13 @@ def test_changed_contents_of_the_same_size_are_done_again(task, done):
     assert not kept(task, done)
 
 
+@pytest.mark.long
 def test_one_more_or_one_fewer_recording_is_done_again(task, done):
     fewer = RobotLogs("car_000", task.robot.files[:1])
     assert not kept(Task(fewer, task.options, task.digest), done)
 
 
+@pytest.mark.long
 def test_another_model_horizon_or_column_map_is_done_again(task, done):
     model = Path(task.options.model)
     model.write_text(model.read_text(encoding="utf-8").replace("3.0", "3.1"), encoding="utf-8")
@@ -127,6 +138,7 @@ def test_another_model_horizon_or_column_map_is_done_again(task, done):
         assert not kept(Task(task.robot, options, options_digest(options)), done)
 
 
+@pytest.mark.long
 def test_what_failed_or_is_no_result_is_done_again(task, done):
     write_result(not_diagnosed(task, "killed"), done)
     assert not kept(task, done)
@@ -135,6 +147,7 @@ def test_what_failed_or_is_no_result_is_done_again(task, done):
     assert not kept(task, done)
 
 
+@pytest.mark.long
 def test_half_written_folders_and_robots_that_are_gone_are_taken_away(task, done):
     (done / "robots" / ".car_000.123.part").mkdir()
     shutil.copytree(done / "robots" / "car_000", done / "robots" / "car_999")
@@ -143,12 +156,14 @@ def test_half_written_folders_and_robots_that_are_gone_are_taken_away(task, done
     assert sorted(path.name for path in (done / "robots").iterdir()) == ["car_000", "mine"]
 
 
+@pytest.mark.long
 def test_a_folder_that_cannot_be_written_says_so(task, tmp_path):
     (tmp_path / "robots").write_text("in the way", encoding="utf-8")
     with pytest.raises(RecordingError, match="--out"):
         write_result(not_diagnosed(task, ""), tmp_path)
 
 
+@pytest.mark.long
 def test_a_robot_without_a_readable_file_is_a_line_and_one_with_some_goes_on(task, tmp_path):
     for path in task.robot.files:
         path.write_text("t,x\n1,2\n", encoding="utf-8")
@@ -159,6 +174,7 @@ def test_a_robot_without_a_readable_file_is_a_line_and_one_with_some_goes_on(tas
     assert set(result.texts) == set()
 
 
+@pytest.mark.long
 def test_too_short_data_are_named(task):
     for path in task.robot.files:
         rows = path.read_text(encoding="utf-8").splitlines()[:40]
@@ -168,6 +184,7 @@ def test_too_short_data_are_named(task):
     assert "too little" in result.document["reason"]
 
 
+@pytest.mark.long
 def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, capsys):
     (tmp_path / "recordings" / "a").mkdir(parents=True)
     (tmp_path / "recordings" / "a" / "run.csv").write_text("t,x\n1,2\n", encoding="utf-8")
@@ -196,6 +213,7 @@ def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monk
     assert shown.count("\n") == 1
 
 
+@pytest.mark.long
 def test_the_given_model_is_not_overwritten(small_fleet, tmp_path, monkeypatch, capsys):
     shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
     monkeypatch.chdir(tmp_path)
@@ -206,6 +224,7 @@ def test_the_given_model_is_not_overwritten(small_fleet, tmp_path, monkeypatch, 
     assert Path("model.toml").read_bytes() == before
 
 
+@pytest.mark.long
 def test_a_fleets_own_folder_is_no_recording(small_fleet):
     found = robots_in_folder(small_fleet.folder / "recordings")
     assert [robot.name for robot in found.robots] == [f"car_{i:03d}" for i in range(5)]
@@ -278,6 +297,7 @@ def opened(browser: Any, path: Any) -> tuple[Any, list[str]]:
     return page, said
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_page_draws_sorts_and_narrows_without_a_network(browser, small_fleet):
     page, said = opened(browser, small_fleet.out / "fleet.html")
@@ -293,6 +313,7 @@ def test_the_page_draws_sorts_and_narrows_without_a_network(browser, small_fleet
     page.close()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_link_leads_to_the_robots_report_which_draws_with_the_shared_script(browser, small_fleet):
     page, said = opened(browser, small_fleet.out / "fleet.html")

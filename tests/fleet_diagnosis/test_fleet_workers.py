@@ -22,6 +22,7 @@ def failed(_job, reason):
     return f"failed: {reason}"
 
 
+@pytest.mark.long
 def test_a_job_that_raises_or_kills_its_process_costs_itself_alone():
     jobs = [partial(abs, -1), partial(int, "x"), partial(abs, -2), partial(os._exit, 3), partial(abs, -3)]
     answers = list(in_processes(operator.call, jobs, 1, failed))
@@ -89,6 +90,7 @@ print(sorted(map(str, on_cluster(operator.call, jobs, "local", lambda job, reaso
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason="no Ray; pip install 'safedpa[cluster]'")
 def test_a_local_cluster_answers_the_same():

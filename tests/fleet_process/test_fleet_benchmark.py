@@ -19,6 +19,7 @@ from safedpa_lab.benchmarks.usage import usage_of
 from safedpa_lab.commands.bench import command
 
 
+@pytest.mark.long
 def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> None:
     result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box", flood=True, offers=0.5))
     assert result["robots"] == 3
@@ -41,6 +42,7 @@ def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> Non
     json.dumps(result)
 
 
+@pytest.mark.long
 def test_a_process_that_cannot_begin_ends_the_benchmark_with_its_last_words() -> None:
     with pytest.raises(SafedpaError, match=r"ended with exit code 2.*no_such_load"):
         fleet_benchmark(FleetTrial(robots=1, seconds=1.0, loads="no_such_load"))

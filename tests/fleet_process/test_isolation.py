@@ -142,6 +142,7 @@ def test_a_flood_between_two_turns_is_one_step(stack: Make) -> None:
     assert node.steps == {"flood": 5}
 
 
+@pytest.mark.long
 def test_a_flood_of_models_leaves_the_loop_its_turns(stack: Make, undisturbed: dict[str, str]) -> None:
     fleet = stack(GOOD)
     stamp = {"epoch": 1000, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}

@@ -33,6 +33,7 @@ def test_there_are_twenty():
     assert len(BAD) == 20
 
 
+@pytest.mark.long
 def test_an_export_with_its_words_is_spoiled_as_well(good, tmp_path):
     log, files = good
     lines = log.runs[0].read_text(encoding="utf-8").splitlines()
@@ -82,6 +83,7 @@ def test_a_good_log_is_left_alone(good):
         assert len(run.stretches) == 1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["frozen_speed", "dead_steer", "drive_flipped", "speed_late", "two_rates"])
 def test_no_effect_is_named_because_of_it(name, good, monkeypatch):

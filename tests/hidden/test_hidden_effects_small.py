@@ -28,6 +28,7 @@ def outcomes():
     return run_cases(chosen)
 
 
+@pytest.mark.long
 def test_each_hidden_effect_is_named_and_nothing_else(outcomes):
     for outcome in outcomes[:3]:
         assert outcome.added == outcome.hidden, outcome
@@ -35,11 +36,13 @@ def test_each_hidden_effect_is_named_and_nothing_else(outcomes):
         assert all(abs(value) < 4.0 for value in outcome.deviations)
 
 
+@pytest.mark.long
 def test_nothing_is_named_where_nothing_is_hidden(outcomes):
     for outcome in outcomes[3:]:
         assert outcome.right, outcome
 
 
+@pytest.mark.long
 def test_the_command_prints_one_document(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("safedpa_lab.experiments.hidden_effects.cases_of", lambda *_: [short(cases_of("none", 1)[0])])
     out = tmp_path / "found.json"

@@ -70,6 +70,7 @@ def test_the_tables_hold_the_whole_library():
         assert set(table) == set(effects_of(robot))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", SINGLE)
 def test_two_roads_meet(logs, key):
     """The library's model with the true parameters predicts the log to its noise; without them it does not."""
@@ -85,6 +86,7 @@ def test_two_roads_meet(logs, key):
     assert untold.value > 1.3 * told.value
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", ["car/quadratic_drag", "car/steering_offset", "car/understeer", "pendulum/spring"])
 def test_a_plain_fit_recovers_the_truth(logs, key):
     """Least squares over short predictions, from the neutral values on, by an optimiser that knows nothing of this."""
@@ -179,6 +181,7 @@ def test_a_free_pendulum_keeps_its_energy():
     np.testing.assert_allclose(energy, energy[0], atol=2e-3)
 
 
+@pytest.mark.long
 def test_hard_logs_are_as_hard_as_they_say(tmp_path):
     case = Case("hard", 5, {}, hard=True, runs=2)
     log, plain = write_case(case, tmp_path / "hard"), write_case(replace(case, hard=False), tmp_path / "plain")

@@ -25,6 +25,7 @@ def short(monkeypatch):
     monkeypatch.setattr(experiment.hidden_horizons, "__defaults__", (0, (0.2, 1.0), lambda *_: None))
 
 
+@pytest.mark.long
 def test_every_horizon_says_the_same(tmp_path, capsys):
     out = tmp_path / "horizons.json"
     asked = ["experiment", "hidden-effects", "--suite", "pendulum", "--horizons", "--out", str(out)]

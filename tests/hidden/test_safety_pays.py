@@ -10,6 +10,7 @@ from safedpa.effects import effect
 from safedpa_services.command_line.group import safedpa
 
 
+@pytest.mark.long
 def test_the_diagnosed_model_needs_less_margin(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "steering_offset")])
     out = tmp_path / "found.json"

@@ -22,6 +22,7 @@ from safedpa_services.command_line.group import safedpa
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_some_seconds_of_mutated_input_open_no_hole(tmp_path: Path) -> None:
     with page_targets() as pages:
         tallies = fuzz(8.0, 1, tmp_path, further=pages)
@@ -30,6 +31,7 @@ def test_some_seconds_of_mutated_input_open_no_hole(tmp_path: Path) -> None:
     assert sum(tally.refused for tally in tallies) > 100
 
 
+@pytest.mark.long
 def test_a_table_that_contradicts_itself_does_not_end_the_process(tmp_path: Path) -> None:
     """In a process of its own: pyarrow would take this one with it."""
     script = (
@@ -71,6 +73,7 @@ def test_the_same_chance_gives_the_same_bytes() -> None:
     assert first == again
 
 
+@pytest.mark.long
 def test_the_command_tells_every_target(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "hostile", "--seconds", "0.5", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

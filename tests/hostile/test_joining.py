@@ -106,6 +106,7 @@ def joins(port: int, quiet: int, certificates: Path | None, pause: float) -> Ite
         time.sleep(pause)
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.slow
 def test_a_thousand_silent_connections_keep_nobody_out(free_port: int, certificates: Path) -> None:
@@ -129,6 +130,7 @@ def test_in_plain_text_neither(free_port: int, says: bytes) -> None:
             assert took < 0.8 + 5.0 * reference
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_who_came_in_by_another_door_of_the_process_is_left_alone(
     free_port: int, monkeypatch: pytest.MonkeyPatch, links_outlive: None

@@ -192,6 +192,7 @@ def test_whether_it_lives_may_be_asked_without_a_token(served: Served) -> None:
     assert served.ask("/healthy", {"Host": "evil.example"}) == 403
 
 
+@pytest.mark.long
 @pytest.mark.browser
 def test_a_page_of_another_name_that_resolves_here_reads_nothing(served: Served, tmp_path: Path) -> None:
     """DNS rebinding: the foreign page asks under its own name, which resolves to this machine."""

@@ -68,6 +68,7 @@ def test_a_trace_of_another_shape_is_left_out_and_told(messages: Messages, tmp_p
     assert any(finding.kind == "unreadable_trace" for finding in read_tape([path]).findings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("topic", ["latent", "wish", "verdict", "state"])
 def test_a_tick_far_away_costs_no_time(messages: Messages, tmp_path: Path, topic: str) -> None:
     """Nine quadrillion ticks were counted one by one."""
@@ -117,6 +118,7 @@ def test_a_model_s_name_that_no_file_can_have(messages: Messages, tmp_path: Path
     replayed(path)
 
 
+@pytest.mark.long
 def test_many_starts_and_epochs_take_no_longer_than_they_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     few = min(_processor_seconds(partial(_started, 1_000)) for _ in range(5))
     many = min(_processor_seconds(partial(_started, 20_000)) for _ in range(2))

@@ -32,6 +32,7 @@ def bent(tmp_path_factory):
     return record_drive("steering_offset", 2, 90.0, 26.0, path), path
 
 
+@pytest.mark.long
 def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
     drive, _ = bent
     assert drive.changed == pytest.approx(26.0, abs=10.0)
@@ -45,7 +46,7 @@ def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
     assert drive.findings == 1
 
 
-@pytest.mark.parametrize("period", [0.1, 0.025])
+@pytest.mark.parametrize("period", [0.1, pytest.param(0.025, marks=pytest.mark.long)])
 def test_so_it_is_at_a_robot_of_another_rate_than_its_models(period):
     """Its margin is of its own steps; of the model's there are none in what it drove."""
     drive = drive_live("steering_offset", 1, 90.0, 26.0, period=period)
@@ -56,6 +57,7 @@ def test_so_it_is_at_a_robot_of_another_rate_than_its_models(period):
     assert drive.collisions == 0
 
 
+@pytest.mark.long
 def test_everything_of_it_stands_in_the_recording(bent):
     drive, path = bent
     messages = [item for _, _, item in read_messages(path, [], (FINDING, MODEL, TAKEOVER))]
@@ -71,6 +73,7 @@ def test_everything_of_it_stands_in_the_recording(bent):
     assert report["added"][0] == drive.effect
 
 
+@pytest.mark.long
 def test_nothing_is_found_where_nothing_changes():
     result = live_experiment(LiveExperiment(cases=("nothing",), quiet_seeds=(3,), quiet_seconds=90.0))
     assert result["quiet"]["findings"] == 0

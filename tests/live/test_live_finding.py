@@ -150,6 +150,7 @@ def test_a_dismissed_error_is_usual_from_then_on(told, worker, state_of, verdict
     assert diagnosis.number == 1
 
 
+@pytest.mark.long
 def test_the_search_itself_finds_the_bent_steering_in_fifteen_seconds(told, worker, car):
     told(CHANGE + 500, "searching")
     inline = InlineWorker(lambda model, run, footprint: f"{len(run.t)} rows, {footprint}")

@@ -26,6 +26,7 @@ def watched(car, rows):
         yield row[0], watch
 
 
+@pytest.mark.long
 def test_ten_minutes_of_a_right_model_raise_nothing(car, drive_of):
     largest = max(watch.evidence.value for _, watch in watched(car, drive_of(12_000)))
     assert largest < 0.5 * Watch(car).evidence.threshold

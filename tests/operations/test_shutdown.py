@@ -101,6 +101,7 @@ def left(endpoint: str) -> str:
     return found.stdout
 
 
+@pytest.mark.long
 def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_path: Path, free_port: int) -> None:
     with running(tmp_path, free_port, "--load", "box") as loop:
         loop.until(loop.drives, "it never drove")

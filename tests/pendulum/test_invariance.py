@@ -37,6 +37,7 @@ def test_a_torque_is_always_left(edges: tuple[float, float]) -> None:
     assert least.torque > 0.5, least
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(share, share, st.floats(0.0, 2 * np.pi), st.sampled_from([BALANCING, LONG_WAY_ROUND]))
 def test_the_filter_that_knows_the_wind_keeps_every_state(
@@ -59,6 +60,7 @@ def test_the_filter_that_knows_the_wind_keeps_every_state(
         assert edges[0] - 1e-9 <= following[0] <= edges[1] + 1e-9
 
 
+@pytest.mark.long
 def test_the_largest_wind_is_where_static_torques_say() -> None:
     """At 45 degrees and standstill: gravity and the wind along the motion together are the motor's torque."""
     gravity, area = 9.81 * 0.5 * np.sin(np.pi / 4), 0.5 * 0.5

@@ -43,6 +43,7 @@ NOWHERE = Path("no models here")
 """So that those that ship are taken."""
 
 
+@pytest.mark.long
 def test_with_a_margin_that_is_not_its_own_a_fixed_wind_fails() -> None:
     episodes = Episodes(5, 4, 1)
     found = {
@@ -138,6 +139,7 @@ def noted(seeds: set[int]) -> Iterator[None]:
         yield
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_each_filter_has_a_margin_of_its_own_by_one_rule(small: Small) -> None:
     methods = [method_named(1, name) for name in ("safedpa", "mix", "oracle")]
@@ -153,6 +155,7 @@ def test_each_filter_has_a_margin_of_its_own_by_one_rule(small: Small) -> None:
         assert covered_share(method, NOWHERE, swings, fresh.winds(), *given) > 0.98
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_seeds_of_calibration_choice_and_evaluation_are_apart(small: Small) -> None:
     drawn = {"calibration": small.calibrated, "development": small.chosen, "evaluation": set[int]()}
@@ -228,6 +231,7 @@ def test_what_is_asked_is_what_happens() -> None:
     assert passed["both"] == 8
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
     told, result = small.told, small.result

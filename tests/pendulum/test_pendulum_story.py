@@ -13,6 +13,7 @@ from safedpa_lab.experiments.pendulum_story_report import story_markdown
 from safedpa_services.command_line import safedpa
 
 
+@pytest.mark.long
 def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:
     story = PendulumStory(
         hidden=("payload",), directions=2, episodes=1, seconds=1.2, swings=2, swing_seconds=8.0, processes=1
@@ -29,6 +30,7 @@ def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:
     assert "added tip_mass 0.5" in story_markdown({**result, "date": "today"})
 
 
+@pytest.mark.long
 def test_a_users_payload_is_named_and_weighed() -> None:
     """Not the identification, which needs the real logs: a pendulum of about its numbers.
 

@@ -70,6 +70,7 @@ def test_what_is_counted_is_what_the_task_tells() -> None:
         assert len(shown["goals"]) == 1 + len(shown["reached_at"]) == 1 + found.goals[robot]
 
 
+@pytest.mark.long
 def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
     costs = {}
     for name in ("oracle", "none"):
@@ -83,6 +84,7 @@ def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
     assert costs["none"] > 20.0
 
 
+@pytest.mark.long
 def test_what_ships_is_safe_behind_the_learned_filter_and_ppo_alone_is_not() -> None:
     found = {}
     for name in ("safedpa", "ppo"):
@@ -120,6 +122,7 @@ def _untrained(folder: Path) -> None:
         save_policy(BaselinePolicy(tensors, {}), folder / "seed_0" / f"{name}_wind.safetensors")
 
 
+@pytest.mark.long
 def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _untrained(tmp_path)
     options = ["--methods", "ppo, cpo", "--baselines", str(tmp_path), "--processes", "1", "--steps", "60"]

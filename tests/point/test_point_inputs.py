@@ -84,6 +84,7 @@ def test_what_is_gained_along_the_way_adds_up_to_its_length() -> None:
     np.testing.assert_allclose(gained[~stepped.reached], (before - way.left)[~stepped.reached], atol=1e-6)
 
 
+@pytest.mark.long
 def test_in_training_the_filter_takes_over_when_it_is_time() -> None:
     """Reckless robots that start beside hazards pay without it, and nothing with it."""
     paid = {}

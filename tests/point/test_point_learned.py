@@ -131,6 +131,7 @@ def test_latents_are_those_of_the_encoder_over_the_same_history() -> None:
     assert fresh[0] == pytest.approx(encoder.encode(np.zeros((encoder.length, encoder.row_length))), abs=1e-5)
 
 
+@pytest.mark.long
 def test_a_robot_within_a_hazard_is_led_out_of_it() -> None:
     """Recovery: wherever h < 0, the room grows until there is some."""
     task = PointTask(12, 3)
@@ -156,6 +157,7 @@ def test_recovery_takes_the_action_that_leaves_most_room() -> None:
         assert np.all(reached[lost] >= other[lost] - 2e-4)
 
 
+@pytest.mark.long
 def test_safedpa_keeps_out_of_hazards_in_a_wind_that_fix_runs_into() -> None:
     unsafe = {}
     for method in ("safedpa", "fix_315"):
@@ -177,6 +179,7 @@ def small_map() -> dict[str, Any]:
     return heat_map(HeatMap(points=7, moments=16, shown=2))
 
 
+@pytest.mark.long
 def test_the_heat_map_of_safedpa_is_that_of_the_simulator(small_map: dict[str, Any]) -> None:
     result = small_map
     found = {name: row["rank_correlation"] for name, row in result["agreement"].items()}
@@ -187,6 +190,7 @@ def test_the_heat_map_of_safedpa_is_that_of_the_simulator(small_map: dict[str, A
     assert (same["correlation"], same["rank_correlation"], same["error"]) == pytest.approx((1.0, 1.0, 0.0))
 
 
+@pytest.mark.long
 def test_a_heat_map_is_drawn(small_map: dict[str, Any], tmp_path: Path) -> None:
     result = {"date": "today", **small_map}
     write_heat_map(result, tmp_path)
@@ -194,6 +198,7 @@ def test_a_heat_map_is_drawn(small_map: dict[str, Any], tmp_path: Path) -> None:
     assert heat_map_markdown(result).count("\n| ") == 7
 
 
+@pytest.mark.long
 def test_most_one_step_errors_of_h_are_below_the_margin() -> None:
     weights = weights_named("learned")
     moments = drawn_moments(weights, robots=40, steps=80, seed=5, force=FORCE)

@@ -23,6 +23,7 @@ from safedpa_sim.training.configuration import load_configuration
 PUNISHED = ("rma", "rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
 
 
+@pytest.mark.long
 def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 10)  # what it does, no figure, is looked at here
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
@@ -37,6 +38,7 @@ def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monk
     assert all(load_weights(tmp_path / f"point_{name}.safetensors").has("policy") for name in PUNISHED)
 
 
+@pytest.mark.long
 def test_robots_that_practise_behind_the_stand_in_never_enter_a_hazard() -> None:
     configuration = load_configuration("point_small")
     weights = _plain()
@@ -62,6 +64,7 @@ def test_the_latent_in_view_is_that_of_the_wind() -> None:
     assert robots.observation(np.array([2])).shape == (1, entries_seen(2))
 
 
+@pytest.mark.long
 def test_force_and_drag_are_named_and_the_mended_filter_is_safer() -> None:
     result = point_story(PointStory(robots=24, seconds=1.5, logs=2))
     case = result["cases"]["force and drag"]
@@ -74,6 +77,7 @@ def test_force_and_drag_are_named_and_the_mended_filter_is_safer() -> None:
     assert "added constant_force.ax" in point_story_markdown({**result, "date": "today"})
 
 
+@pytest.mark.long
 def test_the_commands_name_it_from_files(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = []
     for run in point_logs(HIDDEN["force and drag"], 0, 3, 15.0):

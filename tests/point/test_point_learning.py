@@ -79,6 +79,7 @@ def test_what_is_counted_is_what_the_robots_did(monkeypatch: pytest.MonkeyPatch)
     assert sum(row["unsafe"] for row in rows) == sum(within) > 0, "who learns without a filter meets a hazard"
 
 
+@pytest.mark.long
 def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(
     short: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -159,6 +160,7 @@ def test_who_was_trained_before_drives_on_as_it_is_while_a_critic_is_learned(
         assert all(np.array_equal(before[name], shipped[name]) for name in shipped)
 
 
+@pytest.mark.long
 def test_an_experiment_that_was_cut_off_comes_to_the_same(short: None, tmp_path: Path) -> None:
     asked = PointLearning(("nothing",), steps=2048, seeds=(0,), robots=16)
     whole = point_learning(asked)
@@ -172,6 +174,7 @@ def test_an_experiment_that_was_cut_off_comes_to_the_same(short: None, tmp_path:
     assert told == [(2, 2)], "the learning behind the filter is not done again"
 
 
+@pytest.mark.long
 def test_the_small_experiment_from_the_command_line(
     short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,7 @@ from safedpa_lab.point.margin import NEAR, Calibration, measured_margins
 NOWHERE = "no weights here"
 
 
+@pytest.mark.long
 def test_a_filter_with_the_wrong_wind_needs_more_room(monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole rule, with a coverage that few drives are enough for."""
     monkeypatch.setattr(margin, "COVERAGE", 0.8)

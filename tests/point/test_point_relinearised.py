@@ -86,6 +86,7 @@ def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_doe
     assert off["free"] < 0.01 < off["affine"]
 
 
+@pytest.mark.long
 def test_about_a_saturated_wish_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
     """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the wished thrust
     has no slope, so that by what is affine no other thrust would help."""
@@ -140,6 +141,7 @@ def test_the_car_is_told_by_state() -> None:
     assert car_table({"car": found}).count("\n") == 3 + len(found["states"])
 
 
+@pytest.mark.long
 def test_the_whole_command_in_small(tmp_path: Path) -> None:
     words = ["experiment", "point-relinearised", "--quick", "--drives", "99", "--out", str(tmp_path)]
     ended = CliRunner().invoke(safedpa, words, catch_exceptions=False)

@@ -103,6 +103,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, A
     return folder, record
 
 
+@pytest.mark.long
 def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict[str, Any]]) -> None:
     folder, record = trained
     by_entry = dict(zip(record["entries"], record["explained"], strict=True))
@@ -116,6 +117,7 @@ def test_training_in_small_explains_what_is_sensed(trained: tuple[Path, dict[str
     assert sensed_weights(folder).digest == weights.digest
 
 
+@pytest.mark.long
 def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Path, dict[str, Any]]) -> None:
     from safedpa.networks import save_weights
     from safedpa_lab.point.weights import weights_named
@@ -164,6 +166,7 @@ def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> Non
     assert np.median(believed.motion.strongest) == pytest.approx(strongest, rel=0.03)
 
 
+@pytest.mark.long
 def test_the_method_drives_safer_than_without_a_filter() -> None:
     found = {}
     for name in ("unfiltered", "safedpa_17"):

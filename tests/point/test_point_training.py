@@ -78,6 +78,7 @@ def processor_seconds_of_driving(steps: int) -> float:
     return process_time() - began
 
 
+@pytest.mark.long
 def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +125,7 @@ def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
     assert score("trpo", quick, 1.0) == pytest.approx(12.0)
 
 
+@pytest.mark.long
 def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def judged(policy: BaselinePolicy, *_: object) -> dict[str, float]:
         return {"reward": float(policy.tensors["policy.1.bias"].sum()), "cost": 0.0, "goals": 0.0}

@@ -70,6 +70,7 @@ def test_the_teacher_pushes_towards_the_turn_and_against_the_wind() -> None:
     assert against[0, 0] == pytest.approx(0.9 * 1.93 / 2.89)
 
 
+@pytest.mark.long
 def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_that_it_stands_at() -> None:
     """It pushes itself away where h < epsilon / eta, although by what it believes it stands still."""
     task = PointTask(1, 0)

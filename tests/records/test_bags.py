@@ -200,6 +200,7 @@ CUT = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["mcap", "bag"])
 @pytest.mark.parametrize("share", [0.35, 0.8, 0.999])
 def test_a_bag_that_was_cut_off_is_read_up_to_there_and_without_its_index(

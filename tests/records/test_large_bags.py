@@ -80,6 +80,7 @@ def test_a_line_of_blanks_costs_as_much_as_one_of_letters(form: str) -> None:
     assert seconds("x" + " " * 60_000 + "y") < 1000.0 * (seconds("x" * 60_000) + 1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
 def test_pictures_that_nobody_asked_for_take_no_memory(form: str, tmp_path: Path) -> None:
     """Of a bag what is kept is what the map names; the rest passes by, a chunk at a time."""

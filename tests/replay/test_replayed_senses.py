@@ -91,6 +91,7 @@ def test_what_is_seen_comes_out_again(fleet: Any, tmp_path: Path, events: list[t
     assert not replay(tape).agrees, "another thing that was seen makes another verdict"
 
 
+@pytest.mark.long
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(events=EVENTS)
 def test_whatever_befalls_the_services(fleet_of: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
@@ -129,6 +130,7 @@ def test_orders_hold_in_the_replay_from_their_tick_on_and_the_recording_says_who
     assert {item.field for item in forged} >= {"points"}, "what is closed is told as discs"
 
 
+@pytest.mark.long
 def test_a_scan_that_was_not_recorded_is_said_and_holds_nothing_against_perception(fleet: Any, tmp_path: Path) -> None:
     def keep(item: Received) -> bool:
         scan = item.topic is SCAN and decode(ScanMessage, item.payload)

@@ -36,6 +36,7 @@ name = "{name}"
 """
 
 
+@pytest.mark.long
 def test_nothing_is_wrong_with_it() -> None:
     found = check_robot(robot_named("differential_drive"))
     assert [str(one) for one in found if not one.ends_well] == []

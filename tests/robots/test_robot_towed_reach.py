@@ -64,6 +64,7 @@ class Claimed:
         return float(min(to_line, (np.hypot(discs[:, 0] - x, discs[:, 1] - y) - discs[:, 2]).min()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("kind", ["rocking", "mixed", "backwards"])
 def test_a_load_that_is_pushed_about_stays_within_what_is_claimed_for_it(load: str, kind: str) -> None:

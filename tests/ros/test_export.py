@@ -125,6 +125,7 @@ def test_a_state_that_is_repeated_in_lockstep_is_told_once() -> None:
     assert list(speaks.of(replace(state, tick=1), 3))
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(("robot", "model"), [("car", "dart_car"), ("differential_drive", "differential_drive")])
 def test_what_another_robot_was_told_is_a_speed_in_the_bag(tmp_path: Path, robot: str, model: str) -> None:

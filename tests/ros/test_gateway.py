@@ -44,6 +44,7 @@ def is_on_the_bus(runs: Path, name: str) -> bool:
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [11])
 def test_a_policy_that_looks_at_nothing_drives_through_the_filter_without_a_collision(
     side: Side, tmp_path: Path, seed: int
@@ -76,6 +77,7 @@ def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[s
     assert "/odom   nav_msgs/msg/Odometry\n    from /base; to nobody" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anything_moves(
     side: Side, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,6 +101,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
     assert "no Zenoh router answers" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path) -> None:
     car = side.car(_LONG, 11)
     with services(tmp_path) as loop:
@@ -121,6 +124,7 @@ def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path)
         assert found["fastest"] > 0.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("option", ["--freeze-after", "--policy-ends"])
 def test_without_news_of_the_robot_or_a_wish_it_stands(side: Side, tmp_path: Path, option: str) -> None:
     car = side.car(5.5, 11, option, "3.0")
@@ -136,6 +140,7 @@ def test_without_news_of_the_robot_or_a_wish_it_stands(side: Side, tmp_path: Pat
         assert found["driver_brakes"] < 60  # the commands to brake came from the gateway
 
 
+@pytest.mark.long
 def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hurts_nothing(
     side: Side, tmp_path: Path
 ) -> None:
@@ -157,6 +162,7 @@ def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hur
         assert found["collisions"] == 0
 
 
+@pytest.mark.long
 def test_serve_starts_what_is_needed_and_ends_in_order(side: Side, tmp_path: Path) -> None:
     car = side.car(8.0, 11)
     command = [
@@ -201,6 +207,7 @@ def test_a_robot_that_speaks_the_bus_itself_needs_a_name_for_who_wishes(
     assert "nobody wishes; name one with --policy" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_serve_without_ros_waits_for_a_robot_of_the_bus(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
@@ -228,6 +235,7 @@ def test_serve_without_ros_waits_for_a_robot_of_the_bus(tmp_path: Path) -> None:
     assert account["watchdog_ticks"] < 60
 
 
+@pytest.mark.long
 def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> None:
     car = side.car(_LONG, 11)
     with services(tmp_path) as loop:

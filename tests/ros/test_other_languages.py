@@ -78,6 +78,7 @@ def messages() -> dict[str, dict[str, Any]]:
     }
 
 
+@pytest.mark.long
 def test_an_npm_package_decodes_every_message_that_is_sent(packages: Path) -> None:
     assert NODE is not None
     sent = messages()
@@ -100,6 +101,7 @@ def test_an_npm_package_decodes_every_message_that_is_sent(packages: Path) -> No
         assert within(json.loads(json.dumps(values)), other, name) == []
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 def test_a_robot_in_javascript_is_driven_round_an_obstacle_and_brakes_without_answers(tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ def endpoint_in(log: str) -> str:
     return str(opened["sentence"]).split(" on ")[1]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 @pytest.mark.parametrize("own", [False, True])
@@ -101,6 +102,7 @@ def robot(endpoint: str, folder: str, name: str, seconds: str) -> subprocess.Com
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=180)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing(tmp_path: Path) -> None:

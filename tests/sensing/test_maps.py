@@ -48,6 +48,7 @@ def covered(places: np.ndarray, discs: np.ndarray) -> np.ndarray:
     return (apart <= discs[None, :, 2] + 1e-9).any(axis=1)
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 10**6),
@@ -247,6 +248,7 @@ def test_a_map_is_closed_and_in_the_frame_of_the_map() -> None:
             parse_perception(text)
 
 
+@pytest.mark.long
 def test_of_a_large_map_only_what_is_near_is_looked_at() -> None:
     random = np.random.default_rng(0)
     large = Cells.of(-2000, -2000, random.random((4000, 4000)) < 0.02)

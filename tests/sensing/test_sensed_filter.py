@@ -417,6 +417,7 @@ def test_somebody_steps_out_from_behind_a_box_and_the_car_stands(seed: int) -> N
     assert all(hit.speed < STANDS for hit in robot.collisions), [str(hit) for hit in robot.collisions]
 
 
+@pytest.mark.long
 def test_among_people_it_is_never_the_car_that_moves_into_somebody() -> None:
     people = tuple(Walks(place, 1.2, index) for index, place in enumerate(((2.0, 2.0), (2.0, -2.0), (0.0, 2.0))))
     scene = Scene(0, None, (-4.0, 4.0, -3.0, 3.0), (), (-3.0, 0.0, 0.0), ((3.0, 0.0), (-3.0, 0.0)))

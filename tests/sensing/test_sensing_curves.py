@@ -23,6 +23,7 @@ def result() -> dict[str, Any]:
     return curves_experiment([1003, 1004], 2.0, 1, curves=curves)
 
 
+@pytest.mark.long
 def test_a_row_is_of_the_drives_with_its_value(result: dict[str, Any]) -> None:
     rows = {(row["curve"], row["value"]): row for row in result["rows"]}
     assert list(rows) == [("walking", 0.0), ("walking", 1.5), ("field_of_view", pi / 2), ("field_of_view", 2.0 * pi)]
@@ -86,6 +87,7 @@ def test_every_value_of_every_curve_can_be_driven(name: str, value: float) -> No
     assert run_drive(replace(Drive("people", 1003, 0.1, 1.5, policy="way_seeker"), **changed))["moving"] == []
 
 
+@pytest.mark.long
 def test_page_and_picture(result: dict[str, Any], tmp_path: Path) -> None:
     page = curves_page(result)
     assert "| 90 | 2 |" in page

@@ -31,6 +31,7 @@ def test_told_everything_the_car_goes_farther() -> None:
     assert way["told"] > way["safedpa"] > 0.0
 
 
+@pytest.mark.long
 def test_who_reckons_with_slower_people_drives_faster() -> None:
     quick, slow = (run_drive(Drive("pillars", 1001, 8.0, coming))["way"] for coming in (0.0, 1.5))
     assert quick > slow
@@ -48,6 +49,7 @@ def test_start_and_goals_of_a_scene_are_free_and_the_same_again(kind: str, load:
         assert room_to(solid, x, y) > scene.footprint[2]
 
 
+@pytest.mark.long
 def test_a_room_has_a_door_that_the_car_fits_through() -> None:
     for seed in range(1000, 1010):
         scene, people = scene_and_people("rooms", seed, "large_chair")
@@ -78,6 +80,7 @@ def test_who_is_told_everything_is_told_of_every_wall_and_everybody() -> None:
     assert abs(nearest - room_to(solid, x, y)) < 0.02
 
 
+@pytest.mark.long
 def test_a_result_says_how_much_is_reached_beside_perfect_knowledge_and_its_page_shows_it() -> None:
     found = sensing_experiment([1003], 2.0, 1.5, 1, ("safedpa", "told"), scenes=["pillars"], loads=["none", "box"])
     alone, told = found["rows"]
@@ -101,17 +104,20 @@ def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.Monk
     assert told["run_into"] == 1
 
 
+@pytest.mark.long
 def test_told_everything_but_who_hides_it_drives_no_farther_than_told_everything() -> None:
     way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "told-but-hiding")}
     assert way["told"] > way["told-but-hiding"] > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("guard", GUARDS)
 @pytest.mark.parametrize("policy", POLICIES)
 def test_behind_each_guard_either_controller_drives(guard: str, policy: str) -> None:
     assert run_drive(Drive("pillars", 1001, 2.0, 1.5, guard, policy=policy))["way"] > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", ["none", "large_chair"])
 def test_who_steps_out_meets_no_car_that_moves_however_it_looks_around_the_corner(load: str) -> None:
     """Behind the controller that looks around, which creeps past what nobody sees."""

@@ -99,6 +99,7 @@ class _Farther:
         self.scores.hear(item)
 
 
+@pytest.mark.long
 def test_what_is_told_farther_away_is_an_error_by_so_much() -> None:
     scene, people = scene_and_people("steps-out", 1000, "large_chair")
     robot, model, settings = Misjudges(car_in(scene, people), 0.01, -0.01), load_model("car"), settings_named("car")
@@ -146,6 +147,7 @@ def test_margins_are_those_of_the_drives_and_fresh_drives_are_counted(monkeypatc
     assert len({(each.scene, each.load) for each in (order(index, index, 1.0) for index in range(12))}) == 12
 
 
+@pytest.mark.long
 def test_the_command_in_small_writes_a_page_and_drives_nothing_twice(tmp_path: Path) -> None:
     asked = ["--drives", "2", "--fresh", "1", "--seconds", "0.6", "--coverage", "0.6", "--processes", "1"]
     asked += ["--record", str(tmp_path / "drives.jsonl"), "--json"]

@@ -91,6 +91,7 @@ def test_a_car_stands_while_somebody_stands_at_its_load(load: str, side: float) 
             assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
 @pytest.mark.parametrize("start", [(1.2, -1.6), (1.2, 1.6), (0.6, -2.0), (-1.0, 2.0)])
 @pytest.mark.parametrize("pace", [0.4, 0.65, 1.0, 1.5])

@@ -29,6 +29,8 @@ COMMANDS = (  # a command line, and what it leaves behind
     ("replay recording.mcap --out replayed.mcap", "replayed.mcap"),
     ("effects --robot car", ""),
 )
+LONG = ("diagnose model.toml drive.csv --columns", "rehearse", "add")
+"""Beginnings of those that search or fit for seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,11 @@ def sums(folder, names):
     return {name: hashlib.md5((folder / name).read_bytes()).hexdigest() for name in names}
 
 
-@pytest.mark.parametrize(("line", "made"), COMMANDS, ids=[line for line, _ in COMMANDS])
+@pytest.mark.parametrize(
+    ("line", "made"),
+    [pytest.param(*each, marks=pytest.mark.long) if each[0].startswith(LONG) else each for each in COMMANDS],
+    ids=[line for line, _ in COMMANDS],
+)
 def test_what_was_given_stays_as_it_was(line, made, inputs, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, data in inputs.items():

@@ -43,6 +43,7 @@ def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.mark.long
 def test_nothing_is_wrong_with_it(name: str) -> None:
     found = check_robot(robot_named(name))
     assert [str(one) for one in found if not one.ends_well] == []
@@ -66,6 +67,7 @@ def test_settings_of_another_robot_are_refused(name: str) -> None:
             SafetyFilterNode(model, settings_named(other))
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_up_drives_it_and_its_recording_tells_what_is_hidden(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -115,12 +117,29 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
         ("(0.003, 0.003, 0.005)", "None", "measurement_deviation: got None, wanted one number for each"),
         ("(0.003, 0.003, 0.005)", "(0.0, 0.003, 0.005)", "measurement_deviation: got (0.0, 0.003, 0.005), wanted more"),
         ("(0.003, 0.003, 0.005)", "(0.1, float('nan'), 0.1)", "wanted more than 0 for each of x, y, yaw"),
-        ("return Frame((", "return 3\n        return Frame((", "frame: got int, wanted a Frame"),
+        pytest.param(
+            "return Frame((",
+            "return 3\n        return Frame((",
+            "frame: got int, wanted a Frame",
+            marks=pytest.mark.long,
+        ),
         ("return Frame((", "1 / 0\n        return Frame((", "frame: raised ZeroDivisionError"),
         ("return Drive(seed, **given)", "return None", "stand_in: got NoneType, wanted an AbstractStandIn"),
-        ('FASTEST_TURN)), "goal_seeker"', "FASTEST_TURN))", "wanted the action and a name"),
-        ("return (FASTEST * max", "return 1.0, 'one'\n        return (FASTEST * max", "wishes 1.0, wanted 2 numbers"),
-        ("return (FASTEST * max", "return 'ab', 'ab'\n        return (FASTEST * max", "wish: got str"),
+        pytest.param(
+            'FASTEST_TURN)), "goal_seeker"', "FASTEST_TURN))", "wanted the action and a name", marks=pytest.mark.long
+        ),
+        pytest.param(
+            "return (FASTEST * max",
+            "return 1.0, 'one'\n        return (FASTEST * max",
+            "wishes 1.0, wanted 2 numbers",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            "return (FASTEST * max",
+            "return 'ab', 'ab'\n        return (FASTEST * max",
+            "wish: got str",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_mistake_of_any_sort_is_told_in_a_line(

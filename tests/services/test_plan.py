@@ -198,6 +198,7 @@ def test_an_address_is_told_once_somebody_answers_there(free_port: int) -> None:
     assert _Page("").lines() == []
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
 def test_two_robots_drive_side_by_side(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from safedpa.bus.transport.ports import free_port
 from safedpa.errors import BusError
 from safedpa.records import read_messages
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.long, pytest.mark.processes]
 
 
 def test_a_full_disk_ends_the_recording_not_the_drive(tmp_path: Path) -> None:

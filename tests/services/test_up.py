@@ -64,6 +64,7 @@ def test_lockstep_repeats_bit_for_bit_and_is_safe(tmp_path: Path) -> None:
     assert processes_with(str(tmp_path)) == []
 
 
+@pytest.mark.long
 def test_without_the_filter_the_same_scene_collides(tmp_path: Path) -> None:
     summary, _ = up(tmp_path, "--load", "box", "--seconds", "20", "--lockstep", "--seed", "1", "--no-filter")
     assert summary["collisions"] > 0
@@ -128,6 +129,7 @@ def killed(folder: Path, module: str) -> None:
     drives_on(folder)
 
 
+@pytest.mark.long
 def test_a_killed_service_comes_back_and_nothing_is_hit(tmp_path: Path) -> None:
     """Each of them in turn, in one drive."""
     with driving(tmp_path, 0.0) as process:
@@ -145,6 +147,7 @@ def test_a_killed_service_comes_back_and_nothing_is_hit(tmp_path: Path) -> None:
     assert sum(count for status, count in summary["verdicts"].items() if status != "fallback") > 60, "it drove on"
 
 
+@pytest.mark.long
 def test_interrupt_ends_everything(tmp_path: Path) -> None:
     with driving(tmp_path, 0.0) as process:
         drives_on(tmp_path)
@@ -156,6 +159,7 @@ def test_interrupt_ends_everything(tmp_path: Path) -> None:
     assert _left(tmp_path) == []
 
 
+@pytest.mark.long
 def test_a_killed_supervisor_leaves_nothing_behind(tmp_path: Path) -> None:
     with driving(tmp_path, 0.0) as process:
         drives_on(tmp_path)

@@ -48,6 +48,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> C
     return printed
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_it_is_safe_and_its_recording_compares_and_is_diagnosed(
     tmp_path: Path, run: Callable[..., dict[str, Any]]

@@ -49,6 +49,7 @@ def driven_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return up(tmp_path_factory.mktemp("once"), "--model", "dart_car", "--seconds", SECONDS, "--seed", "3")
 
 
+@pytest.mark.long
 def test_it_drives_is_safe_and_repeats_bit_for_bit(driven_once: dict[str, Any], tmp_path: Path) -> None:
     first = driven_once
     second = up(tmp_path, "--model", "dart_car", "--seconds", SECONDS, "--seed", "3")
@@ -80,6 +81,7 @@ def test_what_it_cannot_is_refused_before_anything_starts(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once: dict[str, Any], tmp_path: Path) -> None:
     """Dead zone, back-EMF, friction and a bent steering curve: the plain model has none of them, the stand-in has."""
     further = up(tmp_path / "drives", "--model", "dart_car", "--seconds", SECONDS, "--seed", "4")
@@ -95,6 +97,7 @@ def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once: dict[
     assert driven["goals_reached"] >= 2
 
 
+@pytest.mark.long
 def test_the_real_cars_story_is_driven(data_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs of the real car, what is missing added as the workbench does, saved; then the command that Save tells.
 

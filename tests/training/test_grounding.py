@@ -16,6 +16,7 @@ NEAREST = ("steering_lag", "steering_delay", "actuator_delay", "rolling_resistan
 """Of the library, what the pymunk car has or what is easily taken for it: the rest takes time and is not added."""
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_mended_simulator_predicts_the_real_car(monkeypatch: pytest.MonkeyPatch) -> None:
     library = [effect("car", name) for name in (*NEAREST, "towed_load")]

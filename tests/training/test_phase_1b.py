@@ -24,7 +24,7 @@ from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import scales
 from safedpa_sim.training.weights_export import export_weights
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 SMALL = load_configuration("car_small")
 SHORT = replace(

@@ -40,6 +40,7 @@ def trained(weights, tmp_path_factory):
     return train_history_encoder(replace(SMALL, phase_2=phase), weights, tmp_path_factory.mktemp("phase_2"))
 
 
+@pytest.mark.long
 def test_what_the_load_does_is_seen_from_the_history(weights, trained):
     _, summary = trained
     assert max(summary["explained"]) > 0.5
@@ -48,6 +49,7 @@ def test_what_the_load_does_is_seen_from_the_history(weights, trained):
     assert with_mu < with_phi < 0.25
 
 
+@pytest.mark.long
 def test_the_weights_serve_the_services(weights, trained):
     encoder = HistoryEncoder(trained[0])
     networks = affine_networks(trained[0])
@@ -61,12 +63,14 @@ def test_the_weights_serve_the_services(weights, trained):
     np.testing.assert_allclose(theirs, ours[0].clip(weights["latent_low"], weights["latent_high"]), atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_encoder(weights, tmp_path):
     phase = replace(SMALL.phase_2, rounds=1, updates=3, cars=20)
     first, second = (train_history_encoder(replace(SMALL, phase_2=phase), weights, tmp_path)[0] for _ in range(2))
     assert first.digest == second.digest
 
 
+@pytest.mark.long
 def test_a_history_sees_its_own_drive_only_and_zeros_before_it(weights):
     networks = affine_networks(weights)
     states, actions = torch.randn(2, 6, 4), torch.randn(2, 5, 2)
@@ -79,6 +83,7 @@ def test_a_history_sees_its_own_drive_only_and_zeros_before_it(weights):
     assert torch.equal(both.histories(torch.tensor([17]), 4)[0], seen)
 
 
+@pytest.mark.long
 def test_drawn_transitions_keep_their_distance_from_the_ends(weights):
     drives = lived(affine_networks(weights), torch.randn(3, 31, 4), torch.randn(3, 30, 2))
     index = drives.draw(500, torch.Generator().manual_seed(0), before=10, ahead=15)

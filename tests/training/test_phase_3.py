@@ -23,7 +23,7 @@ from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import drives_of, record_circles
 from safedpa_sim.training.weights_export import export_model
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 SMALL = load_configuration("car_small")
 

@@ -46,6 +46,7 @@ def one_step(predictor, drives):
     return float((errors / SCALE).square().mean().sqrt())
 
 
+@pytest.mark.long
 def test_without_learning_it_is_the_physics_with_its_actuators_memory(circles):
     predictor = untrained_residual(CAR, LAGGING, WEIGHTS)
     states, actions = circles[0]
@@ -61,6 +62,7 @@ def test_without_learning_it_is_the_physics_with_its_actuators_memory(circles):
     np.testing.assert_allclose(errors, own, atol=2e-4)
 
 
+@pytest.mark.long
 def test_it_learns_what_the_physics_leaves_and_is_the_same_out_of_a_file(circles, tmp_path):
     sizes = {"latents": 2, "hidden": 24, "cars": 5, "steps": 100}
     tuning = ResidualTuning(

@@ -129,6 +129,7 @@ def adding(name: str, calls: list[str]) -> Any:
     return train
 
 
+@pytest.mark.long
 def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     known = {"train_policy": "policy", "train_history_encoder": "phi", "tune": "phi"}

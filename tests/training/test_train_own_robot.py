@@ -26,6 +26,7 @@ def _strangers_leave():
     forget_robot("cleaner")
 
 
+@pytest.mark.long
 def test_an_own_robot_learns_what_it_is_and_in_what_it_drives(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

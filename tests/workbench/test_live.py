@@ -280,6 +280,7 @@ def test_a_recording_without_messages_is_refused(tmp_path):
         ReplayLink(tmp_path / "none.mcap")
 
 
+@pytest.mark.long
 @pytest.mark.browser
 @pytest.mark.processes
 def test_a_candidate_is_accepted_on_the_live_page(browser, live):
@@ -313,6 +314,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
     assert [line for line in complaints[before:] if not any(word in line for word in ended)] == []
 
 
+@pytest.mark.long
 @pytest.mark.browser
 @pytest.mark.processes
 def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, live):

@@ -17,7 +17,7 @@ import pytest
 
 from safedpa_services.command_line.group import safedpa
 
-pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 SIZES = ((390, 844), (1280, 800), (1400, 900), (1920, 1080))

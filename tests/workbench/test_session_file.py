@@ -101,6 +101,7 @@ def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path)
     assert "'safedpa up' will refuse it: a ball with" in bench.warning
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, short_drive, finished):
     choice = Choice(str(drives[0]), (str(short_drive),))

@@ -14,7 +14,7 @@ import pytest
 
 from safedpa.bus.transport import ports
 
-pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""

@@ -40,8 +40,8 @@ QUADRATIC: Final = 1e5
 
 TURNS: Final = 32
 """Steps and lines let go; then others have to answer. Problems of a drive take two to four."""
-STILL: Final = 1e-13
-"""A step that is shorter is none."""
+STILL: Final = 1e-10
+"""A step that is shorter is none: along two lines that contradict each other rounding alone makes some of 1e-11."""
 PRICED: Final = 1e-9
 """By how much a price may be another: some rounding errors of it. Times half of 1 / weight it is an error of u."""
 _ALONG: Final = 1e-12
