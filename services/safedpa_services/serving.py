@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -11,6 +10,7 @@ from functools import partial
 
 from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
 from safedpa.bus.loop.apart import AbstractTicket, Apart
+from safedpa.bus.loop.collector import settle_collector
 from safedpa.bus.loop.journal import Journal
 from safedpa.bus.loop.process import Stop, add_bus_options, lifetime, settings_from
 from safedpa.bus.loop.turning import Turning
@@ -54,8 +54,7 @@ def serve(
     with Bus(transport, options.fleet) as bus, ExitStack() as lifetimes:
         for made in services:
             made.joined(bus)
-        gc.collect()
-        gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
+        settle_collector()
         for made in services:
             bus.announce(NO_ROBOT, made.node.name, made.setup.instance)
             lifetimes.enter_context(lifetime(made.node.name, stop))

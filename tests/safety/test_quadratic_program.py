@@ -171,6 +171,16 @@ def test_a_corner_is_the_minimiser_to_the_last_bit_and_only_where_quadprog_says_
     assert others > 50
 
 
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_bound_is_met_to_the_last_bit_where_range_and_lowest_do_not_add_up_to_it(place: int) -> None:
+    low, high, slopes, wish = np.array([-3.0, -3.0]), np.array([0.1, 0.1]), np.zeros(2), np.array([-1.0, -1.0])
+    assert low[0] + (high[0] - low[0]) != high[0]
+    slopes[place] = 1.0
+    solution = solved(QuadraticProgram(low, high, np.ones(2)), slopes[np.newaxis], np.array([0.5]), wish)
+    assert solution.action[place] == 0.1
+    assert solution.action[1 - place] == pytest.approx(-1.0, abs=1e-12)
+
+
 def test_how_far_a_limit_lies_beyond_all_actions_does_not_matter() -> None:
     """Else a hopeless row would outweigh all others: 3 is the most of interest, 2 reaches above the lowest value."""
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))

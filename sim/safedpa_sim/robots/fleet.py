@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import secrets
 import sys
 from pathlib import Path
 
+from safedpa.bus.loop.collector import settle_collector
 from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
 from safedpa_sim.robots.account import check_writable, write_account
@@ -49,8 +49,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         with bus_from(_beside(options)) as listener:
             claim_names(bus, list(robots), listener=listener)
         loop = FleetLoop(robots, bus, in_step=options.in_step)
-        gc.collect()
-        gc.freeze()  # the worlds live as long as this process
+        settle_collector()
         loop.run(stop, options.warm_seconds)
         loop.begin_counting()
         before = os.times()

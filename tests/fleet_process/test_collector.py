@@ -1,0 +1,62 @@
+"""The cycle collector sleeps through the turns of a fleet, and finds cycles that nobody should make."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections import deque
+from collections.abc import Iterator
+
+import pytest
+
+from safedpa.bus.loop.collector import GROWTH, settle_collector
+
+
+class Knot:
+    """What refers to itself."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+@pytest.fixture
+def settled() -> Iterator[list[int]]:
+    """Generations that were collected since it was settled."""
+    before, generations = gc.get_threshold(), list[int]()
+
+    def note(phase: str, told: dict[str, int]) -> None:
+        if phase == "start":
+            generations.append(told["generation"])
+
+    settle_collector()
+    gc.callbacks.append(note)
+    yield generations
+    gc.callbacks.remove(note)
+    gc.set_threshold(*before)
+    gc.unfreeze()
+
+
+def test_it_sleeps_while_windows_turn_over_and_batches_come_and_go(settled: list[int]) -> None:
+    window: deque[list[float]] = deque(maxlen=20_000)
+    for turn in range(200):
+        batch = [[float(turn), float(robot)] for robot in range(2_000)]
+        window.extend(batch[:500])
+    assert len(window) == 20_000
+    assert settled == []
+
+
+def test_it_finds_cycles_before_they_are_many(settled: list[int]) -> None:
+    first = Knot()
+    gone = weakref.ref(first)
+    del first
+    kept = 0
+    while gone() is not None and kept < 2 * GROWTH:
+        Knot()
+        kept += 1
+    assert gone() is None
+    assert settled
+
+
+def test_what_lives_already_is_not_looked_at_again(settled: list[int]) -> None:
+    assert gc.get_freeze_count() > 10_000
+    assert settled == []
