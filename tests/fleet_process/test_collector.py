@@ -57,6 +57,20 @@ def test_it_finds_cycles_before_they_are_many(settled: list[int]) -> None:
     assert settled
 
 
+def test_cycles_that_were_held_for_a_while_are_found_as_well(settled: list[int]) -> None:
+    """They are old when they are let go: most are gone before ten times as many were made."""
+    window: deque[Knot] = deque(maxlen=GROWTH // 2)
+    made: list[weakref.ref[Knot]] = []
+    for number in range(10 * GROWTH):
+        knot = Knot()
+        if number % 1_000 == 0:
+            made.append(weakref.ref(knot))
+        window.append(knot)
+    alive = sum(one() is not None for one in made)
+    assert alive < len(made) // 2
+    assert 2 in settled
+
+
 def test_what_lives_already_is_not_looked_at_again(settled: list[int]) -> None:
     assert gc.get_freeze_count() > 10_000
     assert settled == []

@@ -128,3 +128,10 @@ def test_numbers_that_are_none_have_no_answer(number: float) -> None:
 def test_a_level_without_end_is_no_number() -> None:
     assert highest_vertex([[1.0], [1.0]], [0.0, 0.0], [nan, -inf]) is None
     assert highest_vertex([[1.0], [1.0]], [0.0, 0.0], [nan, inf]) is None
+
+
+def test_as_many_heights_and_levels_as_rows() -> None:
+    for heights, levels in (([0.0, 0.0], [nan]), ([0.0], [nan, nan]), ([], [nan])):
+        with pytest.raises(ValueError, match=f"1 rows of slopes, {len(heights)} heights and {len(levels)} levels"):
+            highest_vertex([[1.0]], heights, levels)
+    assert highest_vertex([], [], []) is None

@@ -161,6 +161,23 @@ def test_a_wish_that_is_no_number_has_no_answer(wish: tuple[float, float]) -> No
     assert nearest_with_slack([(1.0, 0.0, 0.2)], wish, (1.0, 1.0)) is None
 
 
+@pytest.mark.parametrize("far", [1e154, 1e160, -1e160, 1e200, 1e308])
+def test_a_wish_beyond_all_squares_is_never_answered_with_what_is_no_number(far: float) -> None:
+    for wish in ((far, 0.5), (0.5, far)):
+        found = nearest_with_slack([(1.0, 0.0, 0.7), (-1.0, 0.0, -0.3)], wish, (1.0, 1.0))
+        assert found is None or np.isfinite(found).all()
+
+
+def test_a_weight_too_faint_for_its_price_is_left_to_others() -> None:
+    """The bound of y would be held for a price of 4e-10, though nothing but the wish says where y should be."""
+    rows: list[Row] = [(1.0, 0.0, 0.25), (0.57, 0.43, -0.5), (-0.87, -0.13, -0.25), (-1.0, 0.0, 0.5)]
+    assert nearest_with_slack(rows, (0.99, 0.82), (1.0, 1e-9)) is None
+    assert nearest_with_slack(rows, (0.99, 0.82), (0.9e-6, 1.0)) is None
+    found = nearest_with_slack(rows, (0.99, 0.82), (1.0, 1.1e-6))
+    assert found is not None
+    assert found[1] == pytest.approx(0.82, abs=1e-3)
+
+
 @pytest.mark.parametrize("actions", [1, 2])
 def test_it_is_what_piqp_gives_and_slack_is_told_row_by_row(actions: int) -> None:
     random, told = np.random.default_rng(actions), 0

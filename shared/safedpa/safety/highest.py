@@ -103,8 +103,13 @@ def highest_vertex(
 ) -> list[float] | None:
     """u (actions,) for slopes (m, actions), heights (m,) at u = 0 and levels (m,), NaN of a free row.
 
-    None: it is no vertex, there is none, or a number is not finite.
+    None: it is no vertex, there is none, or a number is not finite. Raises ValueError when rows, heights and levels are
+    not as many.
     """
+    if len(heights) != len(slopes) or len(levels) != len(slopes):
+        raise ValueError(f"{len(slopes)} rows of slopes, {len(heights)} heights and {len(levels)} levels")
+    if len(slopes) == 0:
+        return None
     return _Problem(slopes, heights, levels).solved()
 
 

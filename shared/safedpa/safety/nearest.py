@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from typing import Final, final
 
-__all__ = ["KEPT", "LINEAR", "MOST", "PARALLEL", "QUADRATIC", "NearestKept", "NearestWithSlack"]
+__all__ = ["FAINT", "KEPT", "LINEAR", "MOST", "PARALLEL", "QUADRATIC", "NearestKept", "NearestWithSlack"]
 
 KEPT: Final = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
@@ -44,6 +44,8 @@ STILL: Final = 1e-10
 """A step that is shorter is none: along two lines that contradict each other rounding alone makes some of 1e-11."""
 PRICED: Final = 1e-9
 """By how much a price may be another: some rounding errors of it. Times half of 1 / weight it is an error of u."""
+FAINT: Final = 1e-6
+"""A weight below which such an error of a price would be one of u that counts; then others have to answer."""
 _ALONG: Final = 1e-12
 """Cosine below which a line is taken to be parallel to a step, and is not met."""
 _BOUNDS: Final = 4
@@ -164,8 +166,8 @@ class NearestWithSlack:
         self._sum += a + b + limit
 
     def solve(self) -> bool:
-        """Whether the minimiser was found: not where it takes many steps, or a number is not finite."""
-        if self._sum - self._sum != 0.0:
+        """Whether the minimiser was found: not after many steps, where a number is not finite or a weight is faint."""
+        if self._sum - self._sum != 0.0 or not (self._weight_x >= FAINT and self._weight_y >= FAINT):
             return False
         self.x = min(max(self._wish_x, 0.0), 1.0)
         self.y = min(max(self._wish_y, 0.0), 1.0)
@@ -174,7 +176,7 @@ class NearestWithSlack:
         for _ in range(TURNS):
             self._pulls()
             if not self._goes_down() and not self._lets_go():
-                return True
+                return self.x - self.x == 0.0 and self.y - self.y == 0.0  # no number goes down no further either
         return False
 
     def _pulls(self) -> None:

@@ -32,7 +32,8 @@ class QuadraticProgram:
     low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
     slack. Solved in the variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can
     break are left out (exact: their slack is 0), as are those that no action changes. Of one or two actions the
-    solution is found in a few steps, and taken where it proves to be the optimum. Else PIQP solves it, the rows padded
+    solution is found in a few steps, and taken where it proves to be the optimum; conditions that can all be kept are
+    kept there, whatever their price. Else PIQP solves it, the rows padded
     to a power of two, so that each of its workspaces is built once.
     """
 
