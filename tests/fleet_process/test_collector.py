@@ -21,8 +21,9 @@ class Knot:
 
 @pytest.fixture
 def settled() -> Iterator[list[int]]:
-    """Generations that were collected since it was settled."""
+    """Generations that were collected since it was settled, in a process that holds much already."""
     before, generations = gc.get_threshold(), list[int]()
+    held = [[number] for number in range(20 * GROWTH)]
 
     def note(phase: str, told: dict[str, int]) -> None:
         if phase == "start":
@@ -31,6 +32,7 @@ def settled() -> Iterator[list[int]]:
     settle_collector()
     gc.callbacks.append(note)
     yield generations
+    assert len(held) == 20 * GROWTH
     gc.callbacks.remove(note)
     gc.set_threshold(*before)
     gc.unfreeze()
