@@ -140,6 +140,12 @@ def test_no_answer_where_there_is_none(row: Row) -> None:
     assert nearest_kept([row], (0.5, 0.5), (1.0, 1.0)) is None
 
 
+@pytest.mark.parametrize("wish", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
+@pytest.mark.parametrize("rows", [[], [(1.0, 0.0, 0.6)], [(0.0, 1.0, 0.6), (1.0, 1.0, 1.2)]])
+def test_no_answer_to_a_wish_that_is_not_finite(wish: tuple[float, float], rows: list[Row]) -> None:
+    assert nearest_kept(rows, wish, (1.0, 1.0)) is None
+
+
 def test_a_row_of_zeros_has_no_corner_with_what_was_taken_in_before() -> None:
     assert nearest_kept([(0.0, 0.0, 0.1)], (2.0, 0.5), (1.0, 1.0)) is None
 

@@ -23,7 +23,17 @@ from __future__ import annotations
 
 from typing import Final, final
 
-__all__ = ["FAINT", "KEPT", "LINEAR", "MOST", "PARALLEL", "QUADRATIC", "NearestKept", "NearestWithSlack"]
+__all__ = [
+    "FAINT",
+    "KEPT",
+    "LINEAR",
+    "MOST",
+    "PARALLEL",
+    "QUADRATIC",
+    "NearestKept",
+    "NearestProblem",
+    "NearestWithSlack",
+]
 
 KEPT: Final = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
@@ -51,9 +61,8 @@ _ALONG: Final = 1e-12
 _BOUNDS: Final = 4
 
 
-@final
-class NearestKept:
-    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
+class NearestProblem:
+    """A wish and weights; the square's four sides are the first conditions."""
 
     def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
         self._wish_x, self._wish_y = wish_x, wish_y
@@ -61,16 +70,25 @@ class NearestKept:
         self._a: list[float] = [1.0, -1.0, 0.0, 0.0]
         self._b: list[float] = [0.0, 0.0, 1.0, -1.0]
         self._limit: list[float] = [0.0, -1.0, 0.0, -1.0]
-        self._sum = 0.0
-        self._taken: list[int] = []
-        self.x, self.y = wish_x, wish_y
+        self._sum = wish_x + wish_y
+        """Of all numbers given: finite where they all are."""
 
     def add(self, a: float, b: float, limit: float) -> None:
-        """The condition a x + b y >= limit."""
+        """The condition a x + b y >= limit, or with slack a x + b y + s >= limit."""
         self._a.append(a)
         self._b.append(b)
         self._limit.append(limit)
         self._sum += a + b + limit
+
+
+@final
+class NearestKept(NearestProblem):
+    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
+
+    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
+        super().__init__(wish_x, wish_y, weight_x, weight_y)
+        self._taken: list[int] = []
+        self.x, self.y = wish_x, wish_y
 
     def solve(self) -> bool:
         """Whether the minimiser was found: not where there is none, it takes many steps, or a number is not finite."""
@@ -138,16 +156,11 @@ class NearestKept:
 
 
 @final
-class NearestWithSlack:
+class NearestWithSlack(NearestProblem):
     """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
 
     def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
-        self._wish_x, self._wish_y = wish_x, wish_y
-        self._weight_x, self._weight_y = weight_x, weight_y
-        self._a: list[float] = [1.0, -1.0, 0.0, 0.0]
-        self._b: list[float] = [0.0, 0.0, 1.0, -1.0]
-        self._limit: list[float] = [0.0, -1.0, 0.0, -1.0]
-        self._sum = wish_x + wish_y
+        super().__init__(wish_x, wish_y, weight_x, weight_y)
         self._short: list[bool] = [False] * _BOUNDS
         """Which conditions are not kept; a line that is held is neither short nor kept."""
         self._one, self._other = -1, -1
@@ -157,13 +170,6 @@ class NearestWithSlack:
         """Where the function falls, that is minus its slopes, without what the lines held pull."""
         self._xx, self._xy, self._yy = 0.0, 0.0, 0.0
         """Its second derivatives."""
-
-    def add(self, a: float, b: float, limit: float) -> None:
-        """The condition a x + b y + s >= limit."""
-        self._a.append(a)
-        self._b.append(b)
-        self._limit.append(limit)
-        self._sum += a + b + limit
 
     def solve(self) -> bool:
         """Whether the minimiser was found: not after many steps, where a number is not finite or a weight is faint."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from safedpa.safety.nearest import NearestKept, NearestWithSlack
+from safedpa.safety.nearest import NearestKept, NearestProblem, NearestWithSlack
 from safedpa.safety.solution import Solution
 
 __all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "least_missed", "solved_at_once", "within"]
@@ -93,9 +93,7 @@ def closest(
     """Of one or two actions: the minimiser without slack; None: there is none, or it is not certain."""
     x, y, weight = _wanted(wish, sides, weights)
     problem = NearestKept(x, y, weights[0], weight)
-    for index in range(len(rows)):
-        slopes, limit, _, _ = rows[index]
-        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
+    _fill(problem, rows)
     return _action(problem.x, problem.y, sides) if problem.solve() else None
 
 
@@ -109,9 +107,7 @@ def least_missed(
     """Of one or two actions: the minimiser with slack, which is written into ``slack``; None: it is not certain."""
     x, y, weight = _wanted(wish, sides, weights)
     problem = NearestWithSlack(x, y, weights[0], weight)
-    for index in range(len(rows)):
-        slopes, limit, _, _ = rows[index]
-        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
+    _fill(problem, rows)
     if not problem.solve():
         return None
     x, y = problem.x, problem.y
@@ -120,6 +116,12 @@ def least_missed(
         missing = limit - slopes[0] * x - (slopes[1] * y if len(slopes) > 1 else 0.0)
         slack[place] = reach * missing if missing > 0.0 else 0.0
     return _action(x, y, sides)
+
+
+def _fill(problem: NearestProblem, rows: Sequence[ScaledRow]) -> None:
+    for index in range(len(rows)):
+        slopes, limit, _, _ = rows[index]
+        problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
 
 
 def _wanted(wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:

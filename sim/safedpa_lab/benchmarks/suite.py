@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from safedpa.compiled import compiled_modules
 from safedpa.errors import InputError, SafedpaError, did_you_mean
+from safedpa.fleet.workers import available_cores
 from safedpa.records.atomic import atomic_path
 from safedpa_lab.benchmarks.results import Effort
 from safedpa_lab.benchmarks.rows import ROWS, measured
@@ -91,7 +92,7 @@ def machine() -> Document:
     return {
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": available_cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "compiled": bool(compiled_modules()),

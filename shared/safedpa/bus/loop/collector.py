@@ -21,5 +21,5 @@ def settle_collector() -> None:
     """To be called when what lives has been made: it lives for ever, and the collector need not look at it again."""
     gc.collect()
     gc.freeze()
-    gc.collect()  # looks at nothing, but what is oldest is counted anew: by a quarter of it what is new would have to grow
+    gc.collect()  # of nothing, so that what is new need not grow to a quarter of what was there
     gc.set_threshold(GROWTH, _OLDER, _OLDER)

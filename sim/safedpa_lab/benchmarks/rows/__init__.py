@@ -35,6 +35,7 @@ ROWS: Final = {
     "diagnosis": Listed("diagnosis of 6 runs of 40 s", 3.0),
     "long-logs": Listed("diagnosis of ten hours at 100 Hz", 15.0, long=True),
     "start": Listed("start to the first tick and page, a comparison, imports, memory", 2.0),
+    "weights": Listed("training of all weights", 30.0, long=True),
 }
 
 

@@ -14,7 +14,7 @@ __all__ = ["measure"]
 
 _ALL = 20_000_000
 _AT_ONCE = 65_536
-_NO_TARGET = "no target: of a robot's phases 1a alone is measured, which says nothing of how long all weights take"
+_NO_TARGET = "no target: the row weights has one, for everything that is trained"
 
 
 def measure(effort: Effort) -> Row:
