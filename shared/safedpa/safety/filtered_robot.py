@@ -113,6 +113,8 @@ class FilteredRobot:
     sensed: tuple[int, frozenset[str]] = (-1, frozenset())
     """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
+    _resting: list[float] = field(init=False)
+    """(actions,) the wish of who wishes nothing."""
     searched: Searched = field(default_factory=Searched)
     """What the last whole search for the least unsafe action found, for periods too short to search in each."""
     rehearsed: bool = False
@@ -121,6 +123,7 @@ class FilteredRobot:
     def __post_init__(self) -> None:
         self.standing = Standstill(places_of(self.model.system))
         self.way_out = WayOut(self.filter.settings, self.filter.tools.program)
+        self._resting = self.filter.settings.resting_action.tolist()
         ranges = (self.filter.settings.high - self.filter.settings.low).tolist()
         self.delay = FoundDelay(self.filter.tools.prediction, ranges, self.model.period)
 
@@ -332,7 +335,7 @@ class FilteredRobot:
             return
         if verdict.status not in (Status.passed, Status.disabled):
             wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
-        if not wished or wish.tolist() == self.filter.settings.resting_action.tolist():
+        if not wished or wish.tolist() == self._resting:
             self.standing.interrupted()
         else:
             self.standing.promise(state.values, wished[0], predicted[0])
