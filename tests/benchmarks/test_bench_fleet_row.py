@@ -58,7 +58,7 @@ def test_the_asked_number_drives_for_ten_minutes_in_full(monkeypatch: pytest.Mon
     assert told["late"].reached
     assert told["p99"].reached
     assert (told["memory"].wanted, told["memory"].reached) == (40.0, False)
-    assert (told["processor"].got, told["processor"].wanted, told["processor"].reached) == (120.0, 125.0, True)
+    assert (told["processor"].got, told["processor"].wanted, told["processor"].reached) == (60.0, 125.0, True)
     assert len(row_lines(found.as_document() | {"name": "largest-fleet"})[1]) == 3
 
 
@@ -76,7 +76,8 @@ def test_without_ten_minutes_the_largest_fleet_tells_the_cost(monkeypatch: pytes
     found = row.measure(Effort())
     assert len(found.ours) == 1
     cost, elsewhere = found.targets[1:]
-    assert cost.what.startswith("processor of the services a robot-tick")
-    assert cost.got == 120.0
+    assert cost.what.startswith("processor of a stack, of two, a robot-tick")
+    assert cost.got == 60.0
+    assert 2.0 * cost.wanted * 400 * 20 == pytest.approx(2.0 * 1e6), "what two cores have"
     assert "400 robots simulated elsewhere" in elsewhere.what
     assert (elsewhere.got, elsewhere.wanted, elsewhere.reached) == (0.96, 2.0, True)
