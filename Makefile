@@ -8,7 +8,7 @@ COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run search test test-long test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
+.PHONY: help demo run search test test-long test-compiled test-fleet lint types contracts check audit bill manifests docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -93,6 +93,17 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PIP) --no-compile torch==2.13.0
 	@($(BYTECODE)) & $(PIP) --no-compile --editable '.[test,lint]' --editable sim || exit 1; wait; $(BYTECODE)
 	@touch $@
+
+# Kubernetes' own schemas, 22 MiB, in an environment of their own.
+manifests: environment  ## what deploy/kubernetes_region.py writes, held against Kubernetes' schemas
+	@$(PYTHON) -m venv build/manifests
+	@build/manifests/bin/python -m pip install -qq --disable-pip-version-check kubernetes-validate==1.37.0
+	@rm -rf build/manifests/keys
+	@$(BIN)/safedpa certificates build/manifests/keys --robot robot-1 --robot robot-2 >/dev/null
+	@$(BIN)/python deploy/kubernetes_region.py --robots 2 --certificates build/manifests/keys --robots-from 10.20.0.0/16 \
+		> build/manifests/region.yaml
+	@build/manifests/bin/kubernetes-validate --strict --quiet build/manifests/region.yaml
+	@rm -rf build/manifests/keys
 
 bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
 	@$(PYTHON) -m venv build/bill
