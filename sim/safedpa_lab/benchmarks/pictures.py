@@ -13,6 +13,8 @@ _OURS, _THEIRS, _GRID = "#0072B2", "#7A8590", "#DCE1E6"
 _COLOURS: Final = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#CC79A7", "#7A8590", "#222222")
 """Okabe and Ito's, as in the other figures."""
 _COLUMNS = 2
+_MOST_INSIDE = 3
+"""Names that find room between the curves."""
 Document = dict[str, Any]
 
 
@@ -126,8 +128,9 @@ def _growth(curves: list[Document], path: Path) -> Path:
         _whole_decades(axis)
         axis.set_xlabel(curve["x_name"], fontsize=8)
         axis.set_ylabel(curve["y_name"], fontsize=8)
-        axis.tick_params(labelsize=8)
-        axis.legend(fontsize=7, frameon=False)
+        axis.tick_params(which="both", labelsize=8)
+        beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)} if len(curve["series"]) > _MOST_INSIDE else {}
+        axis.legend(fontsize=7, frameon=False, **beside)
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)
