@@ -95,15 +95,18 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@touch $@
 
 # Kubernetes' own schemas, 22 MiB, in an environment of their own.
-manifests: environment  ## what deploy/kubernetes_region.py writes, held against Kubernetes' schemas
-	@$(PYTHON) -m venv build/manifests
-	@build/manifests/bin/python -m pip install -qq --disable-pip-version-check kubernetes-validate==1.37.0
+SCHEMAS := build/manifests/bin/kubernetes-validate
+manifests: environment $(SCHEMAS)  ## what deploy/kubernetes_region.py writes, held against Kubernetes' schemas
 	@rm -rf build/manifests/keys
 	@$(BIN)/safedpa certificates build/manifests/keys --robot robot-1 --robot robot-2 >/dev/null
 	@$(BIN)/python deploy/kubernetes_region.py --robots 2 --certificates build/manifests/keys --robots-from 10.20.0.0/16 \
 		> build/manifests/region.yaml
-	@build/manifests/bin/kubernetes-validate --strict --quiet build/manifests/region.yaml
-	@rm -rf build/manifests/keys
+	@$(SCHEMAS) --strict --quiet build/manifests/region.yaml
+	@rm -rf build/manifests/keys build/manifests/region.yaml
+
+$(SCHEMAS):
+	@$(PYTHON) -m venv build/manifests
+	@build/manifests/bin/python -m pip install -qq --disable-pip-version-check kubernetes-validate==1.37.0
 
 bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
 	@$(PYTHON) -m venv build/bill

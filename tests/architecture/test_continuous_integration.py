@@ -89,6 +89,22 @@ def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(t
     ]
 
 
+@pytest.mark.parametrize(
+    ("schemas", "sound", "code"), [("false", "false", 0), ("true", "true", 0), ("true", "false", 1)]
+)
+def test_manifests_fail_where_they_are_wrong_and_not_where_nobody_can_tell(
+    tmp_path: Path, schemas: str, sound: str, code: int
+) -> None:
+    text = SCRIPT.read_text(encoding="utf-8")
+    begin = text.index("manifests() {")
+    function = text[begin : text.index("\n}\n", begin) + 3]
+    make = f'make() {{ case "$2" in build/*) {schemas} ;; manifests) {sound} ;; *) exit 9 ;; esac; }}'
+    done = subprocess.run(["bash", "-c", f"{make}\n{function}\nprograms={tmp_path}\nmanifests"], check=False)
+    assert done.returncode == code
+    unknown = ["NOT TESTED: 1: Kubernetes' schemas cannot be had"] if schemas == "false" else []
+    assert not_tested(tmp_path / "manifests.log") == unknown
+
+
 def test_a_part_that_fails_fails_and_its_time_is_told() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("failed=()")
