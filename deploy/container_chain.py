@@ -50,7 +50,9 @@ def send(transport: ZenohTransport, source: str, target: str, seconds: float, ra
 
 
 def account(microseconds: list[float], sent: int, rate: float) -> dict[str, float]:
-    """Percentiles, and the share of those sent that took longer than a period or never came."""
+    """Percentiles, and the share that took longer than a period or never came. Raises TimeoutError if none came."""
+    if not microseconds:
+        raise TimeoutError(f"none of {sent} messages came back")
     ordered = sorted(microseconds)
     shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
     found = {

@@ -31,7 +31,12 @@ _START_SECONDS, _STOP_SECONDS = 5.0, 10
 
 
 def measured(seconds: float, rate: float) -> dict[str, Any]:
-    """Microseconds from sense to act of both. Raises RuntimeError with what an engine or a container said."""
+    """Microseconds from sense to act of both. Raises RuntimeError with what an engine or a container said.
+
+    Raises ValueError for times and rates that are none.
+    """
+    if not (0.0 < rate <= 1000.0 and 1.0 <= seconds * rate < 1e9):
+        raise ValueError(f"got {seconds:g} s at {rate:g} Hz, wanted one tick at least, and at most 1000 a second")
     half = 0.5 * min(seconds, _LONGEST_CHAIN_SECONDS)
     with _project(rate) as compose:
         _run(*compose, "up", "-d", "--no-build", "router")
@@ -66,6 +71,8 @@ def account_in(lines: Sequence[str]) -> dict[str, Any]:
         except ValueError:
             continue
         if isinstance(found, dict) and "latency_us" in found:
+            if None in found["latency_us"].values():
+                raise RuntimeError(f"no action reached the robot in {found['ticks']} ticks")
             return found
     raise RuntimeError(f"the robot gave no account of its drive; its last words: {' '.join(lines[-2:])}")
 
@@ -76,10 +83,13 @@ def _project(rate: float) -> Iterator[list[str]]:
     program = ["docker", "compose"] if _answers("docker", "compose", "version") else ["docker-compose"]
     files = ("docker-compose.yml", "docker-compose.plain.yml")
     compose = [*program, "--project-name", PROJECT, *[word for file in files for word in ("-f", str(ROOT / file))]]
+    down = (*compose, "down", "--volumes", "--remove-orphans", "--timeout", "3")
     try:
         yield compose
-    finally:
-        _run(*compose, "down", "--volumes", "--remove-orphans", "--timeout", "3")
+    except BaseException:
+        subprocess.run(down, cwd=ROOT, capture_output=True, check=False)  # what went wrong before counts
+        raise
+    _run(*down)
 
 
 def _chain(image: str, seconds: float, rate: float) -> dict[str, float]:
@@ -115,7 +125,8 @@ def _answers(*words: str) -> bool:
 def _run(*words: str) -> str:
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(words[:6])} ...: {(done.stderr or done.stdout).strip()[-600:]}")
+        said = (done.stderr or done.stdout).strip().splitlines() or [f"exit code {done.returncode}"]
+        raise RuntimeError(f"{' '.join(words[:2])} ...: {said[-1]}")
     return done.stdout.strip()
 
 
@@ -127,7 +138,7 @@ def main() -> None:
     options = parser.parse_args()
     try:
         found = measured(options.seconds, options.rate)
-    except (RuntimeError, OSError) as error:
+    except (RuntimeError, ValueError, OSError) as error:
         parser.exit(1, f"container_latency: {error}\n")
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
 

@@ -47,6 +47,8 @@ def region(namespace: str, robots: int = 0, certificates: Path | None = None, ou
     compose = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]
     services = {name: each for name, each in compose.items() if name != AUTHORITY and "profiles" not in each}
     robot, names = services.pop(ROBOT), [f"robot-{number}" for number in range(1, robots + 1)]
+    if not re.fullmatch(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", namespace):
+        raise ValueError(f"--namespace '{namespace}': wanted at most 63 small letters, digits and '-' within")
     if robots < 0 or not {*names} <= {*services[ROUTER]["command"]}:
         raise ValueError(f"--robots {robots}: wanted 0 to as many as {COMPOSE.name} tells its router to let join")
     documents: list[Document] = [_namespace(namespace)]

@@ -70,7 +70,7 @@ def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_contain
 
 def test_what_an_engine_says_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
-        return subprocess.CompletedProcess(words, 0 if "down" in words else 1, "", "no engine answers\n")
+        return subprocess.CompletedProcess(words, 1, "", "Traceback\n  line\nno engine answers\n")
 
     monkeypatch.setattr(container_latency.subprocess, "run", run)
     monkeypatch.setattr(container_latency.os, "environ", dict(container_latency.os.environ))
@@ -81,3 +81,21 @@ def test_what_an_engine_says_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys
     said = capsys.readouterr().err
     assert said.startswith("container_latency: ")
     assert said.endswith("no engine answers\n")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("seconds", "rate"), [(float("nan"), 20.0), (-1.0, 20.0), (0.0, 20.0), (5.0, 0.0), (5.0, 2e3)])
+def test_times_that_are_none_are_refused_before_anything_is_started(
+    seconds: float, rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(container_latency.subprocess, "run", lambda *_, **__: pytest.fail("started"))
+    with pytest.raises(ValueError, match="wanted one tick at least"):
+        container_latency.measured(seconds, rate)
+
+
+def test_where_nothing_came_no_percentile_is_told() -> None:
+    with pytest.raises(TimeoutError, match="none of 100"):
+        account([], 100, 20.0)
+    nothing = {**ACCOUNT, "latency_us": {"p50": None, "p99": None}}
+    with pytest.raises(RuntimeError, match="no action reached the robot in 100 ticks"):
+        container_latency.account_in([json.dumps(nothing)])

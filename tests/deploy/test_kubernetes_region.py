@@ -181,6 +181,8 @@ def test_a_robot_that_has_its_certificate_asks_nobody_for_one(keys: Path, monkey
     [
         (["--robots", "17"], "--robots 17: wanted 0 to as many as docker-compose.yml tells its router to let join"),
         (["--robots", "-1"], "--robots -1"),
+        (["--namespace", "West_1"], "--namespace 'West_1'"),
+        (["--namespace", ""], "--namespace ''"),
         (["--certificates", "nowhere"], "nowhere"),
         (["--robots-from", "10.20.0.1/16"], "10.20.0.1/16"),
     ],
