@@ -60,6 +60,7 @@ class Case:
         low, high = np.full(actions, -limit), np.full(actions, limit)
         self.program = QuadraticProgram(low, high, np.ones(actions)) if program is None else program
         self.highest = HighestProgram(actions) if highest is None else highest
+        self.sides = QuadraticProgram(low, high, np.ones(actions)).sides
         self.conditions = Conditions(
             Barriers([FunctionBarrier(heights, names=names)]),
             self._prediction(),
@@ -68,7 +69,7 @@ class Case:
             None,
             eta,
             [epsilon] * len(now),
-            QuadraticProgram(low, high, np.ones(actions)).sides,
+            self.sides,
         )
 
     def _prediction(self) -> Prediction:
@@ -87,7 +88,7 @@ class Case:
 
     def run(self, *known: Sequence[float]) -> Outcome:
         begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
-        spread = [self.conditions.outcome(action) for action in lattice(self.conditions._sides, affine=self.affine)]
+        spread = [self.conditions.outcome(action) for action in lattice(self.sides, affine=self.affine)]
         known = [*begun, *spread]
         found, self.stuck = least_unsafe(self.conditions, self.program, self.highest, self.wish, self.backup, known)
         return found

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -77,51 +75,9 @@ def test_of_several_optima_the_one_in_the_middle_is_taken() -> None:
     assert found == pytest.approx([1.0, 0.5], abs=1e-3)
 
 
-def test_a_workspace_forgets_the_problem_before_and_padding_rows_say_nothing() -> None:
-    random, used = np.random.default_rng(3), HighestProgram(2)
-    for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
-        slopes, heights, levels = random.normal(size=(rows, 2)), 5.0 + random.normal(size=rows), np.full(rows, np.nan)
-        one, other = (program._by_solver(slopes, heights, levels) for program in (used, HighestProgram(2)))
-        assert one is not None
-        assert other is not None
-        np.testing.assert_allclose(one, other, atol=1e-6)
-        assert least(slopes, heights, levels, np.array(one)) == pytest.approx(
-            reference(slopes, heights, levels), abs=1e-7
-        )
-
-
-def test_one_workspace_for_each_power_of_two() -> None:
-    """Asked where several actions are as high."""
-    program: Any = HighestProgram(1)
-    for rows in range(1, 10):
-        assert program.solve(np.zeros((rows, 1)), np.zeros(rows), np.full(rows, np.nan)) == pytest.approx([0.5])
-    assert sorted(program._workspaces) == [1, 2, 4, 8, 16]
-
-
 def test_the_answer_is_its_callers_own() -> None:
     program = HighestProgram(1)
     first = program.solve(np.array([[1.0]]), np.zeros(1), np.full(1, np.nan))
     assert first is not None
     program.solve(np.array([[-1.0]]), np.zeros(1), np.full(1, np.nan))
     assert first == pytest.approx([1.0], abs=1e-7)
-
-
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_solver_that_says_solved_and_has_no_numbers_is_not_believed(number: float) -> None:
-    program: Any = HighestProgram(2)
-    slopes, free = np.array([[1.0, 0.0]]), np.full(1, np.nan)  # the second action is for the solver to choose
-    program.solve(slopes, np.zeros(1), free)
-    workspace = program._workspaces[1]
-
-    class Solved:
-        class result:  # noqa: N801 - as piqp has it
-            x = np.array([0.5, number, 0.0])
-
-        def update(self, **_: Any) -> None: ...
-
-        def solve(self) -> Any:
-            return workspace._solved
-
-    workspace._solver = Solved()
-    found = program.solve(slopes, np.zeros(1), free)
-    assert found is None or np.isfinite(found).all()

@@ -6,12 +6,10 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tests.safety.test_highest import least, reference
 
-from safedpa.safety.highest import HighestProgram, highest_vertex
+from safedpa.safety.highest import highest_vertex
 
 Values = NDArray[np.float64]
 
@@ -42,31 +40,6 @@ def test_it_is_as_high_as_scipy_can_make_it_and_nearly_always_answers(actions: i
         assert least(slopes, heights, levels, u) == pytest.approx(best, abs=1e-9)
         assert ((heights + slopes @ u >= levels - 1e-10) | np.isnan(levels)).all()
     assert silent <= 2
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    rows=st.lists(
-        st.tuples(*[st.integers(-4, 4).map(lambda number: number / 4)] * 3, st.booleans()), min_size=1, max_size=8
-    )
-)
-def test_nothing_is_as_high_and_nearer_to_the_middle(
-    rows: list[tuple[float, float, float, bool]],
-) -> None:
-    """Slopes of few sizes: parallel rows, the same row twice, rows of zeros, several optima."""
-    table = np.array([row[:3] for row in rows])
-    slopes, heights = table[:, :2], table[:, 2]
-    levels = np.array([nan if index == 0 or free else height - 0.3 for index, (*_, height, free) in enumerate(rows)])
-    found = highest_vertex(slopes.tolist(), heights.tolist(), levels.tolist())
-    if found is None:
-        return
-    best = reference(slopes, heights, levels)
-    assert best is not None
-    assert least(slopes, heights, levels, np.array(found)) == pytest.approx(best, abs=1e-9)
-    by_solver = HighestProgram(2)._by_solver(slopes.tolist(), heights.tolist(), levels.tolist())
-    assert by_solver is not None
-    away = (np.linalg.norm(np.array(each) - 0.5) for each in (found, by_solver))
-    assert next(away) <= next(away) + 1e-4
 
 
 def test_a_single_row_leads_to_the_bounds_that_its_slopes_name() -> None:

@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tests.safety.closed_form import Row, nearest_with_slack
 
-from safedpa.safety import QuadraticProgram
 from safedpa.safety.nearest import LINEAR, QUADRATIC
-from safedpa.safety.program_rows import breakable, least_missed
 
 Values = NDArray[np.float64]
 
@@ -176,26 +174,3 @@ def test_a_weight_too_faint_for_its_price_is_left_to_others() -> None:
     found = nearest_with_slack(rows, (0.99, 0.82), (1.0, 1.1e-6))
     assert found is not None
     assert found[1] == pytest.approx(0.82, abs=1e-3)
-
-
-@pytest.mark.parametrize("actions", [1, 2])
-def test_it_is_what_piqp_gives_and_slack_is_told_row_by_row(actions: int) -> None:
-    random, told = np.random.default_rng(actions), 0
-    for _ in range(200):
-        low = -random.uniform(0.2, 3.0, actions)
-        high = low + random.uniform(0.5, 5.0, actions)
-        program = QuadraticProgram(low, high, random.uniform(0.3, 3.0, actions))
-        A = random.normal(size=(int(random.integers(2, 8)), actions))
-        b, wish = A @ random.uniform(low, high) + random.normal(0.2, 0.5, len(A)), random.uniform(low, high)
-        _, rows = breakable(A.tolist(), b.tolist(), program.sides)
-        slack = [0.0] * len(b)
-        weights = program.weights.tolist()
-        action = least_missed(rows, wish.tolist(), program.sides, weights, slack) if rows else None
-        if action is None:
-            continue
-        told += 1
-        by_solver = program._by_solver(rows, wish.tolist(), len(b))
-        reach = np.abs(A) @ program.range
-        np.testing.assert_allclose(action, by_solver.action, atol=2e-5)
-        np.testing.assert_allclose(slack / reach, np.array(by_solver.slack) / reach, atol=1e-6)
-    assert told > 150

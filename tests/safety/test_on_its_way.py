@@ -13,7 +13,7 @@ from safedpa.effects import effect
 from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa.safety.conditions import Conditions
-from safedpa.safety.on_its_way import LONGEST, Actuators, Along, Begin, Pending, Reach
+from safedpa.safety.on_its_way import Actuators, Along, Begin, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.verdict import Status
 
@@ -69,25 +69,6 @@ def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
         latent = [*model.latent.tolist()]
         latent[index] = seconds
         assert tuple(actuators.reach(tuple(latent))) == (whole, whole)
-
-
-def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monkeypatch: pytest.MonkeyPatch) -> None:
-    actuators, asked = Actuators(late("actuator_delay", 0.1)), list[tuple[float, ...] | None]()
-
-    def responded(latent: tuple[float, ...] | None) -> Reach:
-        asked.append(latent)
-        return Reach(1, 2)
-
-    monkeypatch.setattr(actuators, "_responded", responded)
-    for number in range(LONGEST):
-        assert tuple(actuators.reach((0.002 * number,))) == (1, 2)
-    assert (LONGEST, len(asked)) == (64, 64)
-    actuators.reach((0.0,))
-    actuators.reach((0.0004,))
-    assert len(asked) == 64, "known, and alike to three digits"
-    actuators.reach((0.201,))
-    actuators.reach((0.0,))
-    assert len(asked) == 66, "with one more all are forgotten"
 
 
 def test_an_action_is_felt_at_once_where_nothing_waits_and_one_period_is_judged() -> None:

@@ -8,7 +8,6 @@ import quadprog
 
 from safedpa.safety import QuadraticProgram, Solution
 from safedpa.safety.nearest import LINEAR, QUADRATIC
-from safedpa.safety.program_rows import breakable
 
 
 def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:
@@ -46,11 +45,6 @@ def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.nda
     """The solution for arrays, in arrays."""
     found = program.solve(A.tolist(), b.tolist(), wish.tolist())
     return Solution(np.array(found.action), np.array(found.slack), found.solved, found.status)
-
-
-def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
-    """The solution of PIQP, which one or two actions are asked for only where nothing else is certain."""
-    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], wish.tolist(), len(b))
 
 
 def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, wish: Any) -> float:
@@ -120,25 +114,6 @@ def test_rows_that_no_action_can_break_need_no_solver() -> None:
     needed = solved(program, np.array([[1.0, 1.0]]), np.array([-2.9]), np.array([-5.0, -5.0]))
     assert needed.status == "solved"
     assert needed.action.sum() == pytest.approx(-2.9, abs=1e-7)
-
-
-def test_a_workspace_forgets_the_problem_before() -> None:
-    """Sizes share workspaces: neither rows nor the wish of an earlier problem may linger."""
-    random = np.random.default_rng(2)
-    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
-    for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
-        A, wish = random.normal(size=(rows, 2)), random.normal(size=2)
-        b = A @ random.uniform(-1, 1, 2) + 0.2
-        fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
-        one, other = (by_solver(each, A, b, wish).action for each in (program, fresh))
-        np.testing.assert_allclose(one, other, atol=1e-7)
-
-
-def test_one_workspace_for_each_power_of_two() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
-    for rows in range(1, 10):
-        by_solver(program, np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))
-    assert sorted(program._workspaces) == [(size, 1e-11) for size in (1, 2, 4, 8, 16)]
 
 
 def test_infeasible_conditions_cost_slack_only() -> None:
@@ -252,24 +227,3 @@ def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     solution = solved(program, np.array([[np.inf]]), np.array([0.5]), np.zeros(1))
     assert not (solution.solved and np.isfinite(solution.action).all())
-
-
-def gives_up(program: QuadraticProgram, accuracy: float) -> None:
-    program._workspace(1, accuracy)._solver.settings.max_iter = 1
-
-
-def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
-    gives_up(program, 1e-11)
-    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
-    assert (solution.solved, solution.status) == (True, "solved")
-    assert solution.action[0] == pytest.approx(1.0, abs=1e-6)
-    assert solution.slack[0] == pytest.approx(0.5, abs=1e-6)
-
-
-def test_two_solvers_that_give_up_are_not_believed() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
-    gives_up(program, 1e-11)
-    gives_up(program, 1e-8)
-    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
-    assert (solution.solved, solution.status) == (False, "max iter reached")

@@ -7,7 +7,7 @@ import pytest
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.safety.on_its_way import LONGEST, Actuators, Reach
+from safedpa.safety.on_its_way import LONGEST, Actuators
 from safedpa.safety.trail import Trail
 
 CAR = load_model("car")
@@ -173,23 +173,6 @@ def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
             state, memory = DELAYED.advance(state, np.array((1.0, 0.0)), memory, np.array(latent), period=PERIOD)
         np.testing.assert_allclose(foretold.hoped, state, atol=1e-12)
     assert abs(light.hoped[0] - loaded.hoped[0]) > 1e-5
-
-
-def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the newest state nothing is decided yet."""
-    trail, asked = Trail(DELAYED), list[object]()
-    memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENT))
-    for tick in range(9):
-        trail.add(tick, (0.05 * tick, 0.0, 0.0, 1.0), (1.0, 0.0), memory)
-        trail.decided((*LATENT[:-1], float(tick)))
-
-    def reach(latent: object) -> Reach:
-        asked.append(latent)
-        return Reach(1, 1)
-
-    monkeypatch.setattr(trail._actuators, "reach", reach)
-    assert trail.foretold(0.0) is not None
-    assert asked == [(*LATENT[:-1], 7.0)]
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 9])

@@ -1,0 +1,111 @@
+"""The solver behind the filter's program, which one or two actions need only where no closed form is certain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.safety import QuadraticProgram, Solution
+from safedpa.safety.program_rows import breakable, closest, least_missed
+
+numbers = st.integers(-200, 200).map(lambda number: number / 100)
+"""Slopes of 1e-7 are beyond what PIQP can tell."""
+
+
+def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
+    """The solution of PIQP, which one or two actions are asked for only where nothing else is certain."""
+    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], wish.tolist(), len(b))
+
+
+def test_a_workspace_forgets_the_problem_before() -> None:
+    """Sizes share workspaces: neither rows nor the wish of an earlier problem may linger."""
+    random = np.random.default_rng(2)
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
+    for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
+        A, wish = random.normal(size=(rows, 2)), random.normal(size=2)
+        b = A @ random.uniform(-1, 1, 2) + 0.2
+        fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
+        one, other = (by_solver(each, A, b, wish).action for each in (program, fresh))
+        np.testing.assert_allclose(one, other, atol=1e-7)
+
+
+def test_one_workspace_for_each_power_of_two() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    for rows in range(1, 10):
+        by_solver(program, np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))
+    assert sorted(program._workspaces) == [(size, 1e-11) for size in (1, 2, 4, 8, 16)]
+
+
+def gives_up(program: QuadraticProgram, accuracy: float) -> None:
+    program._workspace(1, accuracy)._solver.settings.max_iter = 1
+
+
+def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    gives_up(program, 1e-11)
+    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
+    assert (solution.solved, solution.status) == (True, "solved")
+    assert solution.action[0] == pytest.approx(1.0, abs=1e-6)
+    assert solution.slack[0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_two_solvers_that_give_up_are_not_believed() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    gives_up(program, 1e-11)
+    gives_up(program, 1e-8)
+    solution = by_solver(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
+    assert (solution.solved, solution.status) == (False, "max iter reached")
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    conditions=st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=10),
+    wish=st.tuples(numbers, numbers),
+    weights=st.tuples(st.floats(0.1, 3.0), st.floats(0.1, 3.0)),
+)
+def test_what_it_gives_is_what_piqp_gives(
+    conditions: list[tuple[float, float, float]], wish: tuple[float, float], weights: tuple[float, float]
+) -> None:
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights))
+    table = np.array(conditions)
+    quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), wish)
+    finite, rows = breakable(table[:, :2].tolist(), table[:, 2].tolist(), program.sides)
+    assert finite
+    closed = closest(rows, wish, program.sides, program.weights.tolist()) if rows else None
+    if closed is None:
+        return  # no row can be broken, or slack is needed
+    certain = program._by_solver(rows, wish, len(table))
+    np.testing.assert_array_equal(quick.action, closed)
+    assert max(quick.slack) == 0.0
+    if certain.solved and max(certain.slack) < 1e-9:
+        np.testing.assert_allclose(closed, certain.action, atol=2e-5)  # its gap of 1e-11 leaves a square root
+        assert program.distance(closed, wish) <= program.distance(certain.action, wish) + 1e-9
+    kept = [index for _, _, index, _ in rows]
+    assert (table[kept, :2] @ closed >= table[kept, 2] - 1e-10).all()
+    assert (np.array(closed) >= program.low - 1e-11).all()
+    assert (np.array(closed) <= program.high + 1e-11).all()
+
+
+@pytest.mark.parametrize("actions", [1, 2])
+def test_it_is_what_piqp_gives_and_slack_is_told_row_by_row(actions: int) -> None:
+    random, told = np.random.default_rng(actions), 0
+    for _ in range(200):
+        low = -random.uniform(0.2, 3.0, actions)
+        high = low + random.uniform(0.5, 5.0, actions)
+        program = QuadraticProgram(low, high, random.uniform(0.3, 3.0, actions))
+        A = random.normal(size=(int(random.integers(2, 8)), actions))
+        b, wish = A @ random.uniform(low, high) + random.normal(0.2, 0.5, len(A)), random.uniform(low, high)
+        _, rows = breakable(A.tolist(), b.tolist(), program.sides)
+        slack = [0.0] * len(b)
+        weights = program.weights.tolist()
+        action = least_missed(rows, wish.tolist(), program.sides, weights, slack) if rows else None
+        if action is None:
+            continue
+        told += 1
+        by_solver = program._by_solver(rows, wish.tolist(), len(b))
+        reach = np.abs(A) @ program.range
+        np.testing.assert_allclose(action, by_solver.action, atol=2e-5)
+        np.testing.assert_allclose(slack / reach, np.array(by_solver.slack) / reach, atol=1e-6)
+    assert told > 150
