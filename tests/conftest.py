@@ -228,8 +228,7 @@ def _process_as_it_was_found() -> Iterator[None]:
 def _events_of_one_test_alone() -> Iterator[None]:
     """Of events that come together the later ones are told a second after the first: not to the test that is next."""
     yield
-    with log._LOG._lock:
-        log._LOG._windows.clear()
+    log.EVENT_LOG.reset_rate_limits()
 
 
 @pytest.fixture(autouse=True)
@@ -257,7 +256,12 @@ def _memories_of_one_file_alone(request: pytest.FixtureRequest) -> Iterator[None
 
 @contextmanager
 def _nothing_left() -> Iterator[None]:
-    tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own, declared._own)
+    tables: tuple[dict[Any, Any], ...] = (
+        library.REGISTERED,
+        registry.REGISTERED,
+        bases.REGISTERED,
+        declared.REGISTERED,
+    )
     before = [dict(table) for table in tables]
     yield
     for table, kept in zip(tables, before, strict=True):

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DEFAULT_ROBOT",
     "ENTRY_POINTS",
+    "REGISTERED",
     "AbstractRobot",
     "add_robot",
     "forget_robot",
@@ -216,17 +217,18 @@ class AbstractRobot(ABC):
         raise InputError(f"robot '{self.name}': it has no simulated stand-in; run a robot of your own (docs/bus.md)")
 
 
-_own: dict[str, AbstractRobot] = {}
+REGISTERED: dict[str, AbstractRobot] = {}
+"""Robots that this process loaded from files outside the project, by name."""
 
 
 def robots() -> dict[str, AbstractRobot]:
     """Every robot that is known in this process, by name."""
-    return {**_shipped(), **_own}
+    return {**_shipped(), **REGISTERED}
 
 
 def own_robots() -> tuple[str, ...]:
     """Names of those that files of one's own declared, in this process."""
-    return tuple(_own)
+    return tuple(REGISTERED)
 
 
 def robot_named(name: str) -> AbstractRobot:
@@ -252,14 +254,14 @@ def add_robot(robot: AbstractRobot) -> None:
     """Makes a robot known; the same name again replaces it. Raises InputError for the name of one that ships."""
     if robot.name in _shipped():
         raise InputError(f"robot '{robot.name}' ships with the project; choose another name for its system")
-    _own[robot.name] = robot
+    REGISTERED[robot.name] = robot
 
 
 def forget_robot(name: str) -> None:
     """Forgets a robot of one's own, if there is one. Raises InputError for the name of one that ships."""
     if name in _shipped():
         raise InputError(f"system '{name}' ships with the project; choose another name")
-    _own.pop(name, None)
+    REGISTERED.pop(name, None)
 
 
 def _names(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -14,16 +14,11 @@ import pytest
 
 from safedpa.dynamics import load_model, load_own_everywhere, parse_model
 from safedpa.dynamics.own import EFFECTS_VARIABLE
-from safedpa.effects import effect, effects_of, library, load_effects, robots
+from safedpa.effects import effect, effects_of, load_effects, robots
 from safedpa.errors import InputError
 from safedpa_services.command_line.group import safedpa
 
 DOCS = Path(__file__).parents[2] / "docs"
-
-
-@pytest.fixture(autouse=True)
-def _own_effects_of_a_test_stay_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "_own", {})
 
 
 def code_blocks(page: str, language: str) -> list[str]:

@@ -26,7 +26,7 @@ from typing import Any, final
 
 from safedpa.limits import printable
 
-__all__ = ["Alarm", "EventLog", "counted_events", "log_event"]
+__all__ = ["EVENT_LOG", "Alarm", "EventLog", "counted_events", "log_event"]
 
 _LEAST_SECONDS = 1.0
 _MOST_WINDOWS = 512
@@ -136,6 +136,11 @@ class EventLog:
         with self._lock:
             return dict(self._counts)
 
+    def reset_rate_limits(self) -> None:
+        """Writes the next event of each kind at once; events that are being held back are dropped."""
+        with self._lock:
+            self._windows.clear()
+
     def _open(self, key: _Key, now: float) -> None:
         self._windows[key] = _Window(now)
         self._windows.move_to_end(key)
@@ -188,7 +193,8 @@ def _on_one_line(value: Any) -> str:
     return printable(str(value))
 
 
-_LOG = EventLog()
+EVENT_LOG = EventLog()
+"""Of this process."""
 
 
 def log_event(
@@ -202,9 +208,9 @@ def log_event(
     event: dict[str, Any] = {"time": round(time.time(), 3), "level": level, "kind": kind, "sentence": sentence}
     event |= {name: value for name, value in (("robot", robot), ("service", service)) if value}
     event |= {"tick": tick} if tick >= 0 else {}
-    _LOG.log(event | more)
+    EVENT_LOG.log(event | more)
 
 
 def counted_events() -> dict[str, int]:
     """How many events of each kind this process had, for status and metrics."""
-    return _LOG.counts()
+    return EVENT_LOG.counts()

@@ -8,23 +8,24 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.errors import InputError
 from safedpa.robot import robots
 
-__all__ = ["add_base", "bases_of", "robots_with_bases"]
+__all__ = ["REGISTERED", "add_base", "bases_of", "robots_with_bases"]
 
 Maker = Callable[..., AbstractBase]
 
-_own: dict[str, dict[str, Maker]] = {}
+REGISTERED: dict[str, dict[str, Maker]] = {}
+"""Base models that this process registered, by robot and kind."""
 
 
 def bases_of(robot: str) -> dict[str, Maker]:
     """What makes the base models of one robot, by kind; empty for an unknown robot."""
     known = robots()
     declared = known[robot].bases() if robot in known else {}
-    return {**_own.get(robot, {}), **declared}
+    return {**REGISTERED.get(robot, {}), **declared}
 
 
 def robots_with_bases() -> tuple[str, ...]:
     """Names of the robots that have a base model."""
-    return tuple(sorted({*robots(), *_own}))
+    return tuple(sorted({*robots(), *REGISTERED}))
 
 
 def add_base(maker: Maker) -> None:
@@ -36,4 +37,4 @@ def add_base(maker: Maker) -> None:
     robot = base.system.name
     if robot in robots() and base.kind in robots()[robot].bases():
         raise InputError(f"base '{base.kind}' of robot '{robot}' ships with the project; choose another kind")
-    _own.setdefault(robot, {})[base.kind] = maker
+    REGISTERED.setdefault(robot, {})[base.kind] = maker

@@ -20,21 +20,30 @@ from safedpa.robot import AbstractRobot
 from safedpa.robot import robots as robots_declared
 from safedpa.systems import systems
 
-__all__ = ["add_effects", "effect", "effects_in_package", "effects_of", "load_effects", "module_from", "robots"]
+__all__ = [
+    "REGISTERED",
+    "add_effects",
+    "effect",
+    "effects_in_package",
+    "effects_of",
+    "load_effects",
+    "module_from",
+    "robots",
+]
 
-_own: dict[tuple[str, str], AbstractEffect] = {}
-"""Effects that were loaded from files outside the project, in this process."""
+REGISTERED: dict[tuple[str, str], AbstractEffect] = {}
+"""Effects that this process loaded from files outside the project, by robot and name."""
 
 
 def effects_of(robot: str) -> dict[str, AbstractEffect]:
     """Every effect of one robot, by name, in alphabetical order."""
-    merged = {**_shipped(robot), **_own}
+    merged = {**_shipped(robot), **REGISTERED}
     return {name: item for (owner, name), item in sorted(merged.items()) if owner == robot}
 
 
 def robots() -> tuple[str, ...]:
     """Names of the robots that have effects, in alphabetical order."""
-    return tuple(sorted({owner for owner, _ in {**_shipped(), **_own}}))
+    return tuple(sorted({owner for owner, _ in {**_shipped(), **REGISTERED}}))
 
 
 def effect(robot: str, name: str) -> AbstractEffect:
@@ -76,7 +85,7 @@ def add_effects(module: ModuleType, path: Path) -> list[AbstractEffect]:
             raise InputError(
                 f"{path}: effect '{item.name}' of robot '{item.robot}' exists already; choose another name"
             )
-    _own.update({(item.robot, item.name): item for item in found})
+    REGISTERED.update({(item.robot, item.name): item for item in found})
     return found
 
 

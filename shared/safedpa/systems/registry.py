@@ -6,14 +6,15 @@ from safedpa.errors import InputError
 from safedpa.robot import forget_robot, robots
 from safedpa.systems.system import System
 
-__all__ = ["add_system", "systems"]
+__all__ = ["REGISTERED", "add_system", "systems"]
 
-_own: dict[str, System] = {}
+REGISTERED: dict[str, System] = {}
+"""Systems that this process registered, by name."""
 
 
 def systems() -> dict[str, System]:
     """By name; of a kind with several sets of actions, the first."""
-    return {**_own, **{name: robot.system for name, robot in robots().items()}}
+    return {**REGISTERED, **{name: robot.system for name, robot in robots().items()}}
 
 
 def add_system(system: System) -> None:
@@ -42,4 +43,4 @@ def add_system(system: System) -> None:
                 "turn is 2 pi here; declare rad, and name the log's unit in a column map"
             )
     forget_robot(system.name)
-    _own[system.name] = system
+    REGISTERED[system.name] = system
