@@ -1,19 +1,37 @@
-"""A planted effect shows where it acts."""
+"""A planted effect shows where it acts; bins, shares, biases and squares of the plane agree with worked-out numbers."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.compare.bins import merged, round_edges
+from safedpa.compare.bins import angle_edges, merged, round_edges
 from safedpa.compare.comparison import compare_model
 from safedpa.compare.summary import decisive, state_sentence, where_sentence, worst_bins
-from safedpa.compare.where import factors, window_squares
+from safedpa.compare.where import cells, factors, place, window_errors, window_squares
 from safedpa.compare.windows import windows_of
 from safedpa.records.run import Run, Stretch
-from safedpa.robots.car.system import CAR_THROTTLE
+from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.systems import System, Variable
+
+TOY = System(
+    "toy",
+    (
+        Variable("x", "m", -math.inf, math.inf),
+        Variable("y", "m", -math.inf, math.inf),
+        Variable("yaw", "rad", -math.inf, math.inf, angle=True),
+        Variable("speed", "m/s", -9.0, 9.0),
+    ),
+    (Variable("push", "N", -99.0, 99.0),),
+)
+X_ALONE = np.array([0.5, 0.0, 0.0, 0.0])
+"""A scale on which x alone has changed."""
 
 
 def _compared(plain, drive, truth, seconds=120.0):
@@ -102,30 +120,6 @@ def test_bins_hold_every_window_once_and_shares_add_up(plain, with_effect, drive
     assert errors == sorted(errors, reverse=True)
 
 
-def test_explained_is_the_adjusted_share_of_variance():
-    """Windows at rest without error and windows on the move with error 1 or 3: worked out by hand."""
-    t = 0.1 * np.arange(44)
-    moving = np.arange(44) >= 22
-    speed = np.where(moving, 2.0, 0.0)
-    states = np.stack([t, t, t, speed], axis=1)
-    run = Run("two", CAR_THROTTLE, t, states, np.zeros((44, 2)), (Stretch(0, 22), Stretch(22, 44)))
-    windows = windows_of([run], 0.2, stride=1)
-    assert len(windows) == 40
-    errors = np.zeros((40, 4))
-    errors[20:, 0] = np.tile([2.0, 6.0], 10)
-    found = {item.variable: item for item in factors(windows, errors, np.array([1.0, 1.0, 1.0, 1.0]))}
-    # roots of the mean squares: 0 (20 times), 1 and 3 (10 times each); mean 1, variance of all 1.5, within bins 0.5
-    assert found["speed"].explained == pytest.approx(1 - 39 / 38 * 0.5 / 1.5)
-    assert found["throttle"].explained == pytest.approx(0.0)
-
-
-def test_one_glitch_does_not_own_the_squared_error():
-    errors = np.full((100, 2), 0.1)
-    errors[4] = 1e9
-    squares = window_squares(errors, np.array([1.0, 1.0]))
-    assert squares[4] / squares.sum() < 0.02
-
-
 @settings(max_examples=100, deadline=None)
 @given(
     st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=1, max_size=200),
@@ -142,3 +136,242 @@ def test_edges_are_round_ordered_and_hold_all_values(numbers, most, smallest):
     joined = merged(values, edges, smallest)
     counts = np.histogram(values, joined)[0]
     assert len(joined) == 2 or (counts >= smallest).all()
+
+
+def blocks(count, name="one", **rows):
+    """One window each: stretches of five rows a quarter of a second apart, ten seconds from one to the next.
+
+    ``rows``: of a state or the action, (blocks, 5) or what makes it; 0 by default.
+    """
+    t = 10.0 * np.arange(count)[:, None] + 0.25 * np.arange(5)
+    columns = [
+        np.broadcast_to(np.asarray(rows.get(own.name, 0.0), dtype=float), (count, 5)).reshape(-1)
+        for own in (*TOY.state, *TOY.action)
+    ]
+    stretches = tuple(Stretch(5 * block, 5 * block + 5) for block in range(count))
+    return Run(name, TOY, t.reshape(-1), np.stack(columns[:4], axis=1), np.stack(columns[4:], axis=1), stretches)
+
+
+def windows(*runs):
+    return windows_of(runs, 1.0, stride=1)
+
+
+def middle(values, elsewhere):
+    """Rows of blocks whose middle one has the value."""
+    rows = np.full((len(values), 5), elsewhere)
+    rows[:, 2] = values
+    return rows
+
+
+def in_x(values):
+    return np.stack([np.asarray(values, dtype=float), *np.zeros((3, len(values)))], axis=1)
+
+
+def edges_of(factor):
+    return [(own.low, own.high, own.samples) for own in factor.bins]
+
+
+@pytest.fixture
+def two_kinds() -> tuple[Any, Any]:
+    """Twenty windows that go and are pushed one way, then twenty of another; root errors 0 and 4, then 3."""
+    first = np.arange(40)[:, None] < 20
+    run = blocks(
+        40,
+        x=middle(np.where(first[:, 0], 0.5, 4.5), 9.0),
+        yaw=middle(np.where(first[:, 0], 6.0 * math.pi + 0.1, -2.0 * math.pi - 0.1), 2.0),
+        speed=np.where(first, [0.0, 0.0, 0.0, 0.0, 5.0], [1.0, 2.0, 3.0, 4.0, 5.0]),
+        push=np.where(first, [2.0, 2.0, 2.0, 2.0, 99.0], [1.0, 3.0, 5.0, 7.0, -99.0]),
+    )
+    errors = in_x(0.5 * np.array([*[0.0] * 15, *[4.0] * 5, *[3.0] * 20]))
+    errors[:20, 1] = np.arange(20.0)
+    errors[20:, 1] = [*[-7.0] * 11, *[5.0] * 9]
+    return windows(run), errors
+
+
+def test_a_window_counts_where_its_mean_lies_or_for_angles_place_and_time_its_middle(two_kinds):
+    """Speed 1 and 3 with the last row, push 2 and 4 without it; bins of an eighth, those too small joined."""
+    found = {item.variable: item for item in factors(*two_kinds, X_ALONE)}
+    assert {name: (item.kind, item.unit, edges_of(item)) for name, item in found.items()} == {
+        "x": ("place", "m", [(0.5, 1.0, 20), (1.0, 4.5, 20)]), "y": ("place", "m", [(0.0, 1.0, 40)]),
+        "yaw": ("state", "rad", [(-math.pi, 0.0, 20), (0.0, math.pi, 20)]),
+        "speed": ("state", "m/s", [(1.0, 1.25, 20), (1.25, 3.0, 20)]),
+        "push": ("action", "N", [(2.0, 2.25, 20), (2.25, 4.0, 20)]),
+        "time": ("time", "s", [(low, low + 100.0, 10) for low in (0.0, 100.0, 200.0, 300.0)]),
+    }  # fmt: skip
+    assert {own.run for own in found["time"].bins} == {"one"}
+    assert {own.run for own in found["speed"].bins} == {None}
+
+
+def test_a_bin_has_its_error_ratio_share_and_median_error_of_each_state(two_kinds):
+    """Without the largest twentieth: of 20 one of 16, of 40 two. Squares 80 and 180 of 260."""
+    found = {item.variable: item.bins for item in factors(*two_kinds, X_ALONE)}
+    low, high = found["speed"]
+    assert [low.error, high.error] == pytest.approx([8.0 / math.sqrt(19.0), 3.0])
+    assert [low.ratio, high.ratio] == pytest.approx([8.0 / math.sqrt(19.0 * 6.0), 3.0 / math.sqrt(6.0)])
+    assert [low.share, high.share] == pytest.approx([80.0 / 260.0, 180.0 / 260.0])
+    assert low.bias == {"x": 0.0, "y": 9.5, "yaw": 0.0, "speed": 0.0}
+    assert high.bias == {"x": 1.5, "y": -7.0, "yaw": 0.0, "speed": 0.0}
+    assert [own.bias["y"] for own in found["yaw"]] == [-7.0, 9.5]
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_factors_are_sorted_by_the_adjusted_share_of_variance_that_they_explain(two_kinds, size):
+    """Roots 0, 4 and 3 about 2: 100; within both kinds 60, within the four bins of time 40."""
+    found = factors(two_kinds[0], size * two_kinds[1], X_ALONE)
+    two = 1.0 - 39.0 / 38.0 * 0.6
+    wanted = {"time": 1.0 - 39.0 / 36.0 * 0.4, "x": two, "yaw": two, "speed": two, "push": two, "y": 0.0}
+    assert {item.variable: item.explained for item in found} == pytest.approx(wanted, abs=1e-12)
+    assert [found[0].variable, found[-1].variable] == ["time", "y"]
+
+
+def test_without_errors_or_without_change_nothing_is_explained(two_kinds):
+    for item in factors(two_kinds[0], np.zeros((40, 4)), X_ALONE):
+        assert item.explained == 0.0
+        assert [(own.error, own.share) for own in item.bins] == [(0.0, 0.0)] * len(item.bins)
+        assert all(math.isnan(own.ratio) for own in item.bins)
+    for item in factors(*two_kinds, np.zeros(4)):
+        assert item.explained == 0.0
+        assert all(math.isnan(own.error) and math.isnan(own.ratio) and own.share == 0.0 for own in item.bins)
+
+
+def test_time_is_binned_for_each_run_with_windows_by_itself():
+    short = replace(blocks(1, "short"), stretches=(Stretch(0, 3),))
+    found = windows(blocks(20, "first"), short, blocks(40, "last"))
+    errors = in_x([*[2.0] * 10, *[0.0] * 10, *[1.0] * 40])
+    (time,) = (item for item in factors(found, errors, X_ALONE) if item.variable == "time")
+    assert [(own.run, own.low, own.high, own.samples) for own in time.bins] == [
+        ("first", 0.0, 100.0, 10), ("first", 100.0, 200.0, 10),
+        *(("last", low, low + 100.0, 10) for low in (0.0, 100.0, 200.0, 300.0)),
+    ]  # fmt: skip
+    assert [own.error for own in time.bins] == [4.0, 0.0, 2.0, 2.0, 2.0, 2.0]
+    assert time.explained == 1.0
+    few = windows(*(blocks(1, name) for name in ("one", "two", "three")))
+    (time,) = (item for item in factors(few, in_x([1.0, 2.0, 3.0]), X_ALONE) if item.variable == "time")
+    assert (time.explained, len(time.bins)) == (0.0, 3), "as many bins as windows explain nothing"
+
+
+@pytest.mark.parametrize(
+    ("counts", "wanted"),
+    [
+        ((12, 11, 1177), [(0.0, 0.25, 12), (0.25, 2.0, 1188)]),  # a hundredth of 1200 is enough, 11 are not
+        ((10, 0, 30), [(0.0, 0.25, 10), (0.25, 2.0, 30)]), ((9, 0, 31), [(0.0, 2.0, 40)]),
+    ],
+)  # fmt: skip
+def test_a_bin_has_ten_windows_and_a_hundredth_of_all_at_least(counts, wanted):
+    speed = np.repeat([0.0, 1.0, 2.0], counts)[:, None]
+    found = factors(windows(blocks(sum(counts), speed=speed)), np.ones((sum(counts), 4)), X_ALONE)
+    assert edges_of(next(item for item in found if item.variable == "speed")) == wanted
+
+
+def test_a_glitch_counts_as_the_square_below_which_95_percent_lie():
+    """2 on a scale of 2 and 1 on one of a half: (1 + 4) / 2; a state without scale does not count."""
+    errors, scale = np.tile([2.0, -1.0, 7.0], (21, 1)), np.array([2.0, 0.5, 0.0])
+    errors[4, 0] = 200.0
+    assert window_squares(errors, scale).tolist() == [2.5] * 21
+    errors[5, 0] = -200.0
+    assert window_squares(errors, scale)[4:6].tolist() == [5002.0, 5002.0], "two of twenty-one are no glitch"
+    assert window_squares(errors, np.zeros(3)).tolist() == [0.0] * 21
+    assert window_errors(errors, np.zeros(3)).tolist() == [0.0] * 21
+
+
+@pytest.mark.parametrize(("largest", "counted"), [(3.0, 9.0), (0.3, 1.0), (1.25, 1.5625)])
+def test_an_infinite_or_missing_error_counts_as_the_largest_and_as_one_at_least(largest, counted):
+    wrong = [math.nan, math.inf, -math.inf, 1e100, 1e200, -1e300]
+    errors = np.array([*[0.1] * 30, *[largest] * 4, *wrong])[:, None]
+    squares = window_squares(errors, np.ones(1))
+    assert squares == pytest.approx([0.01] * 30 + [largest**2] * 4 + [counted] * 6)
+
+
+def test_the_error_of_a_window_is_the_root_of_its_mean_square_without_a_cap():
+    errors = np.array([[3.0, 2.0, 7.0], [-300.0, 0.0, 0.0], *([[0.75, 0.25, 1.0]] * 30), [0.75, math.nan, 0.0],
+                       [1e100, 0.0, 0.0], [-1e200, 0.0, 0.0]])  # fmt: skip
+    found = window_errors(errors, np.array([1.5, 0.5, 0.0]))
+    assert found[:3] == pytest.approx([math.sqrt(10.0), 200.0 / math.sqrt(2.0), 0.5])
+    assert found[-3:].tolist() == [math.inf] * 3
+
+
+def test_the_plane_is_cut_into_squares_of_one_round_width_the_worst_first():
+    """Four windows at (12.5, -13), three at (41.5, -13), two at (41.5, -3): 29 m are 14 squares of 2.5 m at most.
+
+    Squared errors: 4 of a quarter and 3 of 4, 13 in all.
+    """
+    x, y = middle([*[12.5] * 4, *[41.5] * 5], 99.0), middle([*[-13.0] * 7, *[-3.0] * 2], -99.0)
+    made, errors = windows(blocks(9, x=x, y=y)), in_x([*[0.25] * 4, *[1.0] * 3, *[0.0] * 2])
+    assert [column.tolist() for column in place(made)] == [x[:, 2].tolist(), y[:, 2].tolist()]
+    found = [tuple(vars(own).values()) for own in cells(made, errors, X_ALONE)]
+    assert found == [
+        (40.0, 42.5, -15.0, -12.5, 2.0, pytest.approx(12.0 / 13.0), 3),
+        (12.5, 15.0, -15.0, -12.5, 0.5, pytest.approx(1.0 / 13.0), 4),
+    ]
+    for fewest, samples in ((2, [3, 4, 2]), (4, [4]), (5, [])):
+        assert [own.samples for own in cells(made, errors, X_ALONE, fewest)] == samples
+    assert [(own.error, own.share) for own in cells(made, np.zeros((9, 4)), X_ALONE)] == [(0.0, 0.0)] * 2
+    (one,) = cells(windows(blocks(3, x=0.25, y=-1.75)), np.ones((3, 4)), X_ALONE)
+    assert (one.x_low, one.x_high, one.y_low, one.y_high, one.samples) == (0.0, 1.0, -2.0, -1.0, 3)
+
+
+@pytest.mark.parametrize("names", [("angle", "rate"), ("x", "rate"), ("angle", "y")])
+def test_a_system_without_a_position_has_no_squares(names):
+    state = tuple(replace(own, name=name) for own, name in zip(PENDULUM.state, names, strict=True))
+    system = replace(PENDULUM, state=state)
+    run = Run("one", system, np.arange(20.0), np.ones((20, 2)), np.ones((20, 1)), (Stretch(0, 20),))
+    found = windows_of([run], 1.0, stride=1)
+    assert cells(found, np.ones((len(found), 2)), np.ones(2)) == ()
+
+
+def round_table(*bins):
+    """``bins``: (low, high, how many values evenly between)."""
+    return np.concatenate([np.linspace(low, high, count) for low, high, count in bins])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "width"),
+    [
+        (0.0, 8.0, 1.0), (0.0, 8.08, 2.0), (0.0, 16.0, 2.0), (0.0, 16.2, 2.5), (0.0, 20.0, 2.5), (0.0, 20.3, 5.0),
+        (0.0, 40.0, 5.0), (0.0, 40.5, 10.0), (0.0, 80.0, 10.0), (0.0, 0.8, 0.1), (-4.0, 4.0, 1.0), (0.0, 800.0, 100.0),
+        (0.0, 8e-6, 1e-6),
+    ],
+)  # fmt: skip
+def test_the_width_of_bins_is_the_least_round_one_of_which_eight_cover_the_range(low, high, width):
+    edges = round_edges(round_table((low, low, 50), (low, high, 200), (high, high, 50)))
+    assert np.diff(edges) == pytest.approx(np.full(len(edges) - 1, width))
+    assert edges[0] == pytest.approx(width * math.floor(low / width + 1e-9), abs=1e-12)
+    assert edges[-1] == pytest.approx(width * math.ceil(high / width - 1e-9), abs=1e-12)
+
+
+TEN = round_table((0.0, 0.0, 50), (0.0, 10.0, 200), (10.0, 10.0, 50))
+
+
+@pytest.mark.parametrize(
+    ("values", "most", "wanted"),
+    [
+        (TEN, 2, [0.0, 5.0, 10.0]), (TEN, 4, [0.0, 2.5, 5.0, 7.5, 10.0]),
+        (round_table((0, 0, 500), (0, 8, 2000), (8, 8, 500), (-7.4, 93.2, 2)), 8, [-8.0, *range(1, 8), 94.0]),
+        (round_table((0, 0, 500), (0, 20, 2000), (20, 20, 500), (-7.4, 93.2, 2)), 8,
+         [-7.5, *np.arange(2.5, 20.0, 2.5), 95.0]),
+        (np.full(30, 0.3), 8, [0.0, 1.0]), (np.full(30, -0.3), 8, [-1.0, 0.0]), (np.full(30, 2.0), 8, [2.0, 3.0]),
+    ],
+)  # fmt: skip
+def test_outliers_move_the_outer_edges_alone_and_one_value_has_one_bin(values, most, wanted):
+    assert round_edges(values, most=most).tolist() == wanted
+
+
+@pytest.mark.parametrize(("outliers", "width"), [((4, 80.0), 1.0), ((8, 80.0), 10.0), ((8, -72.0), 10.0)])
+def test_the_middle_99_percent_decide_the_width(outliers, width):
+    edges = round_edges(np.concatenate([np.linspace(0.0, 8.0, 1001), np.full(*outliers)]))
+    assert np.diff(edges)[len(edges) // 2 - 1] == width
+
+
+def test_angles_are_binned_in_sectors_of_one_turn():
+    assert angle_edges() == pytest.approx([math.pi * part / 4.0 for part in range(-4, 5)])
+    assert angle_edges(2) == pytest.approx([-math.pi, 0.0, math.pi])
+
+
+@pytest.mark.parametrize(
+    ("smallest", "wanted"),
+    [(1, [0, 1, 2, 3, 4]), (2, [0, 2, 3, 4]), (3, [0, 2, 4]), (4, [0, 4]), (7, [0, 4]), (9, [0, 4])],
+)
+def test_a_bin_with_too_few_values_joins_its_right_neighbour_and_the_last_its_left_one(smallest, wanted):
+    """One, two, two and two values in bins of width 1."""
+    values = np.array([0.5, 1.2, 1.4, 2.2, 2.4, 3.2, 3.4])
+    assert merged(values, np.arange(5.0), smallest).tolist() == wanted
