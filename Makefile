@@ -8,7 +8,7 @@ COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run search test test-long test-compiled test-fleet lint types contracts check audit bill manifests docs environment constraints clean
+.PHONY: help demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -33,9 +33,12 @@ $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_s
 TESTERS ?= 3
 
 # Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile --durations 20
 
-test: environment  ## the tests that one waits for, on two cores less than six minutes
+quick: environment  ## the tests that your change touches, nearest first, within half a minute
+	@$(BIN)/python tests/tools/quick.py
+
+test: environment  ## the tests that one waits for, on two cores four minutes
 	@$(PYTEST) -m "not long"
 
 test-long: environment  ## all other tests: trainings, experiments, searches, browsers, processes

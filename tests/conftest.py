@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
-import resource
 import signal
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,57 +79,6 @@ def kind_of(file: str) -> str:
     if inside.startswith(tuple(name if name.endswith(".py") else f"{name}/" for name in TRAINING)):
         return "training"
     return "light" if inside.startswith(tuple(f"{name}/" for name in LIGHT)) else ""
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Of a long run: where its time went, by the clock and of the processors, summed over all processes."""
-    folders, files, computed = Counter[str](), Counter[str](), Counter[str]()
-    largest = (0.0, "")
-    for reports in terminalreporter.stats.values():
-        for report in reports:
-            test, spent = getattr(report, "nodeid", ""), getattr(report, "duration", 0.0)
-            file = test.split("::", 1)[0].removeprefix("tests/")
-            folders[folder_of(test)] += spent
-            files[file] += spent
-            properties = getattr(report, "user_properties", ())
-            computed[file] += sum(value for name, value in properties if name == _PROCESSOR)
-            for value in (value for name, value in properties if name == _MEMORY):
-                largest = (value, test) if value > largest[0] else largest  # the first one that needed so much
-    if folders.total() > _LONG_SECONDS:
-        told = {"seconds by folder": folders, "seconds by file": files, "processor seconds by file": computed}
-        for kind, seconds in told.items():
-            shown = ", ".join(f"{name} {spent:.0f}" for name, spent in seconds.most_common(_MOST_TOLD))
-            terminalreporter.write_line(f"{kind}: {shown} ({seconds.total():.0f} in all)")
-        terminalreporter.write_line(f"the largest process of tests: {largest[0]:.0f} MiB in {largest[1]}")
-
-
-_PROCESSOR, _MEMORY = "processor seconds", "largest MiB"
-_spent = [0.0]
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Any:
-    """Tells with each part of a test what this process and those that it awaited have computed since the last one."""
-    report = yield
-    now = sum(os.times()[:4])
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    report.user_properties = [*item.user_properties, (_PROCESSOR, now - _spent[0]), (_MEMORY, most)]
-    _spent[0] = now
-    return report
-
-
-def pytest_runtest_logstart() -> None:
-    """What was computed between two tests is of neither."""
-    _spent[0] = sum(os.times()[:4])
-
-
-_LONG_SECONDS = 120.0
-_MOST_TOLD = 20
-
-
-def folder_of(test: str) -> str:
-    """``bus`` of ``tests/bus/test_codec.py::test``."""
-    return test.split("::", 1)[0].removeprefix("tests/").rpartition("/")[0]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
