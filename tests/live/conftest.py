@@ -135,3 +135,9 @@ class HandedWorker(AbstractWorker):
 def worker() -> HandedWorker:
     """One of those."""
     return HandedWorker()
+
+
+@pytest.fixture(scope="session")
+def worker_class() -> type[HandedWorker]:
+    """For tests that share one among them."""
+    return HandedWorker

@@ -1,7 +1,8 @@
-"""A finding from its first sign to its end: stages, data for the search, what is told and when."""
+"""A finding from its first sign to its end: stages, data for the search, and the messages about it."""
 
 from __future__ import annotations
 
+import copy
 import json
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from safedpa.dynamics import Setting, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
+from safedpa.live.named_candidate import named_candidate
 from safedpa.live.work import InlineWorker, Work, WorkOutcome
 
 CHANGE = 800
@@ -16,60 +18,100 @@ NUMBERS = {"angle": 0.08}
 REPORT = {"stages": [{"heldout_error": 0.4}], "candidates": [{"effect": "steering_offset", "heldout_error": 0.02}]}
 
 
-@pytest.fixture
-def told(car, worker, drive_of, state_of, verdict_of):
-    """told(ticks, until stage): every message of a drive in which the steering is bent, and the diagnosis."""
+class Drive:
+    """A drive in which the steering is bent, and its diagnosis; every message of it is recorded."""
 
-    def drive(ticks, stage="", **change):
-        diagnosis, messages = RobotDiagnosis("r1", write_model(car), worker), []
-        rows = drive_of(ticks, CHANGE, "steering_offset", **(change or NUMBERS))
-        for row in rows:
-            state = state_of(row)
-            message = diagnosis.observe(state, None, verdict_of(state))
+    def __init__(self, car, worker, rows, message_of):
+        self.worker, self.messages, self._message_of = worker, [], message_of
+        self.diagnosis = RobotDiagnosis("r1", write_model(car), worker)
+        self._rows, self._tick = rows, 0
+
+    def go(self, ticks, stage=""):
+        """Drives on; ends early when a message of the stage comes. Returns the messages."""
+        begun = len(self.messages)
+        for row in self._rows[self._tick : self._tick + ticks]:
+            self._tick += 1
+            message = self.diagnosis.observe(*self._message_of(row))
             if message is not None:
-                messages.append(message)
+                self.messages.append(message)
                 if message.stage == stage:
                     break
-        return diagnosis, messages, lambda: next(rows)
+        return self.messages[begun:]
 
+    def after_a_pause(self, seconds):
+        """The message of a tick that comes so much later."""
+        _, state, applied = self._rows[self._tick]
+        return self.diagnosis.observe(*self._message_of((self._tick - 1 + round(20 * seconds), state, applied)))
+
+
+@pytest.fixture(scope="module")
+def at_the_search(car, drive_of, state_of, verdict_of, worker_class):
+    """A drive up to the begin of the first search."""
+
+    def message_of(row):
+        state = state_of(row)
+        return state, None, verdict_of(state)
+
+    rows = list(drive_of(CHANGE + 3000, CHANGE, "steering_offset", **NUMBERS))
+    drive = Drive(car, worker_class(), rows, message_of)
+    drive.go(CHANGE + 1500, "searching")
     return drive
 
 
+@pytest.fixture
+def drive(at_the_search):
+    """A copy of it, of this test only."""
+    return copy.deepcopy(at_the_search)
+
+
+@pytest.fixture
 def fitted(car):
     return write_model(car.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.08)}))
 
 
-def found(car):
-    return WorkOutcome(json.dumps(REPORT), ("steering_offset",), {"steering_offset": fitted(car)})
+@pytest.fixture
+def found(fitted):
+    return WorkOutcome(json.dumps(REPORT), ("steering_offset",), {"steering_offset": fitted})
 
 
-def test_stages_come_in_order_and_are_told_once_a_second(told):
-    _, messages, _ = told(CHANGE + 500)
-    stages = [message.stage for message in messages]
+def test_stages_come_in_order_and_are_reported_once_a_second(drive):
+    drive.go(200)
+    stages = [message.stage for message in drive.messages]
     order = ["learning", "watching", "raised", "searching"]
     assert [stage for stage, before in zip(stages, [None, *stages], strict=False) if stage != before] == order
-    seconds = [int(message.robot_time + 1e-9) for message in messages]
-    assert set(seconds) == set(range(65))
-    assert len(seconds) == 65 + 3  # and at each change of the stage
+    seconds = [int(message.robot_time + 1e-9) for message in drive.messages]
+    assert set(seconds) == set(range(seconds[-1] + 1))
+    assert len(seconds) == seconds[-1] + 1 + 3  # and at each change of the stage
 
 
-def test_the_search_gets_data_of_the_changed_robot_alone(told, worker, car):
-    told(CHANGE + 500, "searching")
-    work = worker.begun[0]
+def test_the_sentence_of_each_stage_says_what_is_going_on(drive):
+    first = {}
+    for message in drive.messages:
+        first.setdefault(message.stage, message.sentence)
+    error = "the error over 1 s is 0.000"
+    assert first["learning"] == f"{error}; still learning what is usual: 20 s of driving to go"
+    watching = next(message for message in drive.messages if message.stage == "watching")
+    assert watching.sentence == (
+        f"the error over 1 s is {watching.error:.3f}, within its band up to {watching.band:.3f}"
+    )
+    assert first["raised"].startswith("finding 1: the error over 1 s is ")
+    assert f"its band ends at {watching.band:.3f}; " in first["raised"]
+    assert first["raised"].endswith(" of 15 s are recorded for the search")
+    assert first["searching"].endswith("; looking for the missing effect in 15 s of driving")
+    assert {message.number for message in drive.messages} == {0, 1}
+
+
+def test_the_search_gets_data_of_the_changed_robot_alone(drive, car):
+    work = drive.worker.begun[0]
     assert work.task == "search"
     assert work.model == write_model(car)
     assert work.run.t[0] >= (CHANGE - 1) * 0.05
-    assert work.run.duration >= FIRST_SEARCH - 0.2
+    assert FIRST_SEARCH - 0.2 <= work.run.duration <= FIRST_SEARCH + 0.2
 
 
-def test_candidates_come_with_their_report_and_a_sentence(told, worker, car, state_of, verdict_of):
-    diagnosis, _, row = told(CHANGE + 1500, "searching")
-    worker.ready = found(car)
-    messages = []
-    for _ in range(260):
-        state = state_of(row())
-        messages.append(diagnosis.observe(state, None, verdict_of(state)))
-    messages = [message for message in messages if message is not None]
+def test_candidates_come_with_their_report_and_a_sentence(drive, found):
+    drive.worker.ready = found
+    messages = drive.go(260)
     assert {message.stage for message in messages} == {"candidates"}
     assert json.loads(messages[0].report) == REPORT
     assert [bool(message.report) for message in messages[:11]] == [True, *[False] * 9, True]
@@ -77,51 +119,83 @@ def test_candidates_come_with_their_report_and_a_sentence(told, worker, car, sta
     assert "yaw" in messages[0].where
 
 
-def test_a_search_that_names_nothing_is_repeated_with_twice_the_data(told, worker, state_of, verdict_of):
-    diagnosis, _, row = told(CHANGE + 1500, "searching")
-    worker.ready = WorkOutcome(json.dumps({**REPORT, "candidates": []}))
+@pytest.mark.parametrize(
+    ("outcome", "stage", "said"),
+    [
+        (WorkOutcome(json.dumps({**REPORT, "candidates": []})), "nothing", "no effect of the library explains it"),
+        (WorkOutcome(failure="its code was -9"), "nothing", "the search failed: its code was -9"),
+        (
+            WorkOutcome(json.dumps({"stages": [{"heldout_error": None}], "candidates": []}), ("drag",)),
+            "candidates",
+            "drag may explain it, but unseen data do not confirm it: held-out error unknown without, unknown with it",
+        ),
+    ],
+)
+def test_the_sentence_says_what_became_of_a_search(drive, outcome, stage, said):
+    drive.worker.ready = outcome
+    message = drive.go(21)[-1]
+    assert (message.stage, message.sentence.rpartition("; ")[2]) == (stage, said)
+
+
+def entry(error, decision="rejected", stage=0, effect="drag"):
+    return {"stage": stage, "effect": effect, "heldout_error": error, "decision": decision}
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        [entry(None), entry(0.3, "accepted")],
+        [entry(0.3, "accepted"), entry(0.2)],
+        [entry(float("nan")), entry(0.3)],
+        [entry(0.7), entry(0.3), entry(None)],
+        [entry(0.1, "accepted", stage=1), entry(0.1, "accepted", effect="lag"), entry(0.3, "accepted")],
+    ],
+)
+def test_of_the_first_stages_entries_of_one_name_the_accepted_or_best_one_is_meant(entries):
+    assert named_candidate(entries, "drag")["heldout_error"] == 0.3
+    assert named_candidate(entries, "wind") is None
+
+
+def test_a_search_that_names_nothing_is_repeated_with_twice_the_data(drive):
     stages = set()
-    while len(worker.begun) < 2:
-        state = state_of(row())
-        diagnosis.observe(state, None, verdict_of(state))
-        stages.add(diagnosis.stage)
-    assert "nothing" in stages
-    assert worker.begun[1].run.duration == pytest.approx(2 * FIRST_SEARCH, abs=0.2)
+    for count in (2, 3):
+        drive.worker.ready = WorkOutcome(json.dumps({**REPORT, "candidates": []}))
+        while len(drive.worker.begun) < count:
+            stages |= {message.stage for message in drive.go(1)}
+    assert stages == {"nothing"}
+    seconds = [work.run.duration for work in drive.worker.begun]
+    assert seconds == pytest.approx([FIRST_SEARCH, 2.0 * FIRST_SEARCH, 4.0 * FIRST_SEARCH], abs=0.2)
 
 
-def test_a_failed_search_says_why(told, worker, state_of, verdict_of):
-    diagnosis, _, row = told(CHANGE + 1500, "searching")
-    worker.ready = WorkOutcome(failure="its process ended with code -9, 3 times")
-    messages = []
-    for _ in range(21):
-        state = state_of(row())
-        messages.append(diagnosis.observe(state, None, verdict_of(state)))
-    assert any(message is not None and "code -9" in message.sentence for message in messages)
+def test_a_paused_search_is_begun_again_and_a_worker_without_a_search_is_left_alone(drive):
+    """The worker may be making a model for the robot."""
+    drive.diagnosis.pause()
+    assert (drive.worker.cancelled, drive.diagnosis.stage) == (1, "raised")
+    drive.worker.begin("r1", "a model is made")
+    drive.diagnosis.pause()
+    assert (drive.worker.cancelled, drive.worker.busy("r1")) == (1, True)
+    drive.go(20)
+    assert len(drive.worker.begun) == 2, "a busy worker gets no search"
+    drive.worker.cancel("r1")
+    assert drive.go(20)[-1].stage == "searching"
+    assert drive.worker.begun[-1].task == "search"
 
 
-def test_a_model_that_is_taken_over_is_told_with_the_error_before_and_after(told, worker, car, state_of, verdict_of):
-    diagnosis, messages, row = told(CHANGE + 1500, "searching")
-    before = messages[-1].error
-    diagnosis.adopt(fitted(car))
-    assert worker.cancelled == 1
-    after = []
-    for _ in range(200):
-        state = state_of(row())
-        after.append(diagnosis.observe(state, None, verdict_of(state)))
-    last = [message for message in after if message is not None][-1]
+def test_an_adopted_model_is_reported_with_the_error_before_and_after(drive, fitted):
+    before = drive.messages[-1]
+    drive.diagnosis.adopt(fitted)
+    assert drive.worker.cancelled == 1
+    last = drive.go(200)[-1]
     assert last.stage == "learning"
-    assert last.model != messages[-1].model
-    assert last.error < 0.2 * before
-    assert f"{before:.3f} with the model before" in last.sentence
+    assert last.model != before.model
+    assert last.error < 0.2 * before.error
+    assert f"{before.error:.3f} with the model before" in last.sentence
 
 
-@pytest.mark.parametrize(("later", "told"), [(0.0, True), (59.9, True), (60.1, False), (600.0, False)])
-def test_the_error_before_is_told_for_a_minute_after_a_model_was_taken_over(car, worker, later, told):
-    diagnosis = RobotDiagnosis("r1", write_model(car), worker)
-    diagnosis.time = 1000.0
-    diagnosis.adopt(fitted(car))
-    diagnosis.time += later
-    assert ("with the model before" in diagnosis._sentence("learning")) is told
+@pytest.mark.parametrize(("later", "reported"), [(1.0, True), (59.0, True), (62.0, False), (600.0, False)])
+def test_the_error_before_is_reported_for_a_minute_after_a_model_was_adopted(drive, fitted, later, reported):
+    drive.diagnosis.adopt(fitted)
+    assert ("with the model before" in drive.after_a_pause(later).sentence) is reported
 
 
 def test_when_the_error_returns_to_its_band_the_finding_is_closed_and_the_search_given_up(
@@ -140,25 +214,21 @@ def test_when_the_error_returns_to_its_band_the_finding_is_closed_and_the_search
     assert diagnosis.number == 1
 
 
-def test_a_dismissed_error_is_usual_from_then_on(told, worker, state_of, verdict_of):
-    diagnosis, _, row = told(CHANGE + 3000, "searching")
-    diagnosis.dismiss()
-    for _ in range(1500):
-        state = state_of(row())
-        diagnosis.observe(state, None, verdict_of(state))
-    assert diagnosis.stage == "watching"
-    assert diagnosis.number == 1
+def test_a_dismissed_error_is_usual_from_then_on(drive):
+    drive.diagnosis.dismiss()
+    drive.go(1500)
+    assert drive.diagnosis.stage == "watching"
+    assert drive.diagnosis.number == 1
 
 
 @pytest.mark.long
-def test_the_search_itself_finds_the_bent_steering_in_fifteen_seconds(told, worker, car):
-    told(CHANGE + 500, "searching")
+def test_the_search_itself_finds_the_bent_steering_in_fifteen_seconds(drive):
+    begun = drive.worker.begun[0]
     inline = InlineWorker(lambda model, run, footprint: f"{len(run.t)} rows, {footprint}")
-    inline.begin("r1", worker.begun[0])
+    inline.begin("r1", begun)
     outcome = inline.outcome("r1")
     assert inline.outcome("r1") is None
     assert outcome.effects[0] == "steering_offset"
-    begun = worker.begun[0]
     inline.begin("r1", Work("prepare", begun.model, begun.run, effect="steering_offset", footprint=(0.1, 0.4, 0.2)))
     made = inline.outcome("r1")
     assert 'name = "steering_offset"' in made.documents["steering_offset"]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from safedpa.compare.rollout import rollout_at
 from safedpa.compare.windows import windows_of
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.live.finding import History
 from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, channels, stretch_error
-from safedpa.live.watch import learned_band, moved
+
+CAR = load_model("car")
 
 
 def test_a_forecast_is_the_rollout_of_the_recorded_run(car, drive_of):
-    """Two roads: step by step while the robot drives, and all windows at once over the excerpt of its history."""
+    """Computed step by step while the robot drives, and over all windows of the excerpt of its history at once."""
     running, history = Forecasts(car), History(car.system, car.period)
     ended = []
     for tick, state, applied in drive_of(200):
@@ -31,22 +35,27 @@ def test_a_forecast_is_the_rollout_of_the_recorded_run(car, drive_of):
         assert car.system.difference(item.predicted, known[item.start]) == pytest.approx(np.zeros(4), abs=1e-4)
 
 
-def test_one_begins_in_every_half_of_the_horizon(car, drive_of):
+def test_a_forecast_begins_in_every_half_of_the_horizon_from_the_first_tick_on(car, drive_of):
     running = Forecasts(car)
-    starts = [item.start for row in drive_of(100) for item in running.observe(*row, None)]
+    spans = [(item.start, row[0]) for row in drive_of(100) for item in running.observe(*row, None)]
+    starts = [start for start, _ in spans]
+    assert starts[0] <= 1
     assert np.diff(starts).tolist() == [10] * (len(starts) - 1)
+    assert {end - start for start, end in spans} == {20}
 
 
-def test_nothing_is_carried_across_a_gap_or_a_state_that_cannot_be_believed(car, drive_of):
-    for spoil in ("gap", "nan"):
-        running, ended = Forecasts(car), []
-        for tick, state, applied in drive_of(120):
-            if tick != 50:
-                ended += running.observe(tick, state, applied, None)
-            elif spoil == "nan":
-                ended += running.observe(tick, np.full(4, np.nan), applied, None)
-        assert ended
-        assert not any(item.start <= 50 <= item.end for item in ended)
+@pytest.mark.parametrize("broken", ["gap", "state", "action"])
+def test_no_forecast_spans_a_gap_or_a_value_that_is_not_a_number(broken):
+    forecasts, ended = Forecasts(CAR), list[tuple[int, int]]()
+    for tick in range(120):
+        if broken == "gap" and tick == 50:
+            continue
+        state = np.full(4, np.nan) if broken == "state" and tick == 50 else np.zeros(4)
+        applied = np.full(2, np.nan) if broken == "action" and tick == 50 else np.zeros(2)
+        ended += [(item.start, tick) for item in forecasts.observe(tick, state, applied, CAR.latent)]
+    assert not [span for span in ended if span[0] <= 50 <= span[1]]
+    assert [span for span in ended if span[0] > 50]
+    assert [span for span in ended if span[1] < 50]
 
 
 def test_a_robot_with_another_period_is_predicted_with_its_own(car):
@@ -60,59 +69,72 @@ def test_a_robot_with_another_period_is_predicted_with_its_own(car):
     assert all(item.predicted == pytest.approx(item.measured, abs=1e-9) for item in ended)
 
 
+class Integrator:
+    """A model that adds up what is applied, and records when each of its steps began."""
+
+    period = 0.1
+
+    def __init__(self):
+        self.system = SimpleNamespace(is_plausible=CAR.system.is_plausible, action=CAR.system.action)
+        self.times = []
+
+    def initial_memory(self, *_):
+        return ()
+
+    def advance(self, state, applied, memory, _latent, *, period, time=-1.0):
+        self.times.append(time)
+        return state + period * applied[0], memory
+
+
+def test_a_forecast_starts_at_a_measured_state_and_applies_the_actions_reported_since():
+    """From tick 5, at a period of 0.25 s and over four ticks: 1 + 2 + 3 + 4 quarters of what is applied."""
+    model = Integrator()
+    running, ended = Forecasts(model, 1.0, 0.25), []
+    for tick in range(4, 10):
+        ended += running.observe(tick, np.full(4, 0.1 * tick), np.array([tick - 5.0, 0.5]), None)
+    (only,) = ended
+    assert (only.start, only.end, only.began.tolist()) == (5, 9, [0.5] * 4)
+    np.testing.assert_allclose(only.measured, 0.9)
+    np.testing.assert_allclose(only.predicted, 0.5 + 0.25 * 10.0)
+    np.testing.assert_allclose(only.actions, [2.5, 0.5])
+    np.testing.assert_allclose(only.variation, [4.0, 0.0])
+    assert model.times[:2] == pytest.approx([0.25 * 5, 0.25 * 6])
+
+
 def test_a_horizon_of_one_period_is_refused(car):
     with pytest.raises(InputError, match="two periods"):
         Forecasts(car, 0.05)
 
 
-def forecast(measured, predicted, began=(0.0, 0.0, 0.0, 1.0), variation=(1.0, 1.0)):
-    return Forecast(0, 20, *(np.array(v, dtype=float) for v in (began, measured, predicted, (1.0, 0.0), variation)))
+def forecast(error, yaw=0.0):
+    began = np.array([0.0, 0.0, yaw, 1.0])
+    measured = began + np.array([1.0, 0.0, 0.0, 0.0])
+    return Forecast(0, 20, began, measured, measured - np.array(error), np.zeros(2), np.ones(2))
 
 
-def test_errors_of_the_place_are_told_along_and_across_the_heading(car):
-    north = forecast((0.0, 1.2, 1.57, 1.0), (0.1, 1.0, 1.57, 1.0), began=(0.0, 0.0, np.pi / 2, 1.0))
-    assert channel_errors(car.system, north) == pytest.approx([0.2, 0.1, 0.0, 0.0])
-    assert [name for name, _ in channels(car.system)][2:] == ["yaw", "speed"]
+@pytest.mark.parametrize(
+    ("yaw", "error", "along", "across"),
+    [
+        (0.0, (1.0, 2.0), 1.0, 2.0), (np.pi / 2.0, (1.0, 2.0), 2.0, -1.0), (np.pi, (1.0, 2.0), -1.0, -2.0),
+        (-np.pi / 2.0, (1.0, 2.0), -2.0, 1.0), (np.pi / 4.0, (1.0, 1.0), np.sqrt(2.0), 0.0),
+    ],
+)  # fmt: skip
+def test_a_position_error_is_split_along_and_across_the_heading(yaw, error, along, across):
+    found = channel_errors(CAR.system, forecast((*error, 0.25, -0.5), yaw))
+    np.testing.assert_allclose(found, [along, across, 0.25, -0.5], atol=1e-12)
+    assert [name for name, _ in channels(CAR.system)][2:] == ["yaw", "speed"]
 
 
-def test_the_error_of_a_stretch_is_scaled_and_its_states_that_never_move_do_not_count(car):
-    one = forecast((1.0, 0.0, 0.0, 1.0), (1.1, 0.0, 0.0, 1.2))
-    assert stretch_error(car.system, [one], np.array([1.0, 0.0, 0.0, 0.4])) == pytest.approx((0.1 + 0.5) / 2)
-    assert stretch_error(car.system, [], np.ones(4)) == 0.0
-
-
-def test_what_stands_still_and_should_says_nothing(car):
-    assert not moved(car.system, forecast((0.0, 0.0, 0.0, 0.01), (0.01, 0.0, 0.0, 0.0), began=(0.0,) * 4))
-    assert moved(car.system, forecast((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.5), began=(0.0,) * 4))
-
-
-def test_the_band_holds_what_it_was_learned_from_and_is_wider_in_transients(car, drive_of):
-    running = Forecasts(car)
-    ended = [item for row in drive_of(600) for item in running.observe(*row, None)]
-    band = learned_band(car.system, ended)
-    assert max(band.ratios(car.system, item).max() for item in ended) <= 1.0 / 1.5 + 1e-9
-    assert stretch_error(car.system, ended, band.scale) < band.error
-    item = ended[-1]
-    rough = Forecast(
-        item.start, item.end, item.began, item.measured, item.predicted, item.actions, 5.0 * item.variation
-    )
-    assert band.ratios(car.system, rough).max() < band.ratios(car.system, item).max()
-
-
-def test_the_history_is_bounded_and_cut_where_ticks_are_missing(car, drive_of):
-    history = History(car.system, car.period, longest=5.0)
-    rows = list(drive_of(200))
-    for row in rows:
-        if row[0] != 150:
-            history.add(*row)
-    run = history.excerpt(120, "r1")
-    assert history.seconds_since(0) == pytest.approx(5.0)
-    assert [(round(run.t[p.start] / 0.05), round(run.t[p.stop - 1] / 0.05)) for p in run.stretches] == [
-        (120, 148),
-        (151, 198),
-    ]
-    for t, states, actions in run.parts():
-        for row, (time, state, action) in enumerate(zip(t, states, actions, strict=True)):
-            tick = round(time / car.period)
-            assert state == pytest.approx(rows[tick][1]), row
-            assert action == pytest.approx(rows[tick + 1][2]), row
+@pytest.mark.parametrize(
+    ("errors", "scale", "size"),
+    [
+        ([(3.0, 0.0, 0.0, 0.0), (-4.0, 0.0, 0.0, 0.0)], (1.0, 0.0, 0.0, 0.0), np.sqrt(12.5)),
+        ([(3.0, 0.0, 0.0, 1.0)], (2.0, 0.0, 0.0, 4.0), 0.875),
+        ([(3.0, 2.0, 0.0, 1.0)], (0.0, 0.0, 0.0, 0.0), 0.0),
+        ([(np.nan, 0.0, 0.0, 0.0)], (1.0, 1.0, 1.0, 1.0), 1e6),
+        ([], (1.0, 1.0, 1.0, 1.0), 0.0),
+    ],
+)
+def test_the_error_of_a_stretch_is_a_root_mean_square_over_the_scale(errors, scale, size):
+    found = stretch_error(CAR.system, [forecast(error) for error in errors], np.array(scale))
+    assert found == pytest.approx(size)

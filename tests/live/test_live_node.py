@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -205,12 +206,18 @@ def test_a_robot_that_leaves_takes_its_search_with_it_and_its_findings_go_on_cou
     assert driven.told[-1].number == 2
 
 
-def test_a_state_of_another_robot_kind_and_a_broken_model_are_refused(driven, worker, state_of, verdict_of):
-    import dataclasses
+@pytest.mark.parametrize(("values", "actions"), [(3, 2), (5, 2), (4, 1), (4, 3)])
+def test_a_state_of_another_kind_of_robot_is_refused(driven, state_of, verdict_of, values, actions):
+    state = state_of(next(driven.rows))
+    other = replace(state, values=(0.0,) * values, applied=(0.0,) * actions)
+    inputs = {LATENT: Stale(LATENT, None), VERDICT: verdict_of(state)}
+    with pytest.raises(MessageError, match=f"got {values} values and {actions} actions, wanted those of a car"):
+        driven.node.step("r1", other, inputs)
+    assert driven.node.diagnosis_of("r1") is None
+    driven.node.step("r1", state, inputs)
 
-    state = dataclasses.replace(state_of(next(driven.rows)), values=(1.0, 2.0))
-    with pytest.raises(MessageError, match="got 2 values"):
-        driven.node.step("r1", state, {LATENT: Stale(LATENT, None), VERDICT: verdict_of(state)})
+
+def test_a_broken_model_file_is_refused(worker):
     with pytest.raises(ModelFileError):
         DiagnosisNode("format = 1", worker)
 

@@ -1,4 +1,4 @@
-"""The search in a process of its own: it comes back when it is killed, and goes when nobody wants it any more."""
+"""The search in a process of its own: it is restarted when it is killed, and ends when it is cancelled."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.diagnosis.work_files import read_work, write_work
 
 PATIENCE = 300.0
-"""s; a busy machine gives little to who yields to everybody."""
+"""s; the process has the lowest priority, and a busy machine leaves it little time."""
 
 
 @pytest.fixture
@@ -107,36 +108,62 @@ def test_a_work_that_always_dies_ends_in_a_sentence(worker, prepare):
 
 
 @pytest.mark.processes
-def test_a_cancelled_work_leaves_nothing_behind(worker, prepare):
+def test_a_work_that_takes_longer_than_ten_minutes_is_given_up(prepare):
+    now = [1000.0]
+    worker = ProcessWorker(clock=lambda: now[0])
+    try:
+        worker.begin("r1", prepare)
+        os.kill(worker.process_of("r1"), signal.SIGSTOP)
+        now[0] += 500.0
+        assert worker.outcome("r1") is None
+        now[0] += 200.0
+        assert "took too long" in worker.outcome("r1").failure
+        assert not worker.busy("r1")
+    finally:
+        worker.close()
+
+
+@pytest.mark.processes
+def test_a_cancelled_work_leaves_nothing_behind(worker, prepare, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     worker.begin("r1", prepare)
-    pid, folder = worker.process_of("r1"), worker._jobs["r1"].folder
+    assert list(tmp_path.iterdir())
+    pid = worker.process_of("r1")
     worker.cancel("r1")
     assert gone(pid)
-    assert not folder.exists()
+    assert not list(tmp_path.iterdir())
     assert worker.outcome("r1") is None
 
 
 @pytest.mark.processes
-def test_a_work_ends_with_the_service_however_that_ended(tmp_path, prepare):
-    write_work(prepare, tmp_path)
+def test_a_work_ends_with_the_service_also_when_that_is_killed(tmp_path, prepare):
+    given, temporary = tmp_path / "given", tmp_path / "temporary"
+    given.mkdir()
+    temporary.mkdir()
+    write_work(prepare, given)
     code = (
         "import sys; from pathlib import Path\n"
         "from safedpa_services.diagnosis.process_worker import ProcessWorker\n"
         "from safedpa_services.diagnosis.work_files import read_work\n"
         "worker = ProcessWorker(); worker.begin('r1', read_work(Path(sys.argv[1])))\n"
-        "print(worker.process_of('r1'), worker._jobs['r1'].folder, flush=True); sys.stdin.read()\n"
+        "print(worker.process_of('r1'), flush=True); sys.stdin.read()\n"
     )
     service = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, str(given)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(temporary)},
     )
-    pid, folder = service.stdout.readline().split()
+    pid = int(service.stdout.readline())
+    assert list(temporary.iterdir())
     service.kill()
     service.communicate()
     deadline = time.monotonic() + PATIENCE
-    while not gone(int(pid)) and time.monotonic() < deadline:
+    while not gone(pid) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert gone(int(pid))
-    assert not Path(folder).exists()
+    assert gone(pid)
+    assert not list(temporary.iterdir())
 
 
 def test_the_margin_is_the_larger_one_of_everything_and_of_the_newest_half(car, prepare):
