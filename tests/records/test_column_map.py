@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ from hypothesis import strategies as st
 
 from safedpa.errors import ColumnMapError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.apply_map import Rows, keep_rows
+from safedpa.records.apply_map import Rows, check_map, keep_rows
+from safedpa.records.column_map import ColumnMap, DerivedColumn, SourceColumn, TrackedPoint, native_map
 from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
 from safedpa.records.derive import slope
 from safedpa.records.run import Stretch
 from safedpa.records.units import UNITS, factor_to_si
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.systems import System
 
 GOOD = """
 format = 1
@@ -167,74 +170,253 @@ def test_kept_rows_are_picked_and_their_actions_keep_the_impulse(seed: int, peri
         assert thinned == pytest.approx(impulse, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("format = 1", "format = 2"), "format: got 2, wanted 1"),
-        (("format = 1", "format = "), "not TOML"),
-        (('robot = "car"', "robot = 3"), "robot: got 3"),
-        (("[columns]", "skip_rows = 3\n[columns]"), "skip_rows: unknown key; did you mean 'skip_first_rows'?"),
-        (("[columns]", "skip_first_rows = -1\n[columns]"), "skip_first_rows: got -1"),
-        (("[columns]", "skip_first_rows = 1.5\n[columns]"), "skip_first_rows: got 1.5"),
-        (("[columns]", "keep_period = 0\n[columns]"), "keep_period: got 0, wanted seconds above 0"),
-        (("[columns]", 'keep_period = "fast"\n[columns]'), "keep_period: got 'fast'"),
-        (("[columns]", 'skip_where = { column = "a" }\n[columns]'), "skip_where.equals: got None"),
-        (("[columns]", 'skip_where = { colum = "a", equals = 1 }\n[columns]'), "skip_where.colum: unknown key"),
-        (("[columns]", "skip_where = 3\n[columns]"), "skip_where: got 3"),
-        (("[columns]", 'unwrap = ["yew"]\n[columns]'), "unwrap: got 'yew'; did you mean 'yaw'?"),
-        (("[columns]", "tracked_point = 1\n[columns]"), "tracked_point: got 1"),
-        (("[columns]", "tracked_point = { forward = 1 }\n[columns]"), "tracked_point.forward: unknown key"),
-        (('unit = "cm"', 'unit = "cmm"'), "columns.x.unit: unknown unit 'cmm'; did you mean '"),
-        (('unit = "cm"', "unit = 5"), "columns.x.unit: got 5"),
-        (("flip = true", "flip = 1"), "columns.y.flip: got 1, wanted true or false"),
-        (("offset = 1.5", 'offset = "1.5"'), "columns.y.offset: got '1.5', wanted a finite number"),
-        (("offset = 1.5", "offset = nan"), "columns.y.offset: got nan"),
-        (("scale = 2.0", "scale = 0"), "columns.target_speed.scale: got 0"),
-        (("scale = 2.0", "gain = 2"), "columns.target_speed.gain: unknown key"),
-        (('from = "px", ', ""), "columns.x.from: got None"),
-        (('"px"', '"py"'), "columns.y: column 'py' is already the source of 'x'"),
-        (('speed = { from = "v", unit = "km/h" }', "speed = 3"), "columns.speed: got 3"),
-        (
-            ('{ from = "v", unit = "km/h" }', '{ derive = "speed" }'),
-            "got 'speed'; did you mean 'slope'? known: rate_from_angle",
-        ),
-        (('{ from = "v", unit = "km/h" }', '{ derive = "speed_from_position" }'), "columns.speed.window: missing"),
-        (
-            ('{ from = "v", unit = "km/h" }', '{ derive = "rate_from_angle", window = 0.1 }'),
-            "gives 'rate', not 'speed'",
-        ),
-        (('{ from = "px", unit = "cm" }', '{ derive = "speed_from_position", window = 1 }'), "gives 'speed', not 'x'"),
-    ],
-)
-def test_every_mistake_names_its_key(change: tuple[str, str], words: str) -> None:
-    assert change[0] in GOOD
-    with pytest.raises(ColumnMapError) as caught:
-        parse_column_map(GOOD.replace(*change))
-    assert words in str(caught.value)
+HEAD = 'format = 1\nrobot = "pendulum"\n'
+COLUMNS = '[columns]\nt = "time"\nangle = "a"\n'
+
+
+def column(entry: str, name: str = "rate") -> str:
+    """A map with one more column."""
+    return f"{HEAD}{COLUMNS}{name} = {entry}\n"
+
+
+def top(line: str) -> str:
+    """A map with one more key at the top."""
+    return f"{HEAD}{line}\n{COLUMNS}"
+
+
+BAD_ENTRIES = """
+1 >> : got 1, wanted a column's name or a table like
+"a" >> : column 'a' is already the source of 'angle'; one column can be one target only
+"" >> .from: got '', wanted a column's name in quotes
+{ unit = "rad/s" } >> .from: got None, wanted a column's name in quotes
+{ from = "b", factor = 2 } >> .factor: unknown key
+{ from = "b", unit = "furlong" } >> .unit: unknown unit 'furlong'
+{ from = "b", unit = "degs" } >> .unit: unknown unit 'degs'; did you mean 'deg
+{ from = "b", unit = 1 } >> .unit: got 1, wanted a unit's name
+{ from = "b", unit = "" } >> .unit: got '', wanted a unit's name
+{ from = "b", scale = 0 } >> .scale: got 0, wanted another number; 0 would erase
+{ from = "b", scale = true } >> .scale: got True, wanted a finite number
+{ from = "b", scale = inf } >> .scale: got inf, wanted a finite number
+{ from = "b", offset = nan } >> .offset: got nan, wanted a finite number
+{ from = "b", offset = "1" } >> .offset: got '1', wanted a finite number
+{ from = "b", shift = -inf } >> .shift: got -inf, wanted a finite number
+{ from = "b", flip = 1 } >> .flip: got 1, wanted true or false
+{ from = "b", flip = "true" } >> .flip: got 'true', wanted true or false
+{ from = "b", hold = 0 } >> .hold: got 0, wanted seconds above 0
+{ from = "b", hold = -0.1 } >> .hold: got -0.1, wanted seconds above 0
+{ from = "b", hold = nan } >> .hold: got nan, wanted a finite number
+{ from = "b", join = "mean" } >> .join: got 'mean' for one column; name several
+{ from = ["b"], join = "sum" } >> .from: got ['b'], wanted two different
+{ from = [], join = "sum" } >> .from: got [], wanted two different columns or more
+{ from = ["b", "b"], join = "sum" } >> .from: got ['b', 'b'], wanted two different
+{ from = ["b", "c", "b"], join = "sum" } >> .from: got ['b', 'c', 'b'], wanted two different columns or more
+{ from = ["b", "c"] } >> .join: got None, wanted how they become one
+{ from = ["b", "c"], join = "median" } >> .join: got 'median', wanted how they become one: mean, sum, difference, norm
+{ from = ["b", 2], join = "sum" } >> .from: got 2, wanted a column's
+{ topic = "/o", field = "z", from = "b" } >> .from: got it beside a topic
+{ topic = "/o", field = "z", join = "sum" } >> .join: got it beside a topic
+{ topic = "/o" } >> : wanted a field of the topic, or for t clock
+{ topic = "", field = "z" } >> .topic: got '', wanted a topic's name
+{ topic = "/o", field = "" } >> .field: got '', wanted a field of the topic
+{ topic = "/o", clock = "header" } >> .clock: got 'header', wanted header or receipt, and for t alone
+{ derive = "rate_from_angle", window = 0.1, from = "b" } >> .from: unknown
+{ derive = 1, window = 0.1 } >> .derive: got 1, wanted what to
+{ derive = "slop", window = 0.1 } >> .derive: got 'slop'; did you mean 'slope'? known: rate_from_angle
+{ derive = "slope", window = 0.1 } >> .of: missing; wanted the state of
+{ derive = "slope", window = 0.1, of = 1 } >> .of: got 1, wanted a state's name
+{ derive = "rate_from_angle", window = 0.1, of = "angle" } >> .of: unknown with 'rate_from_angle'
+{ derive = "rate_from_angle" } >> .window: missing; wanted the seconds over which
+{ derive = "rate_from_angle", window = 0 } >> .window: got 0, wanted seconds above
+{ derive = "rate_from_angle", window = inf } >> .window: got inf, wanted a finite number
+{ derive = "speed_from_position", window = 0.1 } >> .derive: 'speed_from_position' gives 'speed', not 'rate'
+"""
+
+BAD_KEYS = """
+period = 1 >> period: unknown key
+skip_rows = 1 >> skip_rows: unknown key; did you mean 'skip_first_rows'?
+frames = 1 >> frames: got 1, wanted tables like
+frames = { "/o" = "map" } >> frames./o: got 'map', wanted a table with frame_id and
+frames = { "/o" = { frame = "map" } } >> frames./o.frame: unknown key
+frames = { "/o" = { frame_id = "" } } >> frames./o.frame_id: got '', wanted a frame's name
+unwrap = "angle" >> unwrap: got 'angle', wanted a list of names
+unwrap = ["angel"] >> unwrap: got 'angel'; did you mean 'angle'?
+unwrap = ["angle", "x"] >> unwrap: got 'x';
+skip_where = 1 >> skip_where: got 1, wanted
+skip_where = [1] >> skip_where: got [1], wanted
+skip_where = [{ column = "a", equals = 0.0 }, "b"] >> skip_where: got [{
+skip_where = { column = "a", above = 0.0 } >> skip_where.above: unknown key
+skip_where = { equals = 0.0 } >> skip_where.column: got None, wanted a column's name
+skip_where = { column = "a" } >> skip_where.equals: got None, wanted a finite number
+skip_where = { column = "a", equals = nan } >> skip_where.equals: got nan, wanted a finite
+keep = "frozen" >> keep: got 'frozen', wanted a list of findings whose rows are kept
+keep = ["frozen", "frosen"] >> keep: got 'frosen'; did you mean 'frozen'?
+keep = [1] >> keep: got 1;
+keep_period = 0 >> keep_period: got 0, wanted seconds above 0
+keep_period = -1.5 >> keep_period: got -1.5, wanted seconds above 0
+keep_period = true >> keep_period: got True, wanted a finite number
+skip_first_rows = -1 >> skip_first_rows: got -1, wanted a whole number, 0 or more
+skip_first_rows = 1.5 >> skip_first_rows: got 1.5, wanted a whole number, 0 or
+skip_first_rows = true >> skip_first_rows: got True, wanted a whole number, 0 or
+tracked_point = 1 >> tracked_point: got 1, wanted a table with ahead, left
+tracked_point = { up = 1 } >> tracked_point.up: unknown key
+tracked_point = { left = inf } >> tracked_point.left: got inf, wanted a finite
+"""
+
+RATE = 'rate = { derive = "rate_from_angle", window = 0.1 }\n'
+BAD_MAPS = {
+    f'format = 2\nrobot = "a"\n{COLUMNS}': "format: got 2, wanted 1; this program reads no other",
+    f'robot = "a"\n{COLUMNS}': "format: got None, wanted 1",
+    "format = ": "not TOML",
+    f"format = 1\n{COLUMNS}": "robot: got None, wanted the robot's name, 'car' say in quotes",
+    f'format = 1\nrobot = ""\n{COLUMNS}': "robot: got '', wanted the robot's name",
+    f"format = 1\nrobot = 3\n{COLUMNS}": "robot: got 3, wanted the robot's name",
+    HEAD: "columns: missing; wanted a table [columns]",
+    f"{HEAD}[columns]\n": "columns: missing; wanted a table [columns]",
+    f"{HEAD}columns = 1\n": "columns: missing; wanted a table [columns]",
+    f'{HEAD}[columns]\nangle = "a"\nt = {{ topic = "/o", field = "z", clock = "header" }}\n': "columns.t: wanted",
+    f'{HEAD}[columns]\nangle = "a"\nt = {{ topic = "/o", clock = "wall" }}\n': "columns.t.clock: got 'wall', wanted",
+    f'{HEAD}[columns]\nt = "time"\n{RATE}': "columns.rate.derive: 'rate_from_angle' needs the column 'angle' of",
+    f'{HEAD}[columns]\nt = "time"\nangle = {{ derive = "slope", of = "rate", window = 0.1 }}\n{RATE}': (
+        "columns.angle.derive: 'slope' needs the column 'rate' of the log"
+    ),
+}
+
+
+def cases(table: str) -> list[tuple[str, str]]:
+    """Pairs of what is written and how the refusal begins."""
+    pairs = (line.split(" >> ") for line in table.strip().splitlines())
+    return [(written, begin) for written, begin in pairs]
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("text", "begin"),
     [
-        (('unit = "cm"', 'unit = "deg"'), "columns.x.unit: got unit 'deg', wanted one for m: m, mm, cm"),
-        (("steer =", "steering ="), "columns.steering: the model has no 'steering'; did you mean 'steer'?"),
-        (("steer = {", "#"), "columns.steer: missing; the car needs t, x, y, yaw, speed, target_speed, steer"),
+        *((column(entry), f"columns.rate{begin}") for entry, begin in cases(BAD_ENTRIES)),
+        *((top(line), begin) for line, begin in cases(BAD_KEYS)),
+        *BAD_MAPS.items(),
     ],
 )
-def test_a_map_that_does_not_fit_the_system_is_refused(tmp_path: Path, change: tuple[str, str], words: str) -> None:
-    write_log(tmp_path / "log.csv")
+def test_every_mistake_is_refused_with_its_key(text: str, begin: str) -> None:
     with pytest.raises(ColumnMapError) as caught:
-        load_run(tmp_path / "log.csv", CAR, parse_column_map(GOOD.replace(*change)))
-    assert words in str(caught.value)
+        parse_column_map(text)
+    assert str(caught.value).startswith(begin)
 
 
-def test_a_tracked_point_is_refused_for_a_pendulum(tmp_path: Path) -> None:
-    write_log(tmp_path / "log.csv")
-    text = (
-        'format=1\nrobot="pendulum"\n[columns]\nt="stamp"\nangle="px"\nrate="py"\ntorque="v"\n[tracked_point]\nahead=1'
+@pytest.mark.parametrize(
+    ("entry", "wanted"),
+    [
+        ('{ from = ["a", "b"], join = "difference" }', SourceColumn("a", others=("b",), join="difference")),
+        ('{ from = ["b", "c", "d"], join = "first" }', SourceColumn("b", others=("c", "d"), join="first")),
+        ('{ from = "b", unit = "deg/s" }', SourceColumn("b", unit="deg/s")),
+        ('{ from = "b", scale = -2 }', SourceColumn("b", scale=-2.0)),
+        ('{ from = "b", scale = 1e-300 }', SourceColumn("b", scale=1e-300)),
+        ('{ from = "b", offset = 0, shift = 0.0, flip = false }', SourceColumn("b")),
+        (
+            '{ from = "b", shift = -1, offset = 3, flip = true }',
+            SourceColumn("b", shift=-1.0, offset=3.0, flip=True),
+        ),
+        ('{ from = "b", hold = 0.001 }', SourceColumn("b", hold=0.001)),
+        ('{ topic = "/o", field = "z", hold = 2 }', SourceColumn("/o:z", hold=2.0)),
+        ('{ derive = "rate_from_angle", window = 0.1 }', DerivedColumn("rate_from_angle", 0.1)),
+        ('{ derive = "slope", of = "angle", window = 1 }', DerivedColumn("slope", 1.0, "angle")),
+    ],
+)
+def test_a_column_is_taken_as_it_is_written(entry: str, wanted: object) -> None:
+    assert parse_column_map(column(entry)).columns["rate"] == wanted
+
+
+def test_time_may_be_a_clock_of_a_topic_and_defaults_to_the_stamps_of_the_first_one() -> None:
+    def time_of(text: str) -> object:
+        return parse_column_map(f"{HEAD}[columns]\n{text}").columns.get("t")
+
+    for clock in ("header", "receipt"):
+        assert time_of(f't = {{ topic = "/o", clock = "{clock}" }}\nangle = "a"\n') == SourceColumn(f"/o:@{clock}")
+    assert time_of('angle = "/joint:position"\nrate = "/imu:z"\n') == SourceColumn("/joint:@stamp")
+    assert time_of('angle = "a"\n') is None
+
+
+def test_every_key_is_optional_and_is_taken_as_it_is_written() -> None:
+    found = parse_column_map(f"{HEAD}{COLUMNS}")
+    assert (found.unwrap, found.skip_first_rows, found.skip_where, found.tracked_point) == (None, 0, (), None)
+    assert (found.keep_period, found.keep, found.frames) == (None, (), {})
+    assert parse_column_map(top("unwrap = []")).unwrap == ()
+    one = parse_column_map(top('skip_where = { column = "mode", equals = 0 }')).skip_where
+    assert [(rule.column, rule.equals) for rule in one] == [("mode", 0.0)]
+    found = parse_column_map(
+        f'{HEAD}unwrap = ["angle"]\nskip_first_rows = 3\nkeep_period = 1e-9\nkeep = ["frozen", "dead_command"]\n'
+        'skip_where = [{ column = "mode", equals = 0 }, { column = "armed", equals = 1.5 }]\n'
+        'tracked_point = { ahead = 0.1, left = -0.2 }\nframes = { "/o" = { frame_id = "map" } }\n'
+        f"{COLUMNS}",
+        "log",
     )
-    with pytest.raises(ColumnMapError, match="a pendulum has no x, y and yaw"):
-        load_run(tmp_path / "log.csv", PENDULUM, parse_column_map(text))
+    assert (found.name, found.robot, found.unwrap, found.skip_first_rows) == ("log", "pendulum", ("angle",), 3)
+    assert (found.keep_period, found.keep) == (1e-9, ("frozen", "dead_command"))
+    assert [(rule.column, rule.equals) for rule in found.skip_where] == [("mode", 0.0), ("armed", 1.5)]
+    assert found.tracked_point == TrackedPoint(ahead=0.1, left=-0.2, yaw_offset=0.0)
+    assert found.frames == {"/o": {"frame_id": "map"}}
+
+
+PENDULUM_MAP, CAR_MAP = native_map(PENDULUM), native_map(CAR)
+
+
+def with_columns(found: ColumnMap, **columns: SourceColumn | DerivedColumn | None) -> ColumnMap:
+    kept = {name: item for name, item in found.columns.items() if name not in columns}
+    return replace(found, columns={**kept, **{name: item for name, item in columns.items() if item is not None}})
+
+
+@pytest.mark.parametrize(
+    ("columns", "problem"),
+    [
+        (CAR_MAP, "robot: the map is for a car, the model for a pendulum"),
+        (
+            with_columns(PENDULUM_MAP, rat=SourceColumn("x")),
+            "columns.rat: the model has no 'rat'; did you mean 'rate'?",
+        ),
+        (with_columns(PENDULUM_MAP, t=None), "columns.t: missing; the pendulum needs t, angle, rate, torque"),
+        (with_columns(PENDULUM_MAP, rate=None), "columns.rate: missing; the pendulum needs t, angle, rate, torque"),
+        (replace(PENDULUM_MAP, tracked_point=TrackedPoint(ahead=0.1)), "tracked_point: a pendulum has no x, y and yaw"),
+        (
+            with_columns(PENDULUM_MAP, rate=DerivedColumn("slope", 0.1, "rate")),
+            "columns.rate.derive: wanted for a state, of another state",
+        ),
+        (
+            with_columns(PENDULUM_MAP, torque=DerivedColumn("slope", 0.1, "angle")),
+            "columns.torque.derive: wanted for a state, of another state",
+        ),
+        (
+            with_columns(PENDULUM_MAP, rate=DerivedColumn("slope", 0.1, "torque")),
+            "columns.rate.of: got 'torque'; ",
+        ),
+        (
+            with_columns(PENDULUM_MAP, rate=SourceColumn("rate", unit="deg")),
+            "columns.rate.unit: got unit 'deg', wanted one for rad/s: rad/s, deg/s",
+        ),
+        (
+            with_columns(PENDULUM_MAP, t=SourceColumn("t", unit="deg")),
+            "columns.t.unit: got unit 'deg', wanted one for s: s, ms",
+        ),
+    ],
+)
+def test_a_map_that_does_not_fit_the_robot_is_refused(columns: ColumnMap, problem: str) -> None:
+    with pytest.raises(ColumnMapError) as caught:
+        check_map(columns, PENDULUM)
+    assert str(caught.value).startswith(f"{columns.name}: {problem}")
+
+
+@pytest.mark.parametrize(
+    ("columns", "system"),
+    [
+        (PENDULUM_MAP, PENDULUM),
+        (CAR_MAP, CAR),
+        (replace(CAR_MAP, tracked_point=TrackedPoint(ahead=0.1)), CAR),
+        (with_columns(PENDULUM_MAP, rate=DerivedColumn("slope", 0.1, "angle")), PENDULUM),
+        (with_columns(PENDULUM_MAP, rate=DerivedColumn("rate_from_angle", 0.1)), PENDULUM),
+        (with_columns(PENDULUM_MAP, rate=SourceColumn("rate", unit="deg/s")), PENDULUM),
+        (with_columns(PENDULUM_MAP, t=SourceColumn("t", unit="ms")), PENDULUM),
+    ],
+)
+def test_a_map_that_fits_the_robot_is_accepted(columns: ColumnMap, system: System) -> None:
+    check_map(columns, system)
 
 
 def test_shipped_maps_are_found_by_name_and_a_missing_file_lists_them(tmp_path: Path) -> None:

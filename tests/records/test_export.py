@@ -11,7 +11,10 @@ import pytest
 from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.messages import StateMessage, VerdictMessage
 from safedpa.bus.wire.topics import STATE, VERDICT, key_of
+from safedpa.errors import RunError
 from safedpa.records import McapRecorder, load_run, read_run_from_mcap
+from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.write import export_recording
 from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa
 
@@ -101,6 +104,21 @@ def test_a_place_that_cannot_be_written_changes_nothing(tmp_path: Path, capsys: 
     assert safedpa.run(arguments) == 1
     assert "cannot be written" in capsys.readouterr().err
     assert (tmp_path / "file").read_text() == "kept"
+
+
+@pytest.mark.parametrize(("ticks", "rows"), [((0, 1), 1), ((0, 2, 4), 0), ((3,), 0)])
+def test_an_export_needs_two_ticks_in_a_row(ticks: tuple[int, ...], rows: int, tmp_path: Path) -> None:
+    record(tmp_path / "whole.mcap", ticks=5)
+    found = read_payloads(tmp_path / "whole.mcap")
+    states = [(key, payload) for key, _, _, payload in found if key.endswith("state")]
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        for tick in ticks:
+            recorder.write(*states[tick], tick, 0)
+    if rows:
+        assert export_recording(tmp_path / "a.mcap", tmp_path / "a.csv", "csv").rows == rows
+    else:
+        with pytest.raises(RunError, match="robot 'one' has no two ticks in a row"):
+            export_recording(tmp_path / "a.mcap", tmp_path / "a.csv", "csv")
 
 
 def test_a_cut_off_recording_is_exported_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,71 +2,60 @@
 
 from __future__ import annotations
 
+import sqlite3
 import time
 import tracemalloc
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.records.ros_logs import bag
 
-from safedpa.errors import InputError
-from safedpa.limits import LimitError, limit
+from safedpa.limits import LimitError
 from safedpa.records import load_column_map, load_run
 from safedpa.records.bags import topic_log
 from safedpa.robots.car.system import CAR
-from safedpa.ros.definitions import known_fields, parsed, what_it_says
-from safedpa_lab.experiments.hostile.bombs import BOMBS, attempt
+from safedpa.ros.definitions import parsed, what_it_says
 
 FORMS = ("mcap", "mcap-zstd", "mcap-file", "db3", "db3-file", "db3-message", "bag", "bag-lz4")
 _MEBI = 1 << 20
 
 
-@pytest.fixture
-def lines_parsed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many lines the library's grammar was given, call by call."""
-    import rosbags.typesys
-
-    known_fields(False), known_fields(True)
-    parsed.cache_clear()  # of whatever was read before in this process
-    given: list[int] = []
-    original = rosbags.typesys.get_types_from_msg
-
-    def counting(text: str, name: str) -> Any:
-        given.append(text.count("\n") + text.count(","))
-        return original(text, name)
-
-    monkeypatch.setattr(rosbags.typesys, "get_types_from_msg", counting)
-    return given
-
-
-def test_of_many_definitions_no_more_is_parsed_than_the_limit_says(tmp_path: Path, lines_parsed: list[int]) -> None:
-    bomb = next(bomb for bomb in BOMBS if bomb.name == "300 definitions of 27 KB")
-    path = tmp_path / f"bomb{bomb.ending}"
-    path.write_bytes(bomb.make())
-    assert attempt(path)
-    assert sum(lines_parsed) <= limit("definitions_lines")
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        pytest.param("float64 x\n", "", id="one line"),
+        pytest.param("".join(f"float64 x{k}\n" for k in range(9)) + "float64 y", "", id="ten lines"),
+        pytest.param("".join(f"float64 x{k}\n" for k in range(11)), "definition_lines", id="eleven lines"),
+        pytest.param(f"int8[] x [{'1,' * 10}1]\n", "definition_lines", id="ten commas"),
+        pytest.param(f"float64 {'x' * 993}", "definition_letters", id="too many letters"),
+        pytest.param("# a comment\n\n \t\r\n" * 900 + "float64 x # metres\n", "", id="comments do not count"),
+        pytest.param("#" * 16_001, "definition_letters", id="too long a comment"),
+    ],
+)
+def test_a_definition_is_measured_without_comments_before_it_is_parsed(
+    text: str, problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SAFEDPA_LIMITS", "definition_lines=10,definition_letters=1000")
+    parsed.cache_clear()  # of what was read before in this process
+    if problem:
+        with pytest.raises(LimitError, match=problem):
+            parsed("a/msg/B", text, "ros2msg")
+    else:
+        assert parsed("a/msg/B", text, "ros2msg")["a/msg/B"][0].name in ("x", "x0")
 
 
-def test_long_definitions_are_not_parsed_and_their_topics_are_told(lines_parsed: list[int], tmp_path: Path) -> None:
-    text = "".join(f"float64 x{number}\n" for number in range(limit("definition_lines") + 1))
-    with pytest.raises(LimitError, match="definition_lines"):
-        parsed("a/msg/Long", text, "ros2msg")
-    with pytest.raises(LimitError, match="definition_lines"):
-        parsed("a/msg/Wide", f"int8[] x [{'1,' * 30_000}1]\n", "ros2msg")
-    assert not lines_parsed
-    topics = topic_log(bag(tmp_path / "drive", "bag")).topics()
-    assert all(not topic.problem for topic in topics.values())
-    assert lines_parsed
-
-
-def test_lines_that_say_nothing_are_not_parsed(lines_parsed: list[int]) -> None:
-    comments = "# a long word about nothing\n\n \t\r\n" * 3000
-    found = parsed("a/msg/Talks", f"{comments}float64 x # metres\n{comments}string NAME=a # b\n", "ros1msg")
-    assert [item.name for item in found["a/msg/Talks"]] == ["x"]
-    assert sum(lines_parsed) == 2
-    with pytest.raises(InputError):
-        parsed("a/msg/Talks", "#" * 17 * limit("definition_letters"), "ros1msg")
+def test_the_longest_definitions_are_not_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Odometry has more lines than a command; with two lines less than both have, it is named and left out."""
+    path = next(bag(tmp_path / "drive", "db3", 5).glob("*.db3"))
+    with sqlite3.connect(path) as base:
+        rows = base.execute("SELECT encoded_message_definition FROM message_definitions").fetchall()
+    lines = sum(what_it_says(text, "ros2msg")[1] for (text,) in rows)
+    monkeypatch.setenv("SAFEDPA_LIMITS", f"definitions_lines={lines}")
+    assert not any(topic.problem for topic in topic_log(path).topics().values())
+    monkeypatch.setenv("SAFEDPA_LIMITS", f"definitions_lines={lines - 1}")
+    problems = {name: topic.problem for name, topic in topic_log(path).topics().items()}
+    assert not problems["/drive"]
+    assert "definitions_letters" in problems["/odom"]
 
 
 @pytest.mark.parametrize("form", ["ros1msg", "ros2idl"])

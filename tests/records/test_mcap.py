@@ -15,8 +15,9 @@ import pytest
 from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.messages import StateMessage, VerdictMessage
 from safedpa.bus.wire.topics import STATE, VERDICT, key_of
-from safedpa.errors import InputError, RecordingError, RunError
+from safedpa.errors import ColumnMapError, InputError, RecordingError, RunError
 from safedpa.records import Finding, McapRecorder, load_run, read_messages, read_run_from_mcap, write_csv, write_parquet
+from safedpa.records.column_map import native_map
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 
@@ -153,6 +154,23 @@ def test_several_robots_must_be_told_apart(tmp_path: Path) -> None:
         read_run_from_mcap(path, PENDULUM, "alpha")
 
 
+@pytest.mark.parametrize("part", ["values", "applied"])
+def test_a_robot_whose_number_of_states_or_actions_changes_is_refused(part: str, tmp_path: Path) -> None:
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        for tick in range(10):
+            one = state(tick)
+            changed = replace(one, **{part: getattr(one, part)[:-1]}) if tick == 5 else one
+            recorder.write(key_of("fleet", "car1", STATE), encode(changed), tick, tick)
+    with pytest.raises(RunError, match="robot 'car1': the number of its states or actions changes; record each robot"):
+        read_run_from_mcap(tmp_path / "a.mcap", CAR)
+
+
+def test_a_recording_of_the_bus_is_read_without_a_column_map(tmp_path: Path) -> None:
+    record(tmp_path / "a.mcap", range(40))
+    with pytest.raises(ColumnMapError, match=r"a.mcap is a recording of the bus; leave the column map out"):
+        load_run(tmp_path / "a.mcap", CAR, native_map(CAR))
+
+
 def test_all_three_formats_give_the_same_run(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     record(path, range(200))
@@ -180,8 +198,9 @@ def test_a_foreign_key_and_a_closed_recorder_are_refused(tmp_path: Path) -> None
         recorder.write("other/key", b"", 0, 0)
     recorder.close()
     recorder.close()
-    with pytest.raises(RecordingError, match="is closed"):
-        recorder.write("safedpa/fleet/car1/state", b"", 0, 0)
+    for late in (lambda: recorder.write("safedpa/fleet/car1/state", b"", 0, 0), recorder.flush, recorder.sync):
+        with pytest.raises(RecordingError, match="the recording is closed; open a new one"):
+            late()
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,6 +45,15 @@ def payload() -> bytes:
     return encode(CarRobot(Scene.random(1, "none")).state_message())
 
 
+def failing(number: int) -> Callable[[int], None]:
+    """An ``fsync`` that fails."""
+
+    def fsync(_descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fsync
+
+
 def test_the_name_is_on_the_disk_when_a_recording_begins(tmp_path: Path, synced: list[tuple[str, int]]) -> None:
     with McapRecorder(tmp_path / "drives" / "a.mcap"):
         assert synced == [("drives", 1)]
@@ -61,28 +72,34 @@ def test_what_is_acknowledged_is_on_the_disk_before(tmp_path: Path, synced: list
         synced.clear()
 
 
-@pytest.mark.parametrize(
-    ("number", "told"),
-    [(errno.EINVAL, ""), (errno.EROFS, ""), (errno.ENOTSUP, ""), (errno.EIO, "Input/output error"),
-     (errno.ENOSPC, "No space left")],
-)  # fmt: skip
-def test_a_disk_that_fails_acknowledges_nothing_and_what_knows_no_such_thing_is_no_failure(
-    number: int, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_a_failing_disk_acknowledges_nothing_and_the_failure_is_repeated(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pipe, for one, cannot be waited for."""
     with McapRecorder(tmp_path / "a.mcap") as recorder:
         recorder.write(KEY, payload(), 0, 0)
-
-        def fails(_descriptor: int) -> None:
-            raise OSError(number, os.strerror(number))
-
-        monkeypatch.setattr(os, "fsync", fails)
-        if told:
-            with pytest.raises(RecordingError, match=told):
+        recorder.sync()
+        recorder.write(KEY, payload(), 1, 1)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", failing(number))
+            with pytest.raises(RecordingError, match=rf"stopped after \d+ bytes \({os.strerror(number)}\)"):
                 recorder.sync()
-        else:
-            recorder.sync()
-        assert recorder.acknowledged == (0 if told else 1)
+        for again in (recorder.flush, recorder.sync, lambda: recorder.write(KEY, payload(), 2, 2)):
+            with pytest.raises(RecordingError, match="the recording stopped after"):
+                again()
+        assert (recorder.written, recorder.acknowledged) == (2, 1)
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EROFS, errno.ENOTSUP])
+def test_a_device_that_cannot_be_synced_is_no_failure(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pipe, for example."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.write(KEY, payload(), 0, 0)
+        monkeypatch.setattr(os, "fsync", failing(number))
+        recorder.sync()
+        assert recorder.acknowledged == 1
 
 
 def test_what_is_older_than_half_a_second_has_reached_the_file(tmp_path: Path) -> None:
@@ -124,35 +141,31 @@ def test_what_a_recorder_received_is_acknowledged_after_half_a_second(
 @pytest.mark.parametrize(
     ("number", "waits"), [(errno.ENOSPC, True), (errno.EDQUOT, True), (errno.EIO, False), (errno.EBADF, False)]
 )
-def test_only_a_full_disk_is_waited_for_and_a_broken_one_is_told(
+def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(
     number: int, waits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """There is room all the time: whoever takes a broken disk for a full one promises to go on, and goes on writing."""
-    clock, broker = [100.0], MemoryBroker()
+    clock, room, broker = [100.0], [0], MemoryBroker()
     ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
     health = ears.inbox((HEALTH,), keep_all=True)
     recorder = Recorder(ears, tmp_path / "a.mcap", setup_message("recorder", {}))
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=lambda _: None,
-                                                        time_ns=time.time_ns, time=time.time))  # fmt: skip
-    monkeypatch.setattr(module, "_free_bytes", lambda _: 2**40)
-    state = CarRobot(Scene.random(1, "none")).state_message()
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=room[0]))
 
-    def fails(_descriptor: int) -> None:
-        raise OSError(number, os.strerror(number))
+    def reported() -> Any:
+        return [item.message for item in health.take(0.0) if isinstance(item, Received)][-1]
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fails)
-        patch.setattr(recorder, "_go_on", lambda: None)
-        robot.publish(STATE, "r1", state)
+        patch.setattr(os, "fsync", failing(number))
+        robot.publish(STATE, "r1", CarRobot(Scene.random(1, "none")).state_message())
         recorder.turn(0.0)
         recorder.sync()
-    told: list[Any] = [item.message for item in health.take(0.0) if isinstance(item, Received)]
-    assert told[-1].state == "failing"
-    assert ("goes on when" in told[-1].detail) is waits
-    for seconds in (0.5, 10.0):
-        clock[0] += seconds
+    assert reported().state == "failing"
+    for free, state in ((2**20, "failing"), (2**40, "running" if waits else "failing")):
+        room[0] = free
+        clock[0] += 10.0
         recorder.sync()
-    told = [item.message for item in health.take(0.0) if isinstance(item, Received)]
-    assert told[-1].state == ("running" if waits else "failing"), "within ten seconds of there being room"
+        now = reported()
+        assert (now.state, now.free_bytes) == (state, free), "within ten seconds of there being room"
+        assert ("goes on when" in now.detail) is (waits and state == "failing")
     assert (tmp_path / "a-2.mcap").exists() is waits
     recorder.run(lambda: True)  # closes what is open
