@@ -4,10 +4,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.seeding import np_random
 
 from safedpa.errors import InputError
 from safedpa_lab.point.gym_environment import PointGoalEnvironment
 from safedpa_lab.point.speed import steps_per_second
+from safedpa_sim.point.layout import draw_layouts
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
 
@@ -19,26 +21,38 @@ def test_gymnasium_finds_nothing_wrong(options: dict) -> None:
 
 
 def test_one_robot_in_mujoco_lives_as_one_of_many() -> None:
-    one, many = PointGoalEnvironment(largest_force=0.008), PointTask(1, 0)
+    """The layout, the heading and the wind are drawn in turn from the generator that the seed gives."""
+    one, many, (drawn, _) = PointGoalEnvironment(largest_force=0.008), PointTask(1, 0), np_random(3)
     seen, info = one.reset(seed=3)
-    simulation, layout = many.simulation, one._layout
+    layout = draw_layouts(1, drawn)
     many.layout.goal[:], many.layout.hazards[:] = layout.goal, layout.hazards
-    simulation.pose[:, 0], simulation.velocity[:] = one._world.pose, 0.0
-    simulation.force[:, 0] = info["force"]
-    many._distance = many._goal_distance()
+    many.simulation.pose[:, 0] = *layout.robot[0], drawn.uniform(0.0, 2.0 * np.pi)
+    many.simulation.force[:, 0] = info["force"]
     assert 0.0 < np.linalg.norm(info["force"]) <= 0.008
     np.testing.assert_allclose(seen[12:], many.observation()[0, 12:], atol=1e-5)
     random = np.random.default_rng(1)
-    for _ in range(150):
+    for step in range(150):
         action = random.uniform(-1.0, 1.0, 2) * 0.5 + np.array([0.3, 0.2])
         seen, reward, ended, _, info = one.step(action)
         stepped = many.advance(action[np.newaxis])
-        many.layout.goal[:] = one._layout.goal
-        many._distance = many._goal_distance()
-        assert reward == pytest.approx(stepped.reward[0], abs=1e-6)
+        if step:  # the goal of the many was put elsewhere before their first step
+            assert reward == pytest.approx(stepped.reward[0], abs=1e-6)
         assert info["cost"] == stepped.cost[0]
         assert not ended
         np.testing.assert_allclose(seen, many.observation()[0], atol=1e-3)
+
+
+def test_a_goal_that_is_reached_counts_one_and_is_put_elsewhere() -> None:
+    environment, info = PointGoalEnvironment(), {"reached": False}
+    seen, _ = environment.reset(seed=3)
+    while not info["reached"]:
+        off, away = np.arctan2(seen[13], seen[12]), seen[14]
+        action = np.array([1.5 * np.cos(off) * away, 2.0 * off]).clip(-1.0, 1.0)
+        seen, reward, _, timed_out, info = environment.step(action)
+        assert not timed_out
+    assert info["goals"] == 1
+    assert reward == pytest.approx(1.0, abs=0.05)
+    assert seen[14] > 0.4 > away
 
 
 def test_an_episode_ends_by_time_and_the_force_stays() -> None:

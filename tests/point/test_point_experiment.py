@@ -12,8 +12,8 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments import point
-from safedpa_lab.experiments.point import PointExperiment, _advantages, _everything, point_experiment
-from safedpa_lab.experiments.point_episodes import DEVELOPMENT, best_penalty, over_seeds
+from safedpa_lab.experiments.point import PointExperiment, point_experiment
+from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work
 from safedpa_lab.experiments.point_report import against_table, short_table
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval, seeds_interval
@@ -21,7 +21,7 @@ from safedpa_lab.point import drivers
 from safedpa_lab.point.driven import PolicyDriver, driven, windy_task
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
 from safedpa_lab.point.inputs import inputs_of
-from safedpa_lab.point.methods import METHODS, PENALISED, Method
+from safedpa_lab.point.methods import METHODS, Method
 from safedpa_lab.point.policy_file import BaselinePolicy, save_policy
 from safedpa_lab.point.shield import shield_of
 from safedpa_services.command_line import safedpa
@@ -109,6 +109,8 @@ def test_intervals_of_means_and_ratios() -> None:
     assert low < mean
     with pytest.raises(ValueError, match="pairs"):
         ratio_interval(np.ones(2), np.zeros(2))
+    with pytest.raises(ValueError, match="one at least"):
+        seeds_interval(np.zeros(0))
 
 
 def _untrained(folder: Path) -> None:
@@ -156,9 +158,31 @@ def _row(goals: list[int], safe: str) -> dict[str, Any]:
     return {"goals_each": goals, "safe_each": safe, "success_each": reached, **told}
 
 
-def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes() -> None:
+MARGINS = {"safedpa": 0.002, "mix": 0.012, "safedpa_17": 0.006}
+
+
+def _found(
+    accounts: dict[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> tuple[dict[str, Any], list[tuple[str, float | None]]]:
+    """The experiment of those methods in four directions, their margins and accounts as written; what was driven."""
+    driven_: list[Work] = []
+
+    def account_of(work: Work) -> dict[str, Any]:
+        driven_.append(work)
+        return {"account": accounts[work.method]}
+
+    measured = {"margins": {name: {"epsilon": epsilon} for name, epsilon in MARGINS.items()}}
+    monkeypatch.setattr(point, "measured_margins", lambda _: measured)
+    monkeypatch.setattr(point, "account_of", account_of)
+    monkeypatch.setattr(point, "training_seeds", lambda *_: (None,))
+    result = point_experiment(PointExperiment(NOWHERE, NOWHERE, tuple(accounts), 4, 3, processes=1))
+    assert len({work.weights for work in driven_}) == len({METHODS[name].baseline for name in accounts})
+    return result, [(work.method, work.epsilon) for work in driven_]
+
+
+def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     ours, other = _row([2] * 12, "1" * 12), _row([3] * 12, "0" * 8 + "1" * 4)
-    rows = _advantages({"own": {"safedpa": ours, "ppo": other}, "same": {}}, 4)
+    rows = _found({"safedpa": ours, "ppo": other}, monkeypatch)[0]["advantages"]
     safe = next(row for row in rows if row["outcome"] == "safe")
     assert (safe["only_safedpa"], safe["only_other"]) == (8, 0)
     assert safe["mcnemar"] == pytest.approx(2 * 0.5**8)
@@ -168,41 +192,33 @@ def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes() -> None
     assert "| PPO | lidar | +8 -0 | 0.02 |" in page
 
 
-def test_several_training_seeds_have_an_interval_over_seeds() -> None:
-    """Student's t with two degrees of freedom: 4.303 deviations of the mean."""
-    accounts = {
-        seed: {"safe_episodes": safe, "episodes": 10, "goals": [goals, 0, 0], "cost": [0.0, 0, 0]}
-        for seed, safe, goals in ((0, 5, 3.0), (1, 6, 4.0), (2, 7, 5.0))
-    }
-    found = over_seeds(accounts)
-    assert found["training_seeds"] == [0, 1, 2]
-    assert found["goals"] == pytest.approx([4.0, 4.0 - 4.303 / np.sqrt(3), 4.0 + 4.303 / np.sqrt(3)], abs=1e-3)
-    assert found["cost"] == [0.0, 0.0, 0.0]
-    with pytest.raises(ValueError, match="one at least"):
-        seeds_interval(np.zeros(0))
+def test_a_method_with_another_filter_is_driven_with_both_margins_and_safedpa_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows = dict.fromkeys(("safedpa", "mix", "safedpa_17", "ppo"), _row([1] * 12, "1" * 12))
+    result, driven_ = _found(rows, monkeypatch)
+    own = [("safedpa", 0.002), ("mix", 0.012), ("safedpa_17", 0.006), ("ppo", None)]
+    assert sorted(driven_, key=str) == sorted([*own, ("mix", 0.002), ("safedpa_17", 0.002)], key=str)
+    assert {name: row["epsilon"] for name, row in result["methods"].items()} == dict(own)
+    assert {name: row["epsilon"] for name, row in result["same_margin"].items()} == dict.fromkeys(own_filters, 0.002)
 
 
-def test_the_penalty_is_chosen_by_return_less_cost() -> None:
-    costs = dict(zip(PENALISED, (5.0, 1.0, 0.5, 0.0), strict=True))
-    told = {"safe_episodes": 0}
-    found = {name: {"reward": [9.0 + cost, 0, 0], "cost": [2.0 * cost, 0, 0], **told} for name, cost in costs.items()}
-    choice = best_penalty(found)
-    assert choice["chosen"] == "rma_p_3"
-    assert choice["rows"]["rma_p_0_1"]["score"] == pytest.approx(4.0)
-    assert choice["seed"] == DEVELOPMENT
+own_filters = ("safedpa", "mix", "safedpa_17")
 
 
-def test_who_has_another_filter_is_driven_with_both_margins_and_safedpa_once() -> None:
-    experiment = PointExperiment(NOWHERE, NOWHERE, ("safedpa", "mix", "ppo"), 2, 1)
-    work = _everything(experiment, {"safedpa": 0.002, "mix": 0.012}, {})
-    found = [(item.method, item.epsilon, [table for table, _ in places]) for item, places in work.items()]
-    assert found == [
-        ("safedpa", 0.002, ["own", "same"]),
-        ("mix", 0.012, ["own"]),
-        ("mix", 0.002, ["same"]),
-        ("ppo", None, ["own"]),
-    ]
-    assert len({item.weights for item in work}) == 2, "SafeDPA's policy, and PPO's"
+@pytest.mark.parametrize("ppo", [[0, 3, 0, 5] * 3, [2, 2, 1, 1] * 3, [0] * 12, None])
+def test_goals_over_those_of_ppo_are_reported_where_it_reached_any(
+    ppo: list[int] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals = {"safedpa": [2, 3, 4, 5] * 3, "mix": [1, 1, 2, 2] * 3} | ({} if ppo is None else {"ppo": ppo})
+    result, _ = _found({name: _row(one, "1" * 12) for name, one in goals.items()}, monkeypatch)
+    for table, name in (("methods", "safedpa"), ("methods", "mix"), ("same_margin", "mix")):
+        if ppo is None or sum(ppo) == 0:
+            assert "of_ppo" not in result[table][name]
+        else:
+            own, others = (np.array(one, dtype=float) for one in (goals[name], ppo))
+            assert result[table][name]["of_ppo"] == ratio_interval(own, others)
+            assert result[table][name]["of_ppo"][0] == pytest.approx(own.sum() / others.sum())
 
 
 def test_numbers_that_are_none_are_refused() -> None:
@@ -215,8 +231,7 @@ def test_numbers_that_are_none_are_refused() -> None:
 def test_a_folder_is_refused_as_a_record_before_margins_are_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was told after minutes, and a file lay beside the folder."""
-    monkeypatch.setattr(point, "_margins", lambda _: pytest.fail("margins were measured first"))
+    monkeypatch.setattr(point, "measured_margins", lambda _: pytest.fail("margins were measured first"))
     folder = tmp_path / "folder"
     folder.mkdir()
     with pytest.raises(InputError, match="folder: cannot be kept as a record"):

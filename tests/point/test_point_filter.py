@@ -39,7 +39,7 @@ def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(
     motion = Motion(wind, DRAG, STRONGEST, FASTEST)
     barrier = StoppingBarrier(np.array([[0.7, 0.2, 0.2], [-0.9, 0.5, 0.2]]), motion)
     state = np.array(start)
-    room, end = barrier.values(state).min(), barrier._best(state)[1]
+    room, end = barrier.values(state).min(), barrier.best_end(state)
     for _ in range(100):
         thrust, turn = (float(part[0]) for part in stopping_action(state[:, None], motion, np.array([end])))
         drift, gain = _affine(state, wind)

@@ -14,7 +14,6 @@ from safedpa.records.write import write_columns
 from safedpa_lab.experiments.point_story import PointStory, point_story, point_story_markdown
 from safedpa_lab.point.hidden import HIDDEN, point_logs
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point import policy_task
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.observation import entries_seen
 from safedpa_sim.point.policy_task import PointPractice
@@ -24,8 +23,7 @@ PUNISHED = ("rma", "rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
 
 
 @pytest.mark.long
-def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 10)  # what it does, no figure, is looked at here
+def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
     assert list(records) == ["1a", "1b", "2", "fix_45", "fix_135", "fix_225", "fix_315", "mix", *PUNISHED, "17"]

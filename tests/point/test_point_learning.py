@@ -13,26 +13,31 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa_lab.experiments.point_learning import MARGIN, PointLearning, _work, point_learning
+from safedpa_lab.experiments import point_learning as experiment
+from safedpa_lab.experiments.point_learning import MARGIN, PointLearning, point_learning
 from safedpa_lab.experiments.point_learning_report import driven_table, judged_table, per_thousand, smoothed
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.point import online_learning
 from safedpa_lab.point.baseline_set import baseline_named
+from safedpa_lab.point.baselines import policy_of
 from safedpa_lab.point.driven import driven
-from safedpa_lab.point.learning_tally import Tally
+from safedpa_lab.point.learning_tally import COUNTS, Tally
 from safedpa_lab.point.online_learning import STARTS, Learning, learned, learning_environment
+from safedpa_lab.point.policy_file import BaselinePolicy
+from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.windy_shield import WindyShield
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
 
 LEARNING = Learning("shipped", MARGIN, 0, 5, 6, 2048, 16, 1, 0.008)
+JUDGED_STEPS = 20
 PAGES = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Policies are judged in a few steps."""
-    monkeypatch.setattr(online_learning, "driven", partial(driven, steps=20))
+    monkeypatch.setattr(online_learning, "driven", partial(driven, steps=JUDGED_STEPS))
 
 
 def stepped(cost: tuple[int, int], reached: tuple[int, int], over: tuple[int, int]) -> Stepped:
@@ -61,8 +66,8 @@ def test_counts_of_a_drive_that_is_written_down_by_hand() -> None:
     }
 
 
-def test_what_is_counted_is_what_the_robots_did(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sums of the rows, against places that are looked at by another road."""
+def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sums of the rows, compared with positions that are looked at in another way."""
     within: list[int] = []
     advance = PointTask.advance
 
@@ -73,10 +78,10 @@ def test_what_is_counted_is_what_the_robots_did(monkeypatch: pytest.MonkeyPatch)
         return found
 
     monkeypatch.setattr(PointTask, "advance", watched)
-    monkeypatch.setattr(online_learning, "_judged", lambda *_: {})
     rows = learned(replace(LEARNING, epsilon=None))["rows"]
+    within = within[:-JUDGED_STEPS]
     assert rows[-1]["steps"] == 2048 == 16 * len(within)
-    assert sum(row["unsafe"] for row in rows) == sum(within) > 0, "who learns without a filter meets a hazard"
+    assert sum(row["unsafe"] for row in rows) == sum(within) > 0, "without a filter a learner meets a hazard"
 
 
 @pytest.mark.long
@@ -108,18 +113,25 @@ def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(
     assert not np.array_equal(behind, alone)
 
 
-def test_policy_and_filter_know_the_same_latent_through_new_episodes() -> None:
+def test_policy_and_filter_know_the_same_latent_through_new_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both of what was carried out, and nothing of the episode before."""
-    environment, between = learning_environment(LEARNING)
+    shields: list[Shield] = []
+
+    def made(*given: Any, **named: Any) -> Shield:
+        shields.append(shield_of(*given, **named))
+        return shields[-1]
+
+    monkeypatch.setattr(online_learning, "shield_of", made)
+    environment, _ = learning_environment(LEARNING)
     task, random = environment.task, np.random.default_rng(0)
     task.steps[:8] = EPISODE_STEPS - 10
     environment.reset()
     seen = []
     for _ in range(30):
         wish = random.uniform(-1.0, 1.0, (16, 2)).astype(np.float32)
-        _, _, over, _ = environment.step(wish)
-        told = environment._inputs.look()[:, -2:]
-        np.testing.assert_allclose(told, between._shield.see(task), atol=1e-6)
+        observed, _, over, _ = environment.step(wish)
+        told = observed[:, -2:]
+        np.testing.assert_allclose(told, shields[0].see(task), atol=1e-6)
         seen.append((over, told))
     ended = next(step for step, (over, _) in enumerate(seen) if over[:8].all())
     fresh = seen[ended][1][:8]
@@ -150,7 +162,13 @@ def test_who_was_trained_before_drives_on_as_it_is_while_a_critic_is_learned(
     start: str, moves: bool, short: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept: list[dict[str, NDArray[np.float32]]] = []
-    monkeypatch.setattr(online_learning, "_judged", lambda policy, _: kept.append(policy.tensors))
+
+    def policy(*given: Any) -> BaselinePolicy:
+        found = policy_of(*given)
+        kept.append(found.tensors)
+        return found
+
+    monkeypatch.setattr(online_learning, "policy_of", policy)
     for steps in (0, 2048):
         learned(replace(LEARNING, start=start, epsilon=None, steps=steps))
     before, after = kept
@@ -207,14 +225,23 @@ def test_curves_and_tables_by_hand() -> None:
     assert all(line.endswith("| 1.5 (1.0 to 2.0) | 23 of 24 | 7 | 12.5 |") for line in lines)
 
 
-def test_seeds_are_of_evaluation_and_with_and_without_filter_the_same() -> None:
-    work = _work(PointLearning())
-    assert all(one.layout_seed in SEEDS["evaluation"] and one.judged_seed in SEEDS["evaluation"] for *_, one in work)
-    learning = {(start, behind): [] for start, behind, _ in work}
-    for start, behind, one in work:
-        learning[start, behind].append(replace(one, epsilon=None))
-    assert learning["shipped", "filter"] == learning["shipped", "none"]
-    assert not {one.judged_seed for *_, one in work} & {one.layout_seed for *_, one in work}
+def test_seeds_are_of_evaluation_and_with_and_without_filter_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    work: list[Learning] = []
+
+    def learning(one: Learning) -> dict[str, Any]:
+        work.append(one)
+        rows = [dict.fromkeys(("steps", *COUNTS), 0.0)] if one.steps else []
+        return {"training_seed": one.training_seed, "rows": rows, "judged": {"goals": [0.0]}}
+
+    monkeypatch.setattr(experiment, "learned", learning)
+    point_learning(PointLearning())
+    assert {one.steps for one in work if one.start == "nothing"} == {250_000}
+    assert [one.steps for one in work if one.start == "shipped"] == [0, 0] + [250_000] * 6, "judged as it is, too"
+    assert all(one.layout_seed in SEEDS["evaluation"] and one.judged_seed in SEEDS["evaluation"] for one in work)
+    behind, alone = ([one for one in work if (one.epsilon is None) is none] for none in (False, True))
+    assert {one.epsilon for one in behind} == {MARGIN}
+    assert [replace(one, epsilon=None) for one in behind] == alone
+    assert not {one.judged_seed for one in work} & {one.layout_seed for one in work}
 
 
 def test_the_margin_is_the_one_that_the_experiment_of_the_page_measured() -> None:

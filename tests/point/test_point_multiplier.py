@@ -17,9 +17,9 @@ def _rollouts(plan: Plan, episode_costs: list[float], returns: float) -> list[fl
     environment.returns.append(returns)
     multiplier, weights = Multiplier(environment, plan, rate=0.01), []
     for cost in episode_costs:
-        multiplier._on_rollout_start()
+        multiplier.on_rollout_start()
         environment.paid, environment.stepped = 5.0 * cost, 5_000
-        multiplier._on_rollout_end()
+        multiplier.on_rollout_end()
         weights.append(environment.weight)
     return weights
 

@@ -8,20 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 
 from safedpa.errors import InputError
+from safedpa.networks import LearnedNetworks, frame_of
+from safedpa_lab.experiments import relinearised_errors
 from safedpa_lab.experiments.point_relinearised import Relinearised
 from safedpa_lab.experiments.point_relinearised_report import car_table
 from safedpa_lab.experiments.relinearised_errors import CarWork, car_errors, thrust_configuration, train_networks
 from safedpa_lab.point.action_models import COMMANDS, SimulatedBody
 from safedpa_lab.point.free_model import FreeModel, load_free, save_free
 from safedpa_lab.point.free_training import free_hidden, train_free
-from safedpa_lab.point.relinearised_drives import NETWORKS, free_model, model_of, windy
+from safedpa_lab.point.relinearised_drives import NETWORKS, affine_weights, free_model, model_of, windy
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point.belief import to_task_action
 from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.transitions import Transitions, draw_transitions
 
 SHIPPED = Path("no networks here")
 EVERYBODY = np.arange(6)
@@ -133,6 +138,36 @@ def test_networks_of_ones_own_are_taken_from_their_folder(tmp_path: Path) -> Non
     train_networks(tmp_path, 2048)
     assert {path.stem for path in tmp_path.glob("*.safetensors")} == set(NETWORKS)
     assert free_model("stock", tmp_path).digest != free_model("stock", SHIPPED).digest
+
+
+def test_errors_of_the_networks_are_roots_of_mean_squares_over_one_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compared with the networks themselves, over the same 300 steps of the training simulator."""
+    drawn = []
+
+    def few(cars: BatchedCars, _: int, generator: torch.Generator) -> Transitions:
+        drawn.append(draw_transitions(cars, 300, generator))
+        return drawn[-1]
+
+    monkeypatch.setattr(relinearised_errors, "draw_transitions", few)
+    monkeypatch.setattr(relinearised_errors, "affine_floor", lambda *_: np.array([9.0, 9.0, 9.0, 0.25, 0.75]))
+    rows = relinearised_errors.point_errors(SHIPPED)
+    assert [(row["thrust"], row["form"]) for row in rows] == [
+        (thrust, form) for thrust in COMMANDS for form in ("affine", "free")
+    ]
+    for index, (thrust, part) in enumerate(zip(COMMANDS, drawn, strict=True)):
+        environment, state, action, own = (one.double().numpy() for one in part)
+        measured = frame_of("point").world_increment(state, own)
+        affine, free = affine_weights(thrust, SHIPPED), free_model(thrust, SHIPPED)
+        networks = LearnedNetworks(affine)
+        f, g = networks.increment(state, networks.encode(environment))
+        predicted = f + (g @ action[..., None])[..., 0], free.increment(state, free.encode(environment), action)
+        for row, by_it in zip(rows[2 * index :], predicted, strict=False):
+            off = by_it - measured
+            assert row["yaw"] == pytest.approx(np.sqrt((off[:, 2] ** 2).mean()))
+            assert row["velocity"] == pytest.approx(np.sqrt((off[:, 3:] ** 2).mean()))
+            spread = measured[:, 3:].var(axis=0).mean()
+            assert row["explained"] == pytest.approx(1.0 - (off[:, 3:] ** 2).mean() / spread)
+            assert row["not_affine"] == 0.5
 
 
 def test_the_car_is_told_by_state() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus import StateMessage
+from safedpa.bus import ActionMessage, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy.controller import controller_for
 from safedpa.robots.point.point_scene import PointScene, motion_of
@@ -28,6 +28,13 @@ def message(values: tuple[float, ...], **changed: object) -> StateMessage:
         "field": (), "footprint": (),
     }  # fmt: skip
     return StateMessage(**{**told, **changed})
+
+
+def act(robot: PointRobot, action: np.ndarray) -> None:
+    """One tick under an action that the robot's guard accepts."""
+    sent = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=tuple(action.tolist()))
+    assert robot.guard.offer(sent) is None
+    robot.advance()
 
 
 @settings(max_examples=20, deadline=None)
@@ -56,8 +63,7 @@ def test_the_backup_holds_the_robot_in_the_wind() -> None:
     start = np.array(robot.values[:2])
     for _ in range(150):
         assert not isinstance(scene.of(robot.state_message()), str)
-        robot.guard._accepted = tuple(scene.backup(np.array(robot.values)))
-        robot.advance()
+        act(robot, scene.backup(np.array(robot.values)))
     assert np.linalg.norm(np.array(robot.values[:2]) - start) < 0.25
     assert np.hypot(*robot.values[3:]) < 0.1
     assert not robot.collisions
@@ -83,11 +89,9 @@ def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
         state = robot.state_message()
         wish, _ = seeker.wish(state, latent)
         verdict = filter_.decide(state.values, wish, latent, barriers=scene.of(state))
-        robot.guard._accepted = tuple(verdict.action)
-        robot.advance()
+        act(robot, verdict.action)
     assert robot.goals_reached >= 2
     assert not robot.collisions
-    robot.guard._accepted = None
     robot.advance()
     assert robot.watchdog_ticks == 1
 

@@ -12,12 +12,11 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa.networks import load_weights
-from safedpa_lab.experiments.point import PointExperiment, _everything
 from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.driven import driven, windy_task
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
 from safedpa_lab.point.methods import METHODS
-from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
+from safedpa_lab.point.sensed_belief import sensed_weights
 from safedpa_lab.point.shield import shield_of
 from safedpa_sim.point.belief import to_task_action
 from safedpa_sim.point.body import POINT_BODY
@@ -129,28 +128,17 @@ def test_weights_of_another_state_are_refused(tmp_path: Path, trained: tuple[Pat
     assert sensed_weights(tmp_path).has("phi")
 
 
-def _believing(count: int) -> tuple[PointTask, SensedBelief, TwoHistories]:
-    task = windy_task(count, 1, 0.008, 3)
-    shield = shield_of("safedpa_17", task, epsilon=0.004)
-    belief, histories = shield._belief, shield._adaptation
-    assert isinstance(belief, SensedBelief)
-    assert isinstance(histories, TwoHistories)
-    random = np.random.default_rng(6)
-    for step in range(80):
-        if step % 10 == 0:
-            wish = random.uniform(-1.0, 1.0, (count, 2)) * (1.0, 0.3)
-        histories.see(centre_state(task.simulation))
-        histories.acted(from_task_action(wish) * (POINT_BODY.largest_thrust, POINT_BODY.largest_turn))
-        task.advance(wish)
-    histories.see(centre_state(task.simulation))
-    return task, belief, histories
-
-
 def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> None:
     """Also just after goals were put elsewhere: phi does not see them."""
-    task, belief, _ = _believing(24)
-    state = centre_state(task.simulation)
-    believed = belief.believed(state, np.zeros((24, 0)))
+    task, random = windy_task(24, 1, 0.008, 3), np.random.default_rng(6)
+    shield = shield_of("safedpa_17", task, epsilon=0.004)
+    for step in range(80):
+        if step % 10 == 0:
+            wish = random.uniform(-1.0, 1.0, (24, 2)) * (1.0, 0.3)
+        shield.see(task)
+        shield.acted(from_task_action(wish))
+        task.advance(wish)
+    believed = shield.believes(task)
     assert believed.drift.shape == (24, 5)
     assert believed.gain.shape == (24, 5, 2)
     action = np.random.default_rng(8).uniform(-1.0, 1.0, (24, 2))
@@ -189,11 +177,4 @@ def test_the_policy_is_told_what_it_is_told_behind_the_filter_of_five() -> None:
             task.advance(np.full((3, 2), 0.3))
     np.testing.assert_array_equal(told[:40], told[40:])
     assert np.abs(told[39]).max() > 0.0
-
-
-def test_the_experiment_has_the_row_with_a_margin_of_its_own() -> None:
-    experiment = PointExperiment(NOWHERE, NOWHERE, ("safedpa", "safedpa_17"))
-    work = _everything(experiment, {"safedpa": 0.002, "safedpa_17": 0.006}, {})
-    own = {item.method: item.epsilon for item, places in work.items() if ("own", item.method) in places}
-    assert own == {"safedpa": 0.002, "safedpa_17": 0.006}
     assert METHODS["safedpa_17"].policy == METHODS["safedpa"].policy

@@ -3,6 +3,7 @@
 import tempfile
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,22 +15,28 @@ from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments.point_baselines import markdown_of
-from safedpa_lab.point import baselines, fisher
+from safedpa_lab.point import baselines, constrained, fisher
 from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
-from safedpa_lab.point.baselines import _task, algorithm_of
+from safedpa_lab.point.baselines import algorithm_of, evaluate_policy
 from safedpa_lab.point.constrained import constrained_step
 from safedpa_lab.point.plan import Plan, score
 from safedpa_lab.point.policy_file import BaselinePolicy
 from safedpa_lab.point.vector_environment import PointEnvironment
+from safedpa_sim.point.task import PointTask
+
+
+def environment_of(plan: Plan) -> PointEnvironment:
+    return PointEnvironment(PointTask(plan.robots, 0, largest_force=plan.largest_force, stock=plan.stock), 0)
 
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an update whose line search takes no step, so that the policy is still the one of the matrix."""
     monkeypatch.setattr(fisher, "EVERY", 1)
-    algorithm = algorithm_of("trpo", PointEnvironment(_task(Plan(robots=16), 0), 0), Plan(robots=16))
-    buffer = algorithm.rollout_buffer
-    buffer.observations[:] = np.random.default_rng(0).normal(size=buffer.observations.shape)
-    algorithm._take_fisher()
-    observations = torch.as_tensor(buffer.observations).flatten(0, 1)
+    plan = Plan(robots=16)
+    algorithm = algorithm_of("trpo", environment_of(plan), plan)
+    algorithm.line_search_max_iter = 0
+    algorithm.learn(1)
+    observations = torch.as_tensor(algorithm.rollout_buffer.observations).reshape(-1, 31)
     now = algorithm.policy.get_distribution(observations).distribution
     old = torch.distributions.Normal(now.mean.detach(), now.stddev.detach())
     distance = kl_divergence(now, old).sum(-1).mean()
@@ -70,7 +77,7 @@ def test_the_constrained_step_is_the_best_that_a_search_finds(seed: int, excess:
 
 def processor_seconds_of_driving(steps: int) -> float:
     """Of the same robots on the same task, which push with nothing and learn nothing: this machine's own pace."""
-    task = _task(Plan(stock=True), 0)
+    task = environment_of(Plan(stock=True)).task
     began = process_time()
     for _ in range(steps // task.count):
         task.observation()
@@ -84,8 +91,8 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
-    for name in ("_EVALUATED", "_COMPARED"):
-        monkeypatch.setattr(baselines, name, 16)
+    few = PointTask(16, 0)
+    monkeypatch.setattr(baselines, "evaluate_policy", lambda policy, *_: evaluate_policy(policy, few))
     began = process_time()
     small = {"steps": 16_000}
     first = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], changes=small)
@@ -106,14 +113,27 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
         baseline_named("none_still", tmp_path)
 
 
-@pytest.mark.parametrize(("limit", "sign"), [(-1.0, 1.0), (1000.0, -1.0)])
-def test_the_excess_is_the_cost_over_its_limit(limit: float, sign: float) -> None:
-    environment = PointEnvironment(_task(Plan(robots=16), 0), 0)
-    algorithm = algorithm_of("cpo", environment, Plan(robots=16))
-    algorithm.limit = limit
-    assert np.sign(algorithm._excess(0.01)) == sign
-    environment.costs.extend([30.0, 40.0])
-    assert algorithm._excess(0.01) == pytest.approx((35.0 - limit) / 1000.0)
+@pytest.mark.parametrize("known", [[], [30.0, 40.0]])
+@pytest.mark.parametrize("limit", [0.0, 36.0])
+def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(
+    known: list[float], limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the episodes that ended last, or else by the steps of the rollout."""
+    asked: list[float] = []
+
+    def step(*given: Any) -> Any:
+        asked.append(given[2])
+        return constrained_step(*given)
+
+    monkeypatch.setattr(constrained, "constrained_step", step)
+    plan = Plan(robots=16, limit=limit)
+    environment = environment_of(plan)
+    algorithm = algorithm_of("cpo", environment, plan)
+    environment.costs.extend(known)
+    algorithm.learn(1, lambda *_: algorithm.recent_costs.append(environment.cost.copy()) is None)
+    mean = 0.035 if known else environment.paid / environment.stepped
+    assert environment.stepped == 2048
+    assert asked == pytest.approx([10.0 * (mean - limit / 1000.0)])
 
 
 def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
