@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from click.testing import CliRunner
 
 from safedpa.robot import robots
 from safedpa_services.command_line import demo, serve
+from safedpa_services.command_line.up import planned
 from safedpa_services.supervisor.plan import Plan
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -31,8 +34,14 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
         seen.append(plan)
         raise EnoughError
 
+    @contextmanager
+    def plans(options: dict[str, Any], own: Any) -> Iterator[Plan]:
+        with planned(options, own) as plan:
+            drives(plan)
+            yield plan
+
     monkeypatch.setattr(demo, "driven", drives)
-    monkeypatch.setattr(serve, "_serve", drives)
+    monkeypatch.setattr(serve, "planned", plans)
     return seen
 
 

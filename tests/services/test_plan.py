@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
-import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-from safedpa.errors import InputError
+from safedpa.bus.security.certificates import Card
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
-from safedpa_services.supervisor.screen import _Page
-from safedpa_services.supervisor.supervisor import Supervisor
 from safedpa_sim.robots import CHANGES
 
 
@@ -39,6 +37,10 @@ def planned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *options: str) -> P
 
 def named(plan: Plan) -> dict[str, Child]:
     return {child.name: child for child in plan.services()}
+
+
+def after(words: tuple[str, ...], option: str) -> str:
+    return words[words.index(option) + 1]
 
 
 @pytest.mark.parametrize(
@@ -79,9 +81,8 @@ def test_only_what_drives_is_essential_and_has_priority(monkeypatch: pytest.Monk
     assert not children["workbench"].essential
     assert all(children[name].essential for name in ("adaptation", "policy", "safety_filter", "recorder"))
     words = children["diagnosis"].arguments
-    for option, value in (("--margin", "car"), ("--model", "car"), ("--settings", "car")):
-        assert words[words.index(option) + 1] == value
-    assert words[words.index("--versions") + 1].endswith("/models"), "what was agreed on outlives the process"
+    assert [after(words, option) for option in ("--margin", "--model", "--settings")] == ["car"] * 3
+    assert after(words, "--versions").endswith("/models"), "what was agreed on outlives the process"
 
 
 def test_perception_runs_beside_a_car_with_a_laser_and_beside_no_other(
@@ -123,45 +124,6 @@ def test_a_time_of_the_change_that_cannot_be_is_refused(tmp_path: Path) -> None:
     assert "--change-after: got -1.0" in str(result.exception)
 
 
-class DeadChild(Child):
-    """Ended at once with the exit code of bad input."""
-
-    started = 0
-
-    def start(self) -> None:
-        type(self).started += 1
-
-    @property
-    def exit_code(self) -> int | None:
-        return 2
-
-
-class Deaf:
-    health: dict[str, Any] = {}  # noqa: RUF012
-
-    def listen(self, wait: float) -> None:
-        del wait
-
-
-def test_a_diagnosis_that_cannot_be_brought_up_ends_nothing(tmp_path: Path) -> None:
-    child = DeadChild("diagnosis", "none", (), tmp_path / "log", essential=False)
-    robot = Child("robot", "none", (), tmp_path / "robot.log")
-    turns = iter([False] * 5 + [True] * 50)
-    supervisor = Supervisor([child], robot, Deaf(), lambda: next(turns), lambda: None)  # type: ignore[arg-type]
-    robot.start = lambda: None  # type: ignore[method-assign]
-    assert supervisor.run() == 0
-    assert DeadChild.started == 1, "it is not tried again and again"
-
-
-def test_a_robot_that_refuses_its_input_before_it_ever_drove_ends_it_with_its_last_words(tmp_path: Path) -> None:
-    robot = DeadChild("robot", "none", (), tmp_path / "robot.log")
-    robot.start = lambda: (tmp_path / "robot.log").write_text("/drive: nobody listens there")  # type: ignore[method-assign, assignment, return-value]
-    turns = iter([False] * 5 + [True] * 50)
-    supervisor = Supervisor([], robot, Deaf(), lambda: next(turns), lambda: None)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="nobody listens there"):
-        supervisor.run()
-
-
 def test_several_robots_have_names_and_scenes_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     plan = planned(monkeypatch, tmp_path, "--robots", "3", "--name", "r7", "--seed", "4")
     assert plan.names == ("r7", "r8", "r9")
@@ -186,16 +148,44 @@ def test_robots_that_cannot_be_are_refused(tmp_path: Path, options: list[str], c
     assert complaint in str(result.exception)
 
 
-def test_an_address_is_told_once_somebody_answers_there(free_port: int) -> None:
-    page = _Page(f"http://127.0.0.1:{free_port}/live?token=t")
-    assert page.lines() == []
-    with socket.create_server(("127.0.0.1", free_port)):
-        until = time.monotonic() + 30.0
-        while not page.lines() and time.monotonic() < until:
-            time.sleep(0.05)
-        assert page.lines() == [f"workbench http://127.0.0.1:{free_port}/live?token=t"]
-    assert page.lines(), "a page that ended is the supervisor's affair, not news of an address"
-    assert _Page("").lines() == []
+INSIDE, DOOR = "tls/127.0.0.1:7450", "tls/0.0.0.0:7447"
+
+
+def card_of(role: str) -> Card:
+    return Card(role, b"", b"", b"")
+
+
+@pytest.fixture
+def wallet() -> Any:
+    """Shows for each role its name, and hands out its card."""
+    return SimpleNamespace(shown=lambda role: (("--role", role), card_of(role)), identity=card_of, cards={})
+
+
+@pytest.mark.parametrize("door", ["", DOOR])
+def test_a_secured_router_listens_at_the_door_and_all_others_connect_on_this_machine_with_their_own_cards(
+    door: str, wallet: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = replace(planned(monkeypatch, tmp_path), wallet=wallet, endpoint=INSIDE, door=door)
+    children = named(plan)
+    assert next(iter(children)) == "router", "it starts first and ends last"
+    assert after(children["router"].arguments, "--listen") == (door or INSIDE)
+    for name, child in children.items():
+        if name != "router":
+            assert after(child.arguments, "--connect") == INSIDE
+            assert (after(child.arguments, "--role"), child.card) == (name, card_of(name))
+    assert plan.robot_process().card == card_of(f"robot.{plan.name}")
+
+
+def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_place_of_a_plain_one(
+    wallet: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = replace(planned(monkeypatch, tmp_path), endpoint="tcp/127.0.0.1:7450")
+    plain = plan.own_session()
+    assert (plain.mode, plain.listen, plain.connect, plain.certificates) == ("peer", (plan.endpoint,), (), None)
+    secured = replace(plan, endpoint=INSIDE, wallet=wallet).own_session()
+    assert (secured.mode, secured.listen, secured.connect) == ("client", (), (INSIDE,))
+    assert secured.certificates == card_of("operator")
+    assert "router" not in named(plan)
 
 
 @pytest.mark.long

@@ -1,0 +1,30 @@
+"""A clock that tests move, in place of the one of the standard library."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+
+class Clock:
+    """``now`` [s] goes on while something sleeps, and when a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds >= 0.0
+        self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Replaces ``time.monotonic`` and ``time.sleep``."""
+    made = Clock()
+    monkeypatch.setattr(time, "monotonic", made)
+    monkeypatch.setattr(time, "sleep", made.sleep)
+    return made

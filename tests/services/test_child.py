@@ -1,0 +1,185 @@
+"""One supervised process: how it is started, told to begin, restarted and ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa_services.supervisor.child import Child
+
+
+class Process:
+    """What ``subprocess.Popen`` returns, with nothing behind it; ``all`` in the order of their start."""
+
+    all: list[Process]
+
+    def __init__(self, command: list[str], **options: Any) -> None:
+        self.command, self.options = command, options
+        self.pid, self.code, self.asked = 4711, None, 0
+        self.stdin = options["stdin"] = open(os.devnull, "wb")  # noqa: SIM115  closed as the pipe would be
+        self.all.append(self)
+
+    def poll(self) -> int | None:
+        return self.code
+
+    def terminate(self) -> None:
+        self.asked += 1
+
+    def wait(self, _: float = 0.0) -> int:
+        return self.code or 0
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The processes that were started since; none of them is real."""
+    monkeypatch.setattr(Process, "all", [], raising=False)
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    yield Process.all
+    for process in Process.all:
+        process.stdin.close()
+
+
+def child_of(folder: Path, **fields: Any) -> Child:
+    return Child("policy", "module", ("--rate", "20"), folder / "policy.log", **fields)
+
+
+def test_a_process_that_waits_is_started_waiting_until_it_was_told_to_begin(started: Any, tmp_path: Path) -> None:
+    """What is started in its place later begins at once; ``begun`` tells whether it may drive."""
+    child = child_of(tmp_path, waits=True)
+    assert not child.begun
+    child.start()
+    assert not child.begun
+    child.begin()
+    assert child.begun
+    child.start()
+    assert ["--await-word" in process.command for process in started] == [True, False]
+    plain = child_of(tmp_path)
+    assert not plain.begun
+    plain.begin()
+    assert plain.begun
+    assert "--await-word" not in started[-1].command
+
+
+def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the_environment(
+    started: Any, tmp_path: Path
+) -> None:
+    """Arguments are readable by every user of the machine, the environment is not."""
+    child_of(tmp_path, environment={"TOKEN": "secret"}).start()
+    (process,) = started
+    assert process.command == [sys.executable, "-m", "module", "--rate", "20", "--supervised"]
+    environment = process.options["env"]
+    assert (environment["TOKEN"], environment["SAFEDPA_LOG"]) == ("secret", "json")
+    assert environment["OMP_NUM_THREADS"] == environment["OPENBLAS_NUM_THREADS"] == "1", "they share the processor"
+    assert environment["PYTHONSAFEPATH"] == "1", "no module of the working directory is taken for one of ours"
+    assert process.options["start_new_session"], "Ctrl-C reaches the supervisor alone"
+
+
+def test_a_process_starts_without_a_log_where_none_can_be_written(started: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    Child("policy", "module", (), tmp_path / "file" / "policy.log").start()
+    assert len(started) == 1
+
+
+@pytest.mark.parametrize(("code", "running"), [(None, True), (0, False), (-9, False)])
+def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(
+    started: Any, code: int | None, running: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The number of a process that has ended may belong to another one by now; a second request ends it at once."""
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "killpg", lambda group, number: killed.append((group, number)))
+    child = child_of(tmp_path)
+    child.kill()
+    child.terminate()
+    child.end(0.0)
+    child.start()
+    started[0].code = code
+    child.kill()
+    for _ in range(3):
+        child.terminate()
+    assert killed == ([(4711, signal.SIGKILL)] if running else [])
+    assert started[0].asked == running
+
+
+def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(
+    started: Any, clock: Any, tmp_path: Path
+) -> None:
+    """0.1 s, then twice as long each time, 5 s at most; after more than 10 s of life there is no pause."""
+    child, pauses = child_of(tmp_path), list[float]()
+    clock.now = 100.0
+    child.start()
+    for life in [0.0] * 9 + [9.0, 11.0, 0.0]:
+        clock.now += life
+        died = clock.now
+        while not child.restart_if_due():
+            clock.now += 0.01
+        pauses.append(clock.now - died)
+    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0, 5.0, 5.0, 0.0, 0.1], abs=0.02)
+    assert child.restarts == 12
+    assert len(started) == 13
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        (None, "it said nothing"),
+        ("", "it said nothing"),
+        ("first\nsafedpa-policy: no such model\n\n", "no such model"),
+        ('no such model\n{"level": "warning"}\n', "no such model"),
+        ('{"level": "warning"}\n', "it said nothing"),
+    ],
+)
+def test_the_last_words_are_the_last_line_for_a_person(log: str | None, words: str, tmp_path: Path) -> None:
+    child = child_of(tmp_path)
+    if log is not None:
+        child.log.write_text(log)
+    assert child.last_words() == words
+
+
+STUBBORN = """
+import os, signal, subprocess, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN if "--stubborn" in sys.argv else signal.SIG_DFL)
+helper = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
+with open(sys.argv[1] + ".new", "w") as file:
+    file.write(f"{helper.pid}")
+os.rename(sys.argv[1] + ".new", sys.argv[1])
+time.sleep(600)
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn: bool, tmp_path: Path) -> None:
+    (tmp_path / "stubborn.py").write_text(STUBBORN)
+    told = tmp_path / "helper"
+    options = (str(told), *(["--stubborn"] if stubborn else []))
+    child = Child("robot", "stubborn", options, tmp_path / "log", environment={"PYTHONPATH": str(tmp_path)})
+    child.start()
+    until = time.monotonic() + 60.0
+    while not told.exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    helper, asked = int(told.read_text()), time.monotonic()
+    child.end(0.3 if stubborn else 60.0)
+    took = time.monotonic() - asked
+    assert child.exit_code == (-signal.SIGKILL if stubborn else -signal.SIGTERM)
+    assert took >= 0.3 if stubborn else took < 50.0
+    if stubborn:
+        while (state := state_of_process(helper)) not in ("Z", "") and time.monotonic() < until:
+            time.sleep(0.01)
+        assert state in ("Z", "")
+    else:
+        os.kill(helper, signal.SIGKILL)
+
+
+def state_of_process(pid: int) -> str:
+    """``R``, ``S`` ... of a process, empty where there is none."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return ""

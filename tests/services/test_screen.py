@@ -1,0 +1,189 @@
+"""What a person sees of a running loop: the view on a terminal, lines in a pipe, warnings."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import sys
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from tests.services.messages import finding_of, health_of, state_of, verdict_of
+
+from safedpa.bus import Bus, MemoryBroker, MemoryTransport
+from safedpa_services.supervisor.screen import screen
+from safedpa_services.supervisor.view import view_of
+from safedpa_services.supervisor.warnings import Warnings
+from safedpa_services.supervisor.watch import Watch
+from safedpa_services.terminal import terminal
+
+PAGE = "http://127.0.0.1:8080/live?token=t"
+
+
+@pytest.fixture
+def watch() -> Watch:
+    return Watch(Bus(MemoryTransport(MemoryBroker()), "fleet"))
+
+
+def child_of(folder: Path, code: int | None = None, *, heartbeat: bool = True, restarts: int = 0) -> Any:
+    """What the view reads of a child."""
+    log = folder / "policy.log"
+    return SimpleNamespace(name="policy", pid=4711, restarts=restarts, exit_code=code, heartbeat=heartbeat, log=log)
+
+
+def drawn(watch: Watch, child: Any) -> list[str]:
+    """The view's lines."""
+    console = terminal(file=io.StringIO(), width=200)
+    console.print(view_of(watch, [], child, ["a hint"], ["a warning"]))
+    return console.file.getvalue().splitlines()  # type: ignore[attr-defined, no-any-return]
+
+
+# the view
+
+
+@pytest.mark.parametrize(
+    ("silent", "code", "heartbeat", "shown"),
+    [
+        (0.5, None, True, "running"),
+        (1.2, None, True, "silent"),
+        (5.0, None, True, "silent"),
+        (5.0, None, False, "running"),
+        (0.5, -9, True, "ended"),
+        (None, None, True, "starting"),
+    ],
+)
+def test_the_table_tells_of_each_process_whether_it_lives(
+    watch: Watch, clock: Any, silent: float | None, code: int | None, heartbeat: bool, shown: str, tmp_path: Path
+) -> None:
+    """There are four heartbeats a second: a second of silence is shown."""
+    if silent is not None:
+        watch.health["policy"] = (health_of("policy", steps=31, stale=5, refused=3, step_microseconds=42.0), 100.0)
+        clock.now = 100.0 + silent
+    child = child_of(tmp_path, code, heartbeat=heartbeat, restarts=2)
+    (row,) = [line.split() for line in drawn(watch, child) if "policy" in line]
+    assert row[1:3] == [shown, "4711"]
+    assert row[3:] == (["2"] if silent is None else ["31", "5", "3", "42", "us", "2"])
+
+
+def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch: Watch, tmp_path: Path) -> None:
+    assert drawn(watch, child_of(tmp_path))[0] == "waiting for the robot"
+    watch.state = state_of(1.0, 2.0, 0.0, -0.75, robot_time=1.0, goals_reached=3, collisions=2)
+    assert drawn(watch, child_of(tmp_path))[0].rstrip() == "    1.0 s  -0.75 m/s  goals 3  collisions 2"
+    watch.verdict = verdict_of("corrected", h_now=-0.256, margin=0.0304, microseconds=81.0)
+    assert drawn(watch, child_of(tmp_path))[0].endswith("corrected h -0.26  margin 0.030  81 us")
+    watch.state = state_of(0.5, 0.0, corridor=(0.1, 0.1))
+    assert "+28.6 degrees" in drawn(watch, child_of(tmp_path))[0]
+    watch.state = state_of(0.5, 0.0)
+    assert "+0.50  goals" in drawn(watch, child_of(tmp_path))[0]
+
+
+def test_a_standstill_is_explained_and_a_finding_is_shown(watch: Watch, tmp_path: Path) -> None:
+    watch.verdict = verdict_of("corrected")
+    assert not [line for line in drawn(watch, child_of(tmp_path)) if "stands for" in line]
+    watch.verdict = verdict_of("corrected", stands=7.0, standstill="the wall is near")
+    watch.finding = finding_of("raised")
+    lines = [line.rstrip() for line in drawn(watch, child_of(tmp_path))]
+    assert "stands for 7 s, the wall is near" in lines
+    assert "model aaaaaaaa  raised: it is raised" in lines
+    assert lines[-2:] == ["a hint", "a warning"]
+
+
+# the screen
+
+
+class Terminal(io.StringIO):
+    """A stream that counts as a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_is_redrawn_four_times_a_second(
+    watch: Watch, clock: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often the loop turns."""
+    clock.now = 50.0
+    out = Terminal()
+    monkeypatch.setattr(sys, "stderr", out)
+    monkeypatch.setenv("TERM", "xterm")
+    moments: list[float] = []
+    with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=False) as redraw:
+        while clock.now < 52.0:
+            before = len(out.getvalue())
+            redraw()
+            if len(out.getvalue()) > before:
+                moments.append(clock.now)
+            clock.now += 0.05
+    assert "a hint" in out.getvalue()
+    assert 7 <= len(moments) <= 8
+    assert all(0.24 <= later - earlier <= 0.31 for earlier, later in pairwise(moments))
+
+
+def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(
+    watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for quiet, said in ((True, ""), (False, "a hint\nlive view http://127.0.0.1:9090\n")):
+        watch.health.clear()
+        with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=quiet) as redraw:
+            for turn in range(4):
+                if turn == 2:
+                    watch.health["dashboard"] = (health_of("dashboard", detail="http://127.0.0.1:9090"), 0.0)
+                redraw()
+        assert capsys.readouterr().err == said
+
+
+def test_the_page_is_told_once_it_answers_and_asking_takes_no_time_from_the_loop(
+    watch: Watch, clock: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is asked four times a second, for a twentieth of a second at most, and not again once it answered."""
+    asked: list[float] = []
+
+    def connected(address: tuple[str, int], seconds: float) -> Any:
+        assert address == ("127.0.0.1", 8080)
+        asked.append(clock.now)
+        clock.now += seconds
+        if len(asked) < 5:
+            raise TimeoutError
+        return SimpleNamespace(close=lambda: None)
+
+    monkeypatch.setattr(socket, "create_connection", connected)
+    clock.now = 50.0
+    with screen(watch, [], child_of(tmp_path), [], tmp_path, quiet=False, page=PAGE) as redraw:
+        for _ in range(300):
+            before = clock.now
+            redraw()
+            assert clock.now - before <= 0.06
+            assert (len(asked) == 5) or capsys.readouterr().err == ""
+            clock.now += 0.01
+    assert capsys.readouterr().err == f"workbench {PAGE}\n"
+    assert [later - earlier for earlier, later in pairwise(asked)] == pytest.approx([0.25] * 4, abs=0.015)
+
+
+# warnings
+
+
+def test_a_warning_is_shown_within_half_a_second_and_its_like_five_seconds_later(clock: Any, tmp_path: Path) -> None:
+    clock.now, told, child = 100.0, list[tuple[float, str]](), child_of(tmp_path)
+
+    def warn(kind: str) -> None:
+        event = {"time": 1.0, "level": "warning", "kind": kind, "sentence": f"{kind} happened", "service": "policy"}
+        with child.log.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(event) + "\n")
+
+    shown = Warnings((child,), tmp_path, lambda line: told.append((clock.now - 100.0, line)))
+    for turn in range(240):
+        clock.now = 100.0 + 0.05 * turn
+        warn("flood")
+        if turn == 43:
+            warn("once")
+        shown.look()
+    moments = {kind: [at for at, line in told if kind in line] for kind in ("flood", "once")}
+    first, second, third = moments["flood"]
+    assert first <= 0.5
+    assert [second - first, third - second] == pytest.approx([5.0, 5.0], abs=0.5)
+    (once,) = moments["once"]
+    assert 2.15 <= once <= 2.7

@@ -1,0 +1,93 @@
+"""Pictures without a screen: why one could not be made is a sentence that says what to do."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from safedpa.errors import SafedpaError
+from safedpa_services.command_line import screenshot
+from safedpa_services.workbench import pictures
+
+LATER = 2.0
+"""s that pass where the command sleeps."""
+
+
+@pytest.fixture
+def photographed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """photographed(script): the error of the command with a viewer that runs this script, and how long it took."""
+    pytest.importorskip("rerun")
+    program = tmp_path / "rerun_cli" / "rerun"
+    program.parent.mkdir()
+    (program.parent / "__init__.py").touch()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "rerun_cli", raising=False)
+    later, clock = [0.0], time.monotonic
+
+    def sleep(_: float) -> None:
+        later[0] += LATER
+
+    def run(script: str) -> tuple[str, float]:
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o755)
+        recording = tmp_path / "drive.rrd"
+        recording.write_bytes(b"RRF2")
+        monkeypatch.setattr(time, "monotonic", lambda: clock() + later[0])
+        monkeypatch.setattr(time, "sleep", sleep)
+        result = CliRunner().invoke(screenshot.command, [str(recording), "--out", str(tmp_path / "page.png")])
+        assert isinstance(result.exception, SafedpaError)
+        return str(result.exception), later[0]
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo noise; echo 'no suitable graphics adapter found'; echo more noise; exit 1", "apt-get install mesa"),
+        ("echo 'Failed to create a render context: no adapter'; exit 1", "apt-get install mesa"),
+        ("echo noise; exit 1", "drive.rrd: no picture could be made ("),
+    ],
+)
+def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(
+    photographed: Any, script: str, said: str
+) -> None:
+    error, _ = photographed(script)
+    assert said in error
+    assert "noise" not in error
+    assert "\n" not in error
+
+
+def test_a_viewer_that_does_nothing_is_given_up_within_a_minute(photographed: Any) -> None:
+    error, took = photographed("exec sleep 600")
+    assert "no picture could be made" in error
+    assert 10.0 <= took <= 60.0
+
+
+@pytest.mark.parametrize("said", ["", "Traceback\n"])
+def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(
+    said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has reported the reason itself."""
+    pytest.importorskip("playwright")
+    done: list[str] = []
+
+    def started(command: list[str], **_: Any) -> Any:
+        done.append(command[3])
+        return SimpleNamespace(
+            stdout=io.StringIO(said), terminate=lambda: done.append("terminate"), wait=lambda _: done.append("wait")
+        )
+
+    monkeypatch.setattr(subprocess, "Popen", started)
+    monkeypatch.setattr(pictures, "browser_at_hand", lambda: "chromium")
+    with pytest.raises(SafedpaError, match="could not be served"):
+        list(pictures.take_pictures(["car", "run.csv"], tmp_path / "pictures", live=False))
+    assert done == ["workbench", "terminate", "wait"]

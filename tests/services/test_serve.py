@@ -1,0 +1,66 @@
+"""``safedpa serve`` says when the robot begins to drive and when it brakes by itself: once each time."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from tests.services.messages import health_of, state_of
+
+from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport
+from safedpa_services.command_line import serve
+
+SILENT, DRIVES, BRAKES = None, "", "brakes: no action for 12 ticks"
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+    """served(details): the lines of a drive in which the robot told these details in turn; nothing is started."""
+    broker = MemoryBroker()
+    robot = Bus(MemoryTransport(broker), "fleet")
+
+    def run(turns: list[Any]) -> list[str]:
+        class Supervisor:
+            def __init__(self, _services: Any, _robot: Any, watch: Any, _stop: Any, on_turn: Any, _: Any) -> None:
+                self.watch, self.on_turn = watch, on_turn
+
+            def run(self) -> int:
+                for turn in turns:
+                    if turn is not SILENT:
+                        robot.publish(*turn)
+                    self.watch.listen(0.0)
+                    self.on_turn()
+                return 0
+
+        monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", Supervisor)
+        monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(broker))
+        file = tmp_path / "robot.toml"
+        file.write_text('format = 1\nrobot = "car"\nname = "own"\n', encoding="utf-8")
+        words = [str(file), "--headless", "--policy", "random", "--no-diagnosis", "--out", str(tmp_path)]
+        result = CliRunner().invoke(serve.command, words)
+        assert result.exception is None, result.output
+        return [line for line in result.output.splitlines() if line.startswith("robot own:")]
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def beat(detail: str) -> tuple[Any, ...]:
+    return HEALTH, "own", health_of("robot", detail=detail), "robot"
+
+
+def test_nothing_is_said_before_the_robot_is_heard_and_its_driving_is_said_once(served: Any) -> None:
+    assert served([SILENT]) == []
+    assert served([SILENT, *[(STATE, "own", state_of())] * 5]) == ["robot own: the filter drives"]
+
+
+def test_braking_by_itself_is_said_and_so_is_driving_on(served: Any) -> None:
+    drives = "robot own: the filter drives"
+    details = [DRIVES, DRIVES, BRAKES, BRAKES, DRIVES, DRIVES]
+    assert served([beat(detail) for detail in details]) == [drives, f"robot own: {BRAKES}", drives]

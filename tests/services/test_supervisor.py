@@ -1,0 +1,343 @@
+"""How the supervisor starts, watches and ends the processes of a loop; processes and clock are simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any
+
+import pytest
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa_services.supervisor.supervisor import Supervisor
+
+BAD_INPUT, FAILED, KILLED = 2, 1, -9
+
+
+@dataclass
+class Process:
+    """A child that ends at ``ends_at`` with ``code``; ``done`` lists what happened to it, shared by all of a loop."""
+
+    clock: Any
+    done: list[tuple[str, Any]]
+    name: str
+    essential: bool = True
+    waits: bool = False
+    begun: bool = False
+    restarts: int = 0
+    ends_at: float = inf
+    code: int = 0
+    pid: int = 0
+    begun_at: float | None = None
+
+    @property
+    def exit_code(self) -> int | None:
+        return self.code if self.pid and self.clock.now >= self.ends_at else None
+
+    def start(self) -> None:
+        self.pid = 7
+
+    def begin(self) -> None:
+        self.pid, self.begun, self.begun_at = 7, True, self.clock.now
+
+    def restart_if_due(self) -> bool:
+        self.done.append((self.name, "restarted"))
+        self.restarts += 1
+        self.ends_at = inf
+        return True
+
+    def last_words(self) -> str:
+        return f"{self.name} says why"
+
+    def kill(self) -> None:
+        self.done.append((self.name, "killed"))
+        self.ends_at, self.code = self.clock.now, KILLED
+
+    def terminate(self) -> None:
+        self.done.append((self.name, "asked"))
+
+    def end(self, patience: float) -> None:
+        self.done.append((self.name, patience))
+
+
+@dataclass
+class Watch:
+    """Hears services at moments, robots that stop at a moment; time goes on while it listens."""
+
+    clock: Any
+    heard_at: dict[str, float] = field(default_factory=dict)
+    silent: dict[str, float] = field(default_factory=dict)
+    stands_at: float = 0.0
+    takes_orders: bool = True
+    orders: list[float] = field(default_factory=list)
+
+    @property
+    def health(self) -> dict[str, object]:
+        return {name: object() for name, at in self.heard_at.items() if self.clock.now >= at}
+
+    def listen(self, wait: float) -> None:
+        self.clock.now += wait
+
+    def has_hung(self, service: str, pid: int, seconds: float) -> bool:
+        return pid == 7 and self.silent.get(service, 0.0) > seconds
+
+    def stop_robot(self) -> bool:
+        self.orders.append(self.clock.now)
+        return self.takes_orders
+
+    def stands(self) -> bool:
+        return self.clock.now >= self.stands_at
+
+
+@dataclass
+class Loop:
+    """A supervisor over simulated processes; stopped and hurried at moments."""
+
+    clock: Any
+    stopped_at: float = 1.0
+    hurried_at: float = inf
+    robot: Process | None = None
+    services: list[Process] = field(default_factory=list)
+    others: list[Process] = field(default_factory=list)
+    done: list[tuple[str, Any]] = field(default_factory=list)
+    turned: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.watch = Watch(self.clock)
+
+    def add(self, name: str, *, heard_at: float = 0.0, **fields: Any) -> Process:
+        """A robot or a service, by its name."""
+        made = Process(self.clock, self.done, name, **fields)
+        if name == "robot":
+            self.robot = made
+        elif name.startswith("robot"):
+            self.others.append(made)
+        else:
+            self.services.append(made)
+        self.watch.heard_at[name] = heard_at
+        return made
+
+    def run(self) -> int:
+        services: Any = self.services
+        robot: Any = self.robot
+        watch: Any = self.watch
+        others: Any = [(other, watch) for other in self.others]
+        at = self.clock
+        return Supervisor(
+            services, robot, watch, lambda: at.now >= self.stopped_at, lambda: self.turned.append(at.now),
+            lambda: at.now >= self.hurried_at, others,
+        ).run()  # fmt: skip
+
+    def happened(self, what: str) -> list[str]:
+        return [name for name, happened in self.done if happened == what]
+
+
+@pytest.fixture
+def loop(clock: Any) -> Callable[..., Loop]:
+    return lambda **fields: Loop(clock, **fields)
+
+
+# starting
+
+
+@pytest.mark.parametrize(
+    ("essential", "restarts", "longest"), [(True, 0, 120.0), (True, 1, 30.0), (True, 2, 30.0), (False, 0, None)]
+)
+def test_a_start_is_given_up_when_an_essential_service_stays_silent(
+    loop: Any, essential: bool, restarts: int, longest: float | None
+) -> None:
+    """One that still starts has two minutes, one that died meanwhile half a minute."""
+    made = loop(stopped_at=500.0)
+    made.add("robot", ends_at=200.0)
+    made.add("policy", heard_at=inf, essential=essential, restarts=restarts)
+    if longest is None:
+        assert made.run() == 0
+        assert made.robot.begun_at == 0.0, "the robot does not wait for it"
+        return
+    with pytest.raises(SafedpaError, match=rf"^policy: not ready after {longest:.0f} s: policy says why$"):
+        made.run()
+    assert max(made.turned) == pytest.approx(longest, abs=0.11)
+    assert made.robot.begun_at is None
+    assert ("policy", "asked") in made.done, "what was started is ended"
+
+
+def test_all_robots_begin_once_every_essential_service_is_heard(loop: Any) -> None:
+    made = loop(stopped_at=3.0)
+    robots = [made.add("robot", waits=True), made.add("robot 2", waits=True)]
+    made.add("policy", heard_at=1.0)
+    made.add("safety_filter", heard_at=2.0)
+    made.add("dashboard", heard_at=inf, essential=False)
+    assert made.run() == 0
+    assert [robot.begun_at for robot in robots] == pytest.approx([2.0, 2.0], abs=0.06)
+    assert all(robot.pid == 7 for robot in robots), "they were started early, to get ready meanwhile"
+
+
+@pytest.mark.parametrize("stopped_at", [0.0, 1.0, 30.0])
+def test_a_stop_while_services_start_ends_the_start_and_no_robot_begins(loop: Any, stopped_at: float) -> None:
+    made = loop(stopped_at=stopped_at)
+    made.add("robot", waits=True)
+    made.add("policy", heard_at=inf)
+    assert made.run() == 0
+    assert made.clock.now == pytest.approx(stopped_at, abs=0.26)
+    assert made.robot.begun_at is None
+    assert made.happened("asked") == ["robot", "policy"]
+    assert made.watch.orders == [], "a robot that does not drive needs no order to stop"
+
+
+def test_a_service_that_runs_already_is_not_started_twice(loop: Any) -> None:
+    made = loop()
+    router = made.add("router", pid=7)
+    router.start = lambda: pytest.fail("started twice")
+    assert made.run() == 0
+
+
+# while it drives
+
+
+@pytest.mark.parametrize(
+    ("code", "drives", "essential", "outcome"),
+    [
+        (FAILED, False, True, "restarted"),
+        (FAILED, True, False, "restarted"),
+        (KILLED, True, True, "restarted"),
+        (0, True, True, "restarted"),
+        (BAD_INPUT, True, True, "restarted"),
+        (BAD_INPUT, True, False, "restarted"),
+        (BAD_INPUT, False, True, "the start fails"),
+        (BAD_INPUT, False, False, "left out"),
+    ],
+)
+@pytest.mark.parametrize("second", [False, True])
+def test_a_dead_service_is_restarted_unless_it_refused_its_input_before_any_robot_drove(
+    loop: Any, code: int, drives: bool, essential: bool, outcome: str, second: bool
+) -> None:
+    """Which of several robots drives makes no difference."""
+    made = loop(stopped_at=2.0)
+    made.add("robot", begun=drives and not second, waits=True)
+    made.add("robot 2", begun=drives and second, waits=True)
+    made.add("policy", heard_at=1.0, essential=essential, ends_at=0.0, code=code)
+    made.add("adaptation", heard_at=1.0)
+    if outcome == "the start fails":
+        with pytest.raises(InputError, match="policy says why"):
+            made.run()
+    elif outcome == "left out" and not drives:
+        made.stopped_at = 0.5
+        assert made.run() == 0
+    else:
+        assert made.run() == 0
+    assert made.happened("restarted") == (["policy"] if outcome == "restarted" else [])
+
+
+@pytest.mark.parametrize(
+    ("code", "ever_heard", "outcome"),
+    [
+        (0, True, 0),
+        (FAILED, True, FAILED),
+        (KILLED, True, "restarted"),
+        (BAD_INPUT, True, "restarted"),
+        (BAD_INPUT, False, "fails"),
+        (KILLED, False, "restarted"),
+    ],
+)
+def test_the_end_of_the_robot_ends_the_loop_and_its_death_restarts_it(
+    loop: Any, code: int, ever_heard: bool, outcome: Any
+) -> None:
+    made = loop(stopped_at=5.0)
+    made.add("robot", ends_at=1.0, code=code, heard_at=0.5 if ever_heard else inf)
+    if outcome == "fails":
+        with pytest.raises(InputError, match="robot says why"):
+            made.run()
+    elif outcome == "restarted":
+        assert made.run() == 0
+        assert made.happened("restarted") == ["robot"]
+        assert max(made.turned) > 4.9, "the loop goes on"
+    else:
+        assert made.run() == outcome
+        assert max(made.turned) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("essential", "silent", "killed"), [(True, 11.0, 1), (True, 9.0, 0), (False, 11.0, 0), (True, 0.0, 0)]
+)
+def test_an_essential_service_is_killed_and_restarted_after_ten_seconds_of_silence(
+    loop: Any, essential: bool, silent: float, killed: int
+) -> None:
+    made = loop()
+    made.add("policy", essential=essential)
+    made.watch.silent["policy"] = silent
+    made.run()
+    assert bool(made.happened("killed")) is bool(killed)
+    assert bool(made.happened("restarted")) is bool(killed)
+
+
+@pytest.mark.parametrize(
+    ("other_ends_at", "stopped_at", "waited"),
+    [(0.0, inf, 0.0), (3.0, inf, 2.0), (inf, inf, 5.0), (inf, 2.0, 1.0), (inf, 1.0, 0.0)],
+)
+def test_other_robots_have_five_seconds_after_the_first_ones_end(
+    loop: Any, other_ends_at: float, stopped_at: float, waited: float
+) -> None:
+    made = loop(stopped_at=stopped_at)
+    made.add("robot", ends_at=1.0)
+    made.add("robot 2", ends_at=other_ends_at)
+    made.watch.takes_orders = False
+    assert made.run() == 0
+    assert max(made.turned) - 1.0 == pytest.approx(waited, abs=0.11)
+
+
+# ending
+
+
+@pytest.mark.parametrize(
+    ("stands_at", "takes_orders", "hurried_at", "robot_ends_at", "braked_for"),
+    [
+        (0.0, True, inf, inf, 0.05),
+        (3.0, True, inf, inf, 2.0),
+        (inf, True, inf, inf, 5.0),
+        (inf, False, inf, inf, 0.0),
+        (inf, True, 0.0, inf, 0.0),
+        (inf, True, 2.0, inf, 1.0),
+        (inf, True, inf, 3.0, 2.0),
+    ],
+)
+def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
+    loop: Any, stands_at: float, takes_orders: bool, hurried_at: float, robot_ends_at: float, braked_for: float
+) -> None:
+    """Five seconds to a standstill, eight for the robot's process, six for a service; none of it in a hurry."""
+    made = loop(stopped_at=1.0, hurried_at=hurried_at)
+    made.add("router")
+    made.add("recorder")
+    made.add("policy")
+    made.add("robot", ends_at=robot_ends_at)
+    made.watch.stands_at, made.watch.takes_orders = stands_at, takes_orders
+    assert made.run() == 0
+    assert max(made.turned) - 1.0 == pytest.approx(braked_for, abs=0.06)
+    assert len(made.watch.orders) == (hurried_at > 1.0)
+    robot, others = (0.0, 0.0) if hurried_at < inf else (8.0, 6.0)
+    assert made.done == [
+        ("robot", "asked"), ("robot", robot), ("policy", "asked"), ("policy", others),
+        ("policy", others), ("recorder", others), ("router", others),
+    ]  # fmt: skip
+
+
+def test_a_robot_that_has_ended_gets_no_order_to_stop(loop: Any) -> None:
+    made = loop(stopped_at=9.0)
+    made.add("robot", ends_at=1.0)
+    made.watch.stands_at = inf
+    assert made.run() == 0
+    assert made.watch.orders == []
+    assert max(made.turned) < 1.1
+
+
+def test_everything_is_ended_when_a_turn_fails(loop: Any) -> None:
+    made = loop()
+    made.add("policy")
+
+    def fails(_: float) -> None:
+        raise KeyError("a defect of the view")
+
+    made.turned = type("Turns", (), {"append": staticmethod(fails)})()
+    with pytest.raises(KeyError):
+        made.run()
+    assert ("policy", 6.0) in made.done

@@ -1,0 +1,319 @@
+"""How long a user, an operator or a service waits before something is given up; by a clock that the tests move."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from math import inf
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from tests.services.messages import health_of, state_of, verdict_of
+
+from safedpa.bus import HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Received, Request
+from safedpa.bus.loop.greeting import Greeting
+from safedpa.bus.overview import FleetOverview
+from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.wire.topics import MODEL
+from safedpa.errors import BusError, InputError, SafedpaError
+from safedpa_services import serving
+from safedpa_services.command_line import change_requests, stop_orders
+from safedpa_services.command_line.bus_options import answered
+from safedpa_services.metrics.exporter import FleetCollector
+from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.router.pulse import Pulse
+from safedpa_services.router.router import Router
+
+OPTIONS = {"who": "ann", "as_json": True, "certificates": None, "connect": (), "fleet": "f"}
+
+
+# a command that asks for a change of the model
+
+BEFORE = Answer(ok=True, sentence="watching", fingerprint="a" * 8, finding=1, change=3)
+BEGUN = Answer(ok=True, sentence="change 4 begins", fingerprint="a" * 8, change=4, pending="take")
+TAKEN = Answer(ok=True, sentence="change 4 is in force", fingerprint="b" * 8, change=4)
+
+
+@pytest.fixture
+def ask(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """ask(answers_until, over_at, answer): asks a diagnosis to accept an effect; ends when the command does."""
+
+    def run(answers_until: float, over_at: float, end: Answer = TAKEN, do: str = "accept") -> list[Request]:
+        asked: list[Request] = []
+
+        def request(_robot: str, request: Request, patience: float) -> Answer | None:
+            assert 1.0 <= patience <= 4.0
+            asked.append(request)
+            if clock.now > answers_until:
+                clock.now += patience
+                return None
+            if len(asked) == 1:
+                return BEFORE
+            return end if clock.now >= over_at else BEGUN
+
+        @contextmanager
+        def bus_of(_: Any) -> Iterator[Any]:
+            yield SimpleNamespace(request=request, fleet="f")
+
+        monkeypatch.setattr(change_requests, "bus_of", bus_of)
+        change_requests.ask_for_change(do, "r1", "drag", OPTIONS)
+        return asked
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("answers_until", "over_at", "complaint", "ends_at"),
+    [
+        (inf, 3.0, None, 3.0),
+        (1.0, inf, "no diagnosis answers", 11.0),
+        (-1.0, inf, "no diagnosis answers", 2.0),
+        (inf, inf, "change 4 is not over after 120 s", 120.0),
+    ],
+)
+def test_a_change_is_waited_for_two_minutes_and_a_silent_diagnosis_for_ten_seconds(
+    ask: Any, clock: Any, answers_until: float, over_at: float, complaint: str | None, ends_at: float
+) -> None:
+    if complaint is None:
+        first, second, *_ = ask(answers_until, over_at)
+        assert first.do == "status"
+        assert (second.do, second.effect, second.model, second.finding) == ("accept", "drag", "a" * 8, 1)
+        assert second.who == "ann"
+    else:
+        with pytest.raises(SafedpaError, match=complaint):
+            ask(answers_until, over_at)
+    assert clock.now == pytest.approx(ends_at, abs=2.2)
+
+
+def test_a_change_that_came_to_nothing_is_an_error_and_a_refused_one_a_bad_input(ask: Any) -> None:
+    with pytest.raises(SafedpaError, match="dropped: the filter"):
+        ask(inf, 2.0, Answer(ok=True, sentence="dropped: the filter cannot", fingerprint="a" * 8, change=4))
+    with pytest.raises(InputError, match="no candidate"):
+        ask(inf, 0.0, Answer(ok=False, sentence="refused: no candidate"))
+    assert len(ask(inf, inf, do="reject")) == 2, "a rejection is over with its answer"
+
+
+# orders to stop
+
+
+def test_an_order_is_answered_within_seconds_or_fails() -> None:
+    waited: list[float] = []
+
+    def order(answer: Answer | None) -> Answer:
+        def request(_robot: str, _request: Request, seconds: float, kind: str) -> Answer | None:
+            assert kind == ORDER
+            waited.append(seconds)
+            return answer
+
+        bus: Any = SimpleNamespace(request=request, fleet="f")
+        return answered(bus, "r1", Request(do="stop", who="ann"), ORDER, "no safety filter answers")
+
+    assert order(TAKEN) is TAKEN
+    with pytest.raises(InputError, match="refused by name"):
+        order(Answer(ok=False, sentence="refused by name"))
+    with pytest.raises(SafedpaError, match="fleet 'f': no safety filter answers"):
+        order(None)
+    assert all(1.0 <= seconds <= 4.0 for seconds in waited)
+
+
+@pytest.mark.parametrize(
+    ("stands_at", "speed", "complaint", "ends_at"),
+    [
+        (2.0, 0.5, "", 2.0),
+        (0.0, 0.5, "", 0.5),
+        (inf, 0.5, "r1 did not obey within the time", 6.0),
+        (inf, -0.5, "r1 did not obey within the time", 6.0),
+    ],
+)
+def test_a_stopped_robot_is_waited_for_six_seconds(
+    clock: Any, stands_at: float, speed: float, complaint: str, ends_at: float, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    broker = MemoryBroker()
+    loop = Bus(MemoryTransport(broker), "f")
+    loop.answer_requests(lambda _robot, request: Answer(ok=True, sentence=f"{request.do}: so be it"), kinds=(ORDER,))
+
+    class Overview(FleetOverview):
+        def listen(self, wait: float) -> None:
+            tick, now = round(20.0 * clock.now), 0.0 if clock.now >= stands_at else speed
+            loop.publish(STATE, "r1", state_of(0.0, 0.0, 0.0, now, tick=tick))
+            loop.publish(VERDICT, "r1", verdict_of("stopped", tick=tick))
+            super().listen(wait)
+
+    def overview(bus: Bus, robot: str) -> FleetOverview:
+        return Overview(bus, robot, clock)
+
+    monkeypatch.setattr("safedpa.bus.overview.FleetOverview", overview)
+    monkeypatch.setattr(stop_orders, "bus_of", lambda _: Bus(MemoryTransport(broker), "f"))
+    if complaint:
+        with pytest.raises(SafedpaError, match=complaint):
+            stop_orders.give_order("stop", "r1", OPTIONS)
+        assert f"still brakes, {speed:+.2f} m/s" in capsys.readouterr().out
+    else:
+        stop_orders.give_order("stop", "r1", OPTIONS)
+        assert '"r1": "stands"' in capsys.readouterr().out
+    assert clock.now == pytest.approx(ends_at, abs=0.25)
+
+
+# what is still there
+
+
+@pytest.mark.parametrize(
+    ("silent", "up", "listed"), [(1.4, 1.0, True), (1.6, 0.0, True), (29.0, None, True), (31.0, None, False)]
+)
+def test_metrics_call_a_robot_down_after_a_second_and_a_half_and_drop_a_process_after_half_a_minute(
+    silent: float, up: float | None, listed: bool
+) -> None:
+    now, broker = [100.0], MemoryBroker()
+    loop = Bus(MemoryTransport(broker), "f")
+    collector = FleetCollector(FleetOverview(Bus(MemoryTransport(broker), "f"), clock=lambda: now[0]))
+    loop.publish(STATE, "r1", state_of())
+    loop.publish(HEALTH, "r1", health_of("policy"), "policy")
+    collector.listen(0.0)
+    now[0] += silent
+    samples = {sample.name: sample.value for family in collector.collect() for sample in family.samples}
+    if up is not None:
+        assert (samples["safedpa_robot_up"], samples["safedpa_service_processes"]) == (up, up)
+    assert ("safedpa_heartbeat_age_seconds" in samples) is listed
+
+
+@pytest.mark.parametrize(("later", "told"), [(0.0, True), (0.99, True), (1.01, False), (5.0, False)])
+def test_another_publisher_of_commands_is_reported_for_a_second(later: float, told: bool) -> None:
+    now = [100.0]
+    overheard = Overheard("/cmd_vel", lambda: now[0])
+    assert overheard.why == ""
+    overheard.take(b"")
+    now[0] += later
+    assert ("publishes on /cmd_vel too" in overheard.why) is told
+
+
+def test_a_flood_on_the_topic_of_commands_is_answered_a_thousand_times_a_second_at_most() -> None:
+    now, answers = [100.0], list[float]()
+    overheard = Overheard("/cmd_vel", lambda: now[0])
+    overheard.answer = lambda: answers.append(now[0])
+    for tenth in range(1000):
+        now[0] = 100.0 + 0.0001 * tenth
+        overheard.take(b"")
+    assert 90 <= len(answers) <= 101
+    assert answers[0] == 100.0, "the first one at once"
+
+
+@pytest.fixture
+def waits(clock: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Events that nothing sets are waited for by the clock that tests move."""
+
+    class Event(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            if timeout is None:
+                return super().wait()
+            clock.now += timeout
+            return self.is_set()
+
+    monkeypatch.setattr(threading, "Event", Event)
+
+
+def test_a_router_beats_several_times_a_second(clock: Any, waits: None) -> None:
+    """After 1.5 s of silence it counts as gone."""
+    beats: list[float] = []
+    refusals: Any = SimpleNamespace(newest="", total=0)
+    pulse: Any = SimpleNamespace(beat=lambda: beats.append(clock.now), end=lambda: beats.append(inf))
+    Router(Bus(MemoryTransport(MemoryBroker()), "f"), refusals).run(lambda: clock.now > 5.0, pulse)
+    assert beats.pop() == inf, "the pulse ends with the router"
+    assert all(0.1 <= later - earlier <= 0.5 for earlier, later in pairwise(beats))
+
+
+def test_a_router_whose_work_stands_still_is_ended_after_seconds(clock: Any, waits: None) -> None:
+    ended: list[float] = []
+    gone = threading.Event()
+
+    def stands() -> None:
+        ended.append(clock.now)
+        gone.set()
+
+    Pulse(stands)
+    gone.wait()
+    assert 3.0 <= ended[0] <= 10.0
+
+
+def test_a_service_gives_way_to_the_networks_thread_within_a_millisecond(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which stamps what arrives; Python's own 5 ms are long."""
+
+    def joins(_: Any) -> Any:
+        raise BusError("the tests have no network")
+
+    before = sys.getswitchinterval()
+    monkeypatch.setattr(serving, "ZenohTransport", joins)
+    monkeypatch.setattr(serving, "settings_from", lambda _: None)
+    try:
+        with pytest.raises(BusError):
+            serving.serve([], Namespace(), lambda: True)  # type: ignore[arg-type]
+        assert sys.getswitchinterval() <= 0.001
+    finally:
+        sys.setswitchinterval(before)
+
+
+# a service that meets a robot
+
+
+class Asked:
+    """A node that asks for the model of every robot that it meets, and the bus on which it does."""
+
+    name, listens = "policy", (MODEL,)
+
+    def __init__(self) -> None:
+        self.welcomed: list[tuple[str, Answer | None]] = []
+        self.questions: list[tuple[str, float]] = []
+        self.answers: list[Any] = []
+
+    def agreed(self, _robot: str) -> None:
+        return None
+
+    def welcome(self, robot: str, answer: Answer | None) -> None:
+        self.welcomed.append((robot, answer))
+
+    def answer_agreed(self, _agreed: Any) -> None:
+        return None
+
+    def ask_model(self, _inbox: Any, robot: str, _service: str, patience: float) -> None:
+        self.questions.append((robot, patience))
+
+    def take_answers(self) -> list[Any]:
+        taken, self.answers = self.answers, []
+        return taken
+
+
+def said(topic: Any, number: int, robot: str = "r1") -> Received:
+    message: Any = SimpleNamespace(number=number)
+    return Received(topic, robot, message, b"", f"safedpa/f/{robot}/{topic.name}", 0.0)
+
+
+@pytest.mark.parametrize("answer", [None, TAKEN])
+def test_a_robots_messages_wait_for_its_model_and_for_no_more_than_a_second(answer: Answer | None) -> None:
+    """The newest of each topic is served then, the state first; two services are asked in that time."""
+    now, node = [100.0], Asked()
+    own: Any = node
+    greeting = Greeting(own, own, own, lambda: now[0], lambda *_: None)
+    assert not greeting.holds(said(VERDICT, 0)), "before its first state no robot is met"
+    for number in (1, 2):
+        assert greeting.holds(said(STATE, number))
+        assert greeting.holds(said(VERDICT, number))
+    ((robot, patience),) = node.questions
+    assert robot == "r1"
+    assert 2.0 * patience < greeting.deadline() - now[0] <= 1.0
+    assert greeting.ready() == []
+    if answer is not None:
+        node.answers = [SimpleNamespace(robot="r1", answer=answer)]
+    else:
+        now[0] = greeting.deadline()
+    served: list[Any] = greeting.ready()
+    assert [(item.topic, item.message.number) for item in served] == [(STATE, 2), (VERDICT, 2)]
+    assert node.welcomed == [("r1", answer)]
+    assert greeting.deadline() == inf
+    assert not greeting.holds(said(STATE, 3))
+    greeting.forget("r1")
+    assert greeting.holds(said(STATE, 4)), "it is asked again when the robot returns"

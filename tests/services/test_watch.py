@@ -1,0 +1,152 @@
+"""What the supervisor hears on the bus, and the order to stop that it gives there."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.services.messages import finding_of, health_of, state_of, verdict_of
+
+from safedpa.bus import FINDING, HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport
+from safedpa.bus.wire.requests import ORDER
+from safedpa.errors import SafedpaError
+from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.watch import Watch, summary_of
+
+CORRIDOR = (0.1, 0.1)
+
+
+@pytest.fixture
+def broker() -> MemoryBroker:
+    return MemoryBroker()
+
+
+@pytest.fixture
+def loop(broker: MemoryBroker) -> Bus:
+    """The bus as robot and services have it."""
+    return Bus(MemoryTransport(broker), "fleet")
+
+
+@pytest.fixture
+def watch(broker: MemoryBroker) -> Watch:
+    return Watch(Bus(MemoryTransport(broker), "fleet"))
+
+
+@pytest.mark.parametrize(
+    ("state", "status", "stands"),
+    [
+        (None, None, False),
+        (None, "stopped", False),
+        (state_of(0.0, 0.0, 0.0, 0.0), None, False),
+        (state_of(0.0, 0.0, 0.0, 0.0), "passed", False),
+        (state_of(0.0, 0.0, 0.0, 0.019), "stopped", True),
+        (state_of(0.0, 0.0, 0.0, -0.019), "stopped", True),
+        (state_of(0.0, 0.0, 0.0, 0.021), "stopped", False),
+        (state_of(0.0, 0.0, 0.0, -0.021), "stopped", False),
+        (state_of(9.0, 9.0, 9.0, 0.0), "stopped", True),
+        (state_of(0.0, 0.0, 0.0, 1.0, corridor=CORRIDOR), "stopped", True),
+        (state_of(0.0, 1.0), "stopped", True),
+    ],
+)
+def test_a_robot_stands_once_its_filter_stopped_it_and_a_car_once_its_wheels_stand_too(
+    watch: Watch, loop: Bus, state: Any, status: str | None, stands: bool
+) -> None:
+    if state is not None:
+        loop.publish(STATE, "r1", state)
+    if status is not None:
+        loop.publish(VERDICT, "r1", verdict_of(status))
+    watch.listen(0.0)
+    assert watch.stands() is stands
+
+
+def test_a_repeated_verdict_counts_once_and_other_robots_do_not_count(watch: Watch, loop: Bus) -> None:
+    for epoch, tick, robot in ((1, 0, "r1"), (1, 0, "r1"), (1, 1, "r1"), (2, 1, "r1"), (2, 2, "r2"), (2, 1, "r1")):
+        loop.publish(VERDICT, robot, verdict_of("passed", epoch=epoch, tick=tick))
+        watch.listen(0.0)
+    loop.publish(FINDING, "r1", finding_of("raised"))
+    loop.publish(FINDING, "r2", finding_of("learning"))
+    watch.listen(0.0)
+    assert watch.verdicts == {"passed": 3}
+    assert watch.finding is not None
+    assert watch.finding.stage == "raised"
+
+
+@pytest.mark.parametrize(
+    ("heard", "pid", "silent", "hung"),
+    [(True, 4711, 10.5, True), (True, 4711, 9.5, False), (True, 7, 10.5, False), (False, 4711, 10.5, False)],
+)
+def test_only_the_process_that_fell_silent_has_hung(
+    watch: Watch, loop: Bus, clock: Any, heard: bool, pid: int, silent: float, hung: bool
+) -> None:
+    """One that was started in its place has its time to begin."""
+    if heard:
+        loop.publish(HEALTH, "r1", health_of("policy"), "policy")
+        watch.listen(0.0)
+        clock.now = watch.health["policy"][1] + silent
+    assert watch.has_hung("policy", pid, 10.0) is hung
+    assert watch.silent_for("policy") == (pytest.approx(silent) if heard else float("inf"))
+
+
+@pytest.mark.parametrize(
+    ("state", "answer", "taken"),
+    [
+        (True, Answer(ok=True, sentence="so be it"), True),
+        (True, Answer(ok=False, sentence="refused"), False),
+        (True, None, False),
+        (False, Answer(ok=True, sentence="so be it"), False),
+    ],
+)
+def test_an_order_to_stop_is_taken_when_the_filter_says_so(
+    watch: Watch, loop: Bus, state: bool, answer: Answer | None, taken: bool
+) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def heard(robot: str, request: Any) -> Answer:
+        asked.append((robot, request.do))
+        assert answer is not None
+        return answer
+
+    if answer is not None:
+        loop.answer_requests(heard, kinds=(ORDER,))
+    if state:
+        loop.publish(STATE, "r1", state_of())
+        watch.listen(0.0)
+    assert watch.stop_robot() is taken
+    assert asked == ([("r1", "stop")] if state and answer else [])
+
+
+def test_a_robot_whose_bus_is_closed_takes_no_order(watch: Watch, loop: Bus) -> None:
+    loop.publish(STATE, "r1", state_of())
+    watch.listen(0.0)
+    watch.bus.close()
+    assert watch.stop_robot() is False
+
+
+def test_an_order_to_stop_is_waited_for_a_few_seconds_at_most(watch: Watch, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[float] = []
+    monkeypatch.setattr(watch.bus, "request", lambda _robot, _what, seconds, _kind: waited.append(seconds))
+    watch.state = state_of()
+    assert watch.stop_robot() is False
+    assert 1.0 <= waited[0] <= 4.0
+
+
+def test_the_summary_has_the_robots_account_and_counts_interventions(tmp_path: Path) -> None:
+    account, other, missing = tmp_path / "robot.json", tmp_path / "robot-r2.json", tmp_path / "none.json"
+    account.write_text(json.dumps({"ticks": 12}))
+    other.write_text(json.dumps({"ticks": 11}))
+    verdicts = Counter({"stopped": 1, "passed": 2, "disabled": 4, "corrected": 8, "fallback": 16, "relaxed": 32})
+    child, recording = Child("policy", "none", (), tmp_path / "log", restarts=3), tmp_path / "recording.mcap"
+    health = {"recorder": health_of("recorder", state="failing", detail="the disk is full")}
+    found = summary_of(account, verdicts, [child], health, recording, [], {"r2": other})
+    assert (found["ticks"], found["robots"]) == (12, {"r2": {"ticks": 11}})
+    assert found["interventions"] == 8 + 16 + 32
+    assert found["services"] == [{"name": "policy", "pid": 0, "restarts": 3}]
+    assert (found["recording"], found["recording_error"]) == (str(recording), "the disk is full")
+    healthy = summary_of(account, verdicts, [], {"recorder": health_of("recorder")}, recording)
+    assert healthy["recording_error"] is None
+    assert "robots" not in healthy
+    with pytest.raises(SafedpaError, match="the robot left no account of its run"):
+        summary_of(missing, verdicts, [], {}, recording)
