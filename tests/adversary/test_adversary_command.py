@@ -61,8 +61,8 @@ def test_one_attack_is_told_as_a_document_and_in_files(tmp_path, capsys):
 
 @pytest.fixture
 def _few_programs(monkeypatch):
-    """What becomes of figures is looked at, no figure: others look at those of all 330."""
-    monkeypatch.setattr("safedpa_lab.experiments.adversary.programs._SMALL", 40)
+    """The tests below look at what becomes of figures: 40 problems are enough."""
+    monkeypatch.setattr(Programs, "pieces", lambda _self, seed, _small: [(seed, 0, 40)])
 
 
 @pytest.mark.long

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.adversary.problems import measured
 
 from safedpa.safety import SafetyFilter, Status, Verdict
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row, WholeAttack
+from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, odd_question
 from safedpa_lab.experiments.adversary.programs import Programs
@@ -17,12 +18,6 @@ from safedpa_lab.experiments.adversary.scales import Scales, Units, drive
 from safedpa_lab.experiments.adversary.systems import SYSTEMS, Systems
 
 Planted = Callable[[Callable[[Callable[[Verdict, object], Verdict]], None]], None]
-
-
-def measured(attack: AbstractAttack, seed: int = 1) -> dict[str, Row]:
-    """Each figure of the small attack by its words."""
-    found = attack.told([attack.work(piece) for piece in attack.pieces(seed, small=True)])
-    return {row.what: row for row in found.rows}
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.adversary.problems import answer_with
 
 from safedpa.safety import SafetyFilter, Status
 from safedpa_lab.experiments.adversary.bends import Bends, bent_answer
@@ -37,49 +38,38 @@ def test_a_wall_is_kept_in_all_units(units):
     assert answer.excess == pytest.approx(0.0, abs=2e-3)  # the grid's own steps
 
 
-@pytest.fixture
-def answers(monkeypatch):
-    """Puts another answer in the place of the filter's."""
-
-    def use(action, status):
-        original = SafetyFilter.decide
-
-        def decide(self, *arguments, **known):
-            verdict = original(self, *arguments, **known)
-            return replace(verdict, action=np.array(action), status=status)
-
-        monkeypatch.setattr(SafetyFilter, "decide", decide)
-
-    return use
-
-
-def test_a_broken_condition_is_told_in_scales(answers):
-    answers([0.3], Status.passed)
+def test_a_broken_condition_is_told_in_scales(monkeypatch):
+    """With a scale of 2, by which the action can change h."""
+    answer_with(monkeypatch, "passed", [0.3])
     found = bent_answer(bent(wall))
-    assert found.broken == pytest.approx(0.1 / 2.0)  # the scale is what the action can change: 2
+    assert found.broken == pytest.approx(0.1 / 2.0)
     assert not found.below
-    answers([0.5], Status.passed)
+    answer_with(monkeypatch, "passed", [0.5])
     assert bent_answer(bent(wall)).below
 
 
-def test_a_correction_that_goes_too_far_is_told_in_ranges(answers):
-    answers([-1.0], Status.corrected)
+def test_a_correction_that_goes_too_far_is_told_in_ranges(monkeypatch):
+    answer_with(monkeypatch, "corrected", [-1.0])
     assert bent_answer(bent(wall)).excess == pytest.approx(0.6, abs=2e-3)
+    assert bent_answer(bent(lambda x: 0.4 - 0.0 * x[:, :1], epsilon=1.0)).excess is None, "no action keeps it"
 
 
-def test_a_feasible_action_that_was_not_found_is_told(answers):
-    answers([1.0], Status.relaxed)
-    found = bent_answer(bent(wall))
-    assert found.missed
-    assert found.needless
-    assert found.shortfall == pytest.approx((1.4 + 0.6) / 2.0)
-
-
-def test_what_cannot_be_kept_is_not_missed(answers):
-    answers([-1.0], Status.relaxed)
-    found = bent_answer(bent(lambda x: 0.4 - 0.0 * x[:, :1], epsilon=1.0))
-    assert not found.missed
-    assert not found.needless
+@pytest.mark.parametrize(
+    ("status", "lift", "action", "missed", "needless"),
+    [
+        ("relaxed", 0.5, 0.0, True, False), ("relaxed", 0.5, 0.9, True, True), ("fallback", 0.5, -0.9, True, True),
+        ("violated", 0.5, 0.9, False, False), ("relaxed", -0.25, 0.9, False, False),
+        ("relaxed", 0.006, 0.9, True, True), ("relaxed", 0.002, 0.9, True, True),
+    ],
+)  # fmt: skip
+def test_an_answer_misses_what_a_single_point_of_the_grid_keeps(status, lift, action, missed, needless, monkeypatch):
+    """h = lift + a and lift - a: of points 0.002 apart those from -lift / 2 to lift / 2 keep both conditions."""
+    answer_with(monkeypatch, status, [action])
+    problem = bent(lambda x: np.concatenate([lift + x[:, :1], lift - x[:, :1]], axis=1))
+    found = bent_answer(problem, 7)
+    assert (found.number, found.status, found.missed, found.needless) == (7, status, missed, needless)
+    own = (lift - abs(action)) / 2.0
+    assert found.shortfall == pytest.approx(max(0.0, lift / 2.0 - own))
 
 
 def test_the_same_number_is_the_same_problem():

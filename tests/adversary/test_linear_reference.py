@@ -39,26 +39,6 @@ def test_the_nearest_action_of_a_problem_by_hand():
     assert found.distance == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize(
-    ("weights", "share"), [((1.0, 1.0), 0.5), ((4.0, 1.0), 0.2), ((1.0, 9.0), 0.9), ((8.0, 2.0), 0.2)]
-)
-@pytest.mark.parametrize("width", [1.0, 5.0])
-def test_of_two_actions_the_cheaper_one_gives_way_further(weights: tuple[float, float], share: float, width: float):
-    """h = x, x+ = 1.5 - (a + b) / width, kept by a + b <= width; both wished 0.8 of their ranges, so that 0.6 is too
-    much. By Lagrange the cut of each is in inverse proportion to its weight: 0.6 (1 / w_a) / (1 / w_a + 1 / w_b)."""
-    problem = LinearProblem(
-        shape="by hand", state=np.array([1.0]), f=np.array([1.5]), g=np.full((1, 2), -1.0 / width), P=np.eye(1),
-        q=np.zeros(1), low=np.zeros(2), high=np.full(2, width), wish=np.full(2, 0.8 * width),
-        weights=np.array(weights), eta=0.5, epsilon=np.zeros(1), gradient=True,
-    )  # fmt: skip
-    found = LinearJudge(problem).nearest()
-    assert found is not None
-    cuts = 0.6 * np.array([share, 1.0 - share])
-    assert found.action == pytest.approx(width * (0.8 - cuts))
-    relative = np.array(weights) / max(weights)
-    assert found.distance == pytest.approx(float(np.sqrt((relative * cuts**2).sum())))
-
-
 def test_an_infeasible_problem_has_no_nearest_action_but_a_least_unsafe_one():
     judge = LinearJudge(one_action(0.5, -2.0))
     assert judge.nearest() is None
@@ -66,24 +46,6 @@ def test_an_infeasible_problem_has_no_nearest_action_but_a_least_unsafe_one():
     assert action[0] == pytest.approx(0.0)
     assert best == pytest.approx(-1.5 / 1.0)  # the scale is what the action can change: 1
     assert judge.best_least_residual()[0] == pytest.approx(-1.75)
-
-
-def test_where_the_linear_program_ends_in_no_known_status_another_way_answers(monkeypatch: pytest.MonkeyPatch):
-    """HiGHS once ended a program of a hundred thousand in a status that it does not know."""
-    import scipy.optimize
-
-    asked, solve = [], scipy.optimize.linprog
-
-    def gives_up_once(*args, **options):
-        asked.append(options["method"])
-        found = solve(*args, **options)
-        if len(asked) == 1:
-            found.x = None
-        return found
-
-    monkeypatch.setattr(scipy.optimize, "linprog", gives_up_once)
-    assert LinearJudge(one_action(0.5, -2.0)).best_least_height()[0] == pytest.approx(-1.5)
-    assert asked == ["highs", "highs-ds"]
 
 
 def test_a_scale_is_the_largest_of_h_margin_and_reach():

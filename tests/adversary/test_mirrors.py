@@ -9,6 +9,7 @@ import pytest
 
 from safedpa.safety import SafetyFilter, Status
 from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
 from safedpa_lab.experiments.adversary.linear_shapes import random_problem
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors
 
@@ -40,15 +41,13 @@ def test_the_reference_says_the_same_of_both_forms(name):
 
 def test_a_filter_that_prefers_the_first_barrier_is_noticed(monkeypatch):
     """Planted: all barriers but the first are forgotten."""
-    original = SafetyFilter.decide
 
-    def decide(self, state, wish, *others, **known):
-        barriers = known.pop("barriers", self._barriers)
-        return original(self, state, wish, *others, **known, barriers=barriers[:1])
+    def decide(self):
+        return self.filter().decide(self.state, wish=self.wish, barriers=self.barriers()[:1])
 
     before, _ = measured()
     assert before["barriers in another order: other answers"].held
-    monkeypatch.setattr(SafetyFilter, "decide", decide)
+    monkeypatch.setattr(LinearProblem, "decide", decide)
     after, worst = measured()
     assert after["barriers in another order: other answers"].measured > 15
     assert worst[0]["apart"] > 1e-6 or len(set(worst[0]["statuses"])) == 2

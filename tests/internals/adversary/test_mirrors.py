@@ -1,0 +1,25 @@
+"""How two answers to one problem are compared: only the comparison itself takes two verdicts."""
+
+from __future__ import annotations
+
+import pytest
+from tests.adversary.problems import plane, verdict
+
+from safedpa_lab.experiments.adversary.mirrors import _beside
+
+
+@pytest.mark.parametrize(
+    ("statuses", "action", "apart", "same"),
+    [(("passed", "corrected"), (0.5, 0.5), 0.25, False), (("corrected", "corrected"), (0.0, 1.0), 0.5, False),
+     (("passed", "passed"), (1.0, 0.0), 0.25, False), (("passed", "passed"), (0.0, 0.0), 0.0, True),
+     (("relaxed", "violated"), (0.0, 0.0), 0.0, False), (("relaxed", "relaxed"), (0.0, 0.0), 0.0, True)],
+)  # fmt: skip
+def test_two_answers_are_apart_by_the_root_of_the_weight(
+    statuses: tuple[str, str], action: tuple[float, float], apart: float, same: bool
+) -> None:
+    """Weights of 1 and 4, of which the largest counts as one: 0.25 and 1; ranges of 2."""
+    problem = plane(1.0, 1.0, weights=(1.0, 4.0))
+    one, other = verdict(statuses[0], (0.0, 0.0)), verdict(statuses[1], action)
+    found = _beside("a", 1, problem, one, other, lambda value: value)
+    assert found.apart == pytest.approx(apart)
+    assert found.same is same
