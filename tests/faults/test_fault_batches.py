@@ -49,3 +49,12 @@ def test_what_a_session_is_made_of_is_never_lost() -> None:
     for kind in (DECLARE, INTEREST, FINAL):
         assert not carries_data(batch(FRAME, 0x03, kind))
     assert carries_data(batch(FRAGMENT, 0x03, 0x00)), "a part of a large message"
+
+
+@pytest.mark.parametrize("size", [1, 127, 128, 300])
+@pytest.mark.parametrize("kind", [PUSH, DECLARE])
+def test_data_is_recognised_behind_an_extension_of_many_bytes(size: int, kind: int) -> None:
+    """The length is sent seven bits a byte, the lowest first: 300 is 0b0000010 and 0b0101100."""
+    length = [size] if size < 128 else [0x80 | size % 128, size // 128]
+    body = (FRAME | 0x80, 0x03, 0x45, *length, *[DECLARE if kind == PUSH else PUSH] * size, kind, 0x00)
+    assert carries_data(batch(*body)) is (kind == PUSH)

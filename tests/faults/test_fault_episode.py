@@ -98,7 +98,43 @@ def test_what_the_watchdog_did_is_never_stale_and_what_was_not_heard_is_not_held
 
 
 def test_collisions_count_from_the_first_period_and_a_new_robot_begins_anew() -> None:
-    counts = [(5, 2), (5, 2), (5, 3), (6, 0), (6, 1), (6, 1)]
+    counts = [(5, 2), (5, 2), (5, 3), (5, 5), (6, 0), (6, 1), (5, 5)]
     periods = [replace(lived(tick, epoch=epoch), collisions=count) for tick, (epoch, count) in enumerate(counts)]
-    assert collisions_in(periods) == 2
+    assert collisions_in(periods) == 4
     assert collisions_in([]) == 0
+
+
+@pytest.mark.parametrize(
+    ("sent", "stale"),
+    [
+        ({(1.0, 0.1)}, 0),
+        ({(1.0, 0.1), (0.5, 0.2)}, 0),  # two filters, one of which was obeyed
+        ({(0.5, 0.2), (1.0, -0.1), (1.0, 0.1)}, 0),
+        ({(0.5, 0.1)}, 1),
+        ({(1.0, 0.2), (0.5, 0.1)}, 1),  # one component of each
+        (set(), 0),  # nothing was heard
+        (None, 0),
+    ],
+)
+def test_an_action_was_sent_if_any_action_for_its_state_equals_it(
+    sent: set[tuple[float, ...]] | None, stale: int
+) -> None:
+    periods = [lived(7)]
+    found = stale_in(periods, Evidence(periods, {}, {} if sent is None else {(5, 7): sent}, PERIOD))
+    assert len(found) == stale
+    assert all("tick 7: the filter never sent" in words for words in found)
+
+
+@pytest.mark.parametrize(("status", "driven"), [("passed", True), ("corrected", True), ("fallback", False)])
+def test_a_period_is_driven_if_the_filter_had_all_its_inputs(status: str, driven: bool) -> None:
+    told = {(5, 2): replace(verdict(2), status=status)}
+    assert Evidence([], told, {}, PERIOD).is_driven(lived(2)) is driven
+    assert not Evidence([], told, {}, PERIOD).is_driven(lived(2, "watchdog"))
+    assert Evidence([], {}, {}, PERIOD).is_driven(lived(2)), "its verdict was not heard"
+
+
+def test_an_outage_that_ends_before_the_recovery_takes_no_time() -> None:
+    """The action of tick 9 acts a tenth of a period before the recovery."""
+    episode = Episode(struck=6 * PERIOD, mended=10 * PERIOD, ended=40 * PERIOD)
+    assert recovery_of(evidence(trace("d" * 6 + "www" + "d" * 31)), episode) == 0.0
+    assert recovery_of(evidence(trace("d" * 6 + "wwww" + "d" * 30)), episode) == pytest.approx(0.9 * PERIOD)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +37,12 @@ def test_the_page_names_every_fault_its_kind_and_what_did_not_hold() -> None:
         outcome("kill policy"),
         outcome("kill robot", "2 collisions", recovery=None),
         outcome("change-take policy"),
+        outcome("change-ready policy", "mixed"),
     )
     page = markdown_of(result(campaign(*faults)))
-    assert "**2 of 3 held; 0 collisions, 0 stale actions in 80 periods" in page
+    assert "**2 of 4 held; 0 collisions, 0 stale actions in 80 periods" in page
     assert "| kill | 2 | 1 | 25%, 5% | 0.50, 1 never | 0.70 to 0.70 |" in page
-    assert "| change | 1 | 1 |" in page
+    assert "| change | 2 | 1 | 25%, 5% | 0.50 to 0.50 | 0.70 to 0.70 |" in page, "whatever the moment of the change"
     assert "| kill robot | kill robot happens | **no** |" in page
     assert "- kill robot: 2 collisions" in page
     for line in page.splitlines():
@@ -56,6 +57,9 @@ def test_the_page_names_every_fault_its_kind_and_what_did_not_hold() -> None:
         (campaign(outcome("kill policy", "slow")), False),
         (campaign(outcome("kill policy"), collisions=1), False),
         (campaign(outcome("kill policy"), recorded=84), False),
+        (campaign(outcome("kill policy"), recorded=85), True),
+        (replace(campaign(outcome("kill policy")), stale_actions=1), False),
+        (campaign(outcome("kill policy"), outcome("kill robot", "slow")), False),
         (joined([campaign(outcome("kill policy")), campaign(outcome("kill robot"), collisions=1)]), False),
     ],
 )
@@ -64,9 +68,9 @@ def test_a_campaign_holds_only_if_everything_held_between_the_faults_too(found: 
 
 
 def test_several_fleets_are_added_up() -> None:
-    found = joined([campaign(outcome("kill policy")), campaign(outcome("kill robot"), collisions=1)])
-    assert [one.name for one in found.outcomes] == ["kill policy", "kill robot"]
-    assert (found.periods, found.collisions, found.acknowledged, found.recorded) == (160, 1, 170, 180)
+    one, other = Campaign((outcome("a"),), 1, 2, 3, 4, 5), Campaign((outcome("b"), outcome("c")), 10, 20, 30, 40, 50)
+    assert joined([one, other, one]) == Campaign((*one.outcomes, *other.outcomes, *one.outcomes), 12, 24, 36, 48, 60)
+    assert joined([]) == Campaign((), 0, 0, 0, 0, 0)
 
 
 def test_the_report_is_two_files_or_one_line_of_complaint(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""What a long run says of its processes: made-up looks, and quarters and medians that one finds by hand."""
+"""What a long run reports about its processes, and how many faults it has."""
 
 from __future__ import annotations
 
 import os
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,41 +18,32 @@ from safedpa_lab.faults.member import Member
 from safedpa_lab.faults.report import markdown_of
 from safedpa_lab.faults.table import all_faults, faults_for
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 
 def life(name: str, pid: int, begin: float, mib: list[float], handles: int = 9) -> list[Sample]:
     """Of one process, seen every 10 s."""
     return [Sample(begin + 10.0 * i, name, pid, one, handles, 4) for i, one in enumerate(mib)]
 
 
-def test_the_first_half_minute_of_a_life_is_left_out() -> None:
-    (kept,) = kept_by(life("policy", 7, 100.0, [10.0, 20.0, 30.0, 50.0, 50.0, 52.0, 60.0]))
-    assert kept == Kept("policy", 1, 60.0, (50.0, 60.0), (9, 9), (4, 4)), "looks at 130, 140, 150 and 160 s"
-
-
-def test_quarters_are_of_the_time_and_not_of_the_lives() -> None:
-    first = life("policy", 7, 0.0, [0.0, 0.0, 0.0, 40.0, 42.0, 44.0])
-    second = life("policy", 8, 100.0, [0.0, 0.0, 0.0, 70.0, 80.0, 90.0], handles=30)
-    (kept,) = kept_by([*first, *second])
-    # warm looks at 30, 40, 50, 130, 140, 150 s: quarters of 30 s
-    assert kept == Kept("policy", 2, 50.0, (42.0, 80.0), (9, 30), (4, 4))
-
-
-def test_who_never_lived_for_half_a_minute_is_not_there_and_names_are_in_order() -> None:
-    samples = [
-        *life("robot", 3, 0.0, [5.0] * 4),
-        *life("policy", 7, 0.0, [5.0] * 4),
-        *life("adaptation", 8, 0.0, [5.0]),
-    ]
-    assert [kept.name for kept in kept_by(samples)] == ["policy", "robot"]
-
-
-def test_the_number_of_another_process_that_comes_again_makes_nobody_older() -> None:
-    samples = [*life("policy", 7, 0.0, [5.0] * 4), *life("robot", 7, 100.0, [1.0, 1.0, 1.0, 8.0])]
-    policy, robot = kept_by(samples)
-    assert (policy.name, robot.name) == ("policy", "robot")
-    assert robot == Kept("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))
+@pytest.mark.parametrize(
+    ("samples", "kept"),
+    [
+        # the first half minute of a life is left out: samples at 130, 140, 150 and 160 s
+        (life("policy", 7, 100.0, [10.0, 20.0, 30.0, 50.0, 50.0, 52.0, 60.0]),
+         [Kept("policy", 1, 60.0, (50.0, 60.0), (9, 9), (4, 4))]),
+        # quarters are of the time, not of the lives: samples at 30, 40, 50, 130, 140, 150 s have quarters of 30 s
+        ([*life("policy", 7, 0.0, [0.0, 0.0, 0.0, 40.0, 42.0, 44.0]),
+          *life("policy", 8, 100.0, [0.0, 0.0, 0.0, 70.0, 80.0, 90.0], handles=30)],
+         [Kept("policy", 2, 50.0, (42.0, 80.0), (9, 30), (4, 4))]),
+        # a process that lives for less than half a minute is left out; names are in order
+        ([*life("robot", 3, 0.0, [5.0] * 4), *life("policy", 7, 0.0, [5.0] * 4), *life("adaptation", 8, 0.0, [5.0])],
+         [Kept(name, 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)) for name in ("policy", "robot")]),
+        # a process with the pid of an earlier one is not as old as that one
+        ([*life("policy", 7, 0.0, [5.0] * 4), *life("robot", 7, 100.0, [1.0, 1.0, 1.0, 8.0])],
+         [Kept("policy", 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)), Kept("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))]),
+    ],
+)  # fmt: skip
+def test_processes_are_summed_up_by_name(samples: list[Sample], kept: list[Kept]) -> None:
+    assert kept_by(samples) == kept
 
 
 @pytest.mark.parametrize(
@@ -59,13 +51,15 @@ def test_the_number_of_another_process_that_comes_again_makes_nobody_older() -> 
     [
         ((100.0, 124.0), (20, 20), True),
         ((100.0, 126.0), (20, 20), False),
-        ((20.0, 35.0), (20, 20), True),  # three quarters more, but 15 MiB
+        ((20.0, 35.0), (20, 20), True),  # three quarters more, but only 15 MiB
         ((20.0, 37.0), (20, 20), False),
         ((100.0, 50.0), (20, 36), True),
         ((100.0, 50.0), (20, 37), False),
     ],
 )
-def test_what_has_grown_is_told(mib: tuple[float, float], handles: tuple[int, int], flat: bool) -> None:
+def test_growth_of_memory_or_open_files_is_reported(
+    mib: tuple[float, float], handles: tuple[int, int], flat: bool
+) -> None:
     assert Kept("policy", 1, 600.0, mib, handles, (4, 4)).flat is flat
 
 
@@ -82,8 +76,14 @@ def test_a_look_finds_this_process_and_no_other() -> None:
     assert more.threads >= 1
 
 
-def test_processes_are_looked_at_until_the_fleet_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("safedpa_lab.faults.endurance._EVERY_SECONDS", 0.01)
+def test_processes_are_looked_at_every_few_seconds_until_the_fleet_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    wait, waits = threading.Event.wait, list[float]()
+
+    def quickly(event: threading.Event, timeout: float | None = None) -> bool:
+        waits.extend([] if timeout is None else [timeout])
+        return wait(event, None if timeout is None else timeout / 500.0)
+
+    monkeypatch.setattr(threading.Event, "wait", quickly)
     resources = Resources()
     world: Any = SimpleNamespace(members={"here": SimpleNamespace(pid=os.getpid())})
     with resources.beside(world):
@@ -96,9 +96,10 @@ def test_processes_are_looked_at_until_the_fleet_ends(monkeypatch: pytest.Monkey
     time.sleep(0.05)
     assert {sample.name for sample in resources.samples} == {"here"}
     assert len(resources.samples) == count
+    assert 1.0 <= min(waits) <= max(waits) <= 20.0
 
 
-def test_an_hour_of_faults_comes_in_rounds_of_all_that_one_fleet_can_suffer() -> None:
+def test_an_hour_of_faults_comes_in_rounds_of_all_faults_of_one_fleet() -> None:
     once = {fault.name for fault in all_faults() if fault.diagnosis == "real"}
     faults = [fault.name for fault in faults_for(3600.0, seed=3)]
     assert len(faults) >= 1440, "at 2.5 s each"
@@ -110,7 +111,7 @@ def test_an_hour_of_faults_comes_in_rounds_of_all_that_one_fleet_can_suffer() ->
 
 
 def test_the_page_of_a_long_run_has_a_row_for_each_process() -> None:
-    rows = [_row("kill policy", 0.4), _row("kill robot", 0.9), _row("stop policy", 0.1)]
+    rows = [fault_row("kill policy", 0.4), fault_row("kill robot", 0.9), fault_row("stop policy", 0.1)]
     kept = {"name": "policy", "processes": 3, "longest_life_seconds": 612.4, "mib": (50.0, 90.0)}
     page = markdown_of(
         {
@@ -122,10 +123,10 @@ def test_the_page_of_a_long_run_has_a_row_for_each_process() -> None:
     )  # fmt: skip
     assert "| policy | 3 | 612 | 50.0 to 90.0 | 9 to 30 | 4 to 5 | **grew** |" in page
     assert "| kill | 2 | 2 | 0%, 0% | 0.40 to 0.90 | 1.00 to 1.00 |" in page
-    assert "kill policy" not in page, "of hundreds of faults only those that did not hold are told one by one"
+    assert "kill policy" not in page, "of hundreds of faults only those that failed have a line"
 
 
-def _row(name: str, recovery: float) -> dict[str, Any]:
+def fault_row(name: str, recovery: float) -> dict[str, Any]:
     zero = dict.fromkeys(
         ("collisions", "stale_actions", "watchdog", "fallbacks", "states_not_recorded", "verdicts_not_recorded"), 0
     )
@@ -135,13 +136,13 @@ def _row(name: str, recovery: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_of_a_process_that_is_gone_the_fate_and_the_last_words_are_told(tmp_path: Path) -> None:
+def test_the_fate_of_a_process_includes_its_last_line(tmp_path: Path) -> None:
     member = Member("policy", "http.server", ("--bind", "nowhere.invalid", "0"), tmp_path / "policy.log")
     assert member.fate() == "its process lives", "it was not started, and did not end"
     member.start()
-    process = member._process
-    assert process is not None
-    process.wait(20.0)
+    end = time.monotonic() + 20.0
+    while member.lives and time.monotonic() < end:
+        time.sleep(0.02)
     assert member.fate().startswith("its process ended with 1: ")
     member.restart()
     member.kill()
@@ -149,6 +150,6 @@ def test_of_a_process_that_is_gone_the_fate_and_the_last_words_are_told(tmp_path
 
 
 @pytest.mark.parametrize("minutes", ["nan", "inf", "1441"])
-def test_a_time_without_an_end_is_refused(minutes: str) -> None:
+def test_an_endless_run_is_refused(minutes: str) -> None:
     with pytest.raises(InputError, match=r"--minutes: got .*, wanted 1440 at most"):
         command.main(["--minutes", minutes], standalone_mode=False)
