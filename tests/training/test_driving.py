@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,7 @@ from safedpa.networks import Weights
 from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.shipped import settings_named
-from safedpa_sim.training.car_task import EPISODE_TICKS, Driving, Rewards
+from safedpa_sim.training.car_task import EPISODE_TICKS, CarShelter, Driving, Rewards
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
@@ -44,6 +46,22 @@ def straight(driving: Driving, speed: float) -> np.ndarray:
     chosen = np.zeros((driving.count, 2), dtype=np.float32)
     chosen[:, 0] = (speed - 0.7) / 1.3
     return chosen
+
+
+def room(driving: Driving) -> np.ndarray:
+    """m from each car to the nearest obstacle or wall, negative within it."""
+    (x, y, yaw), scene = driving.state.T[:3], driving.scene
+    rear, front, radius = scene.footprint.T
+    ahead = np.exp(1j * yaw)
+    towards = (scene.obstacles[..., 0] + 1j * scene.obstacles[..., 1] - (x + 1j * y)[:, None]) * ahead.conj()[:, None]
+    along = towards.real.clip(-rear[:, None], front[:, None])
+    least = (np.abs(towards - along) - scene.obstacles[..., 2] - radius[:, None]).min(axis=1)
+    for end in (-rear, front):
+        tip = x + 1j * y + end * ahead
+        for part, low, high in ((tip.real, 0, 1), (tip.imag, 2, 3)):
+            walls = np.minimum(part - scene.field[:, low], scene.field[:, high] - part) - radius
+            least = np.minimum(least, walls)
+    return np.asarray(least)
 
 
 def test_scenes_leave_passages_and_free_starts_and_goals() -> None:
@@ -94,8 +112,7 @@ def test_nothing_solid_is_driven_through(configuration: Configuration, weights: 
         chosen = straight(driving, 2.0)
         chosen[:, 1] = random.uniform(-1.0, 1.0)
         touched |= driving.advance(chosen).contact
-        deepest = driving._meet_solids().min()
-        assert deepest > -0.08, "after each tick nothing lies deeper in anything than a corner between two can push it"
+        assert room(driving).min() > -0.08, "no deeper in anything than a corner between two can push it"
     assert touched.mean() > 0.8
 
 
@@ -110,21 +127,33 @@ def test_the_filter_keeps_straight_drives_from_contact(configuration: Configurat
     )
 
 
-def test_training_is_sheltered_by_the_filter_itself(configuration: Configuration, weights: Weights) -> None:
+def test_training_is_sheltered_by_the_filter_itself(
+    configuration: Configuration, weights: Weights, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each car gets what ``SafetyFilter`` would give it, with a margin of eta times what the car keeps."""
+    asked_of: list[tuple[np.ndarray, ...]] = []
+    decide = CarShelter.decide
+
+    def watched(self: CarShelter, *given: Any) -> np.ndarray:
+        asked_of.append(given)
+        return decide(self, *given)
+
+    monkeypatch.setattr(CarShelter, "decide", watched)
     driving = Driving(configuration, weights, CARS, 7)
-    model, chosen = driving._cars.model, settings_named("car").with_barriers(clearance=0.0)
-    alone, corrected = SafetyFilter.for_model(model, chosen), 0
+    chosen = settings_named("car").with_barriers(clearance=0.0)
+    alone, corrected = SafetyFilter.for_model(BatchedCars(configuration).model, chosen), 0
     for _ in range(60):
         before, wish, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
         driving.advance(wish)
-    scene, asked = driving.scene, driving._middle + driving._scale * wish
+    scene, asked = driving.scene, weights["action_middle"] + weights["action_scale"] * wish
+    kept = asked_of[-1][-1]
+    assert (kept.min() > 0.05, kept.max() < 0.19, kept.std() > 0.02) == (True, True, True)
     for car in range(CARS):
         rear, front, radius = scene.footprint[car].astype(float)
         body = (rear + 0.15 * (radius > 0.13), front, radius)
         around = car_barriers(chosen, body, scene.obstacles[car], scene.field[car].tolist())
-        room = chosen.eta * float(driving._kept[car])
-        margins = {"obstacle": room, "field": room, "speed": 0.0}
+        margin = chosen.eta * float(kept[car])
+        margins = {"obstacle": margin, "field": margin, "speed": 0.0}
         verdict = alone.decide(before[car], asked[car], environment[car], barriers=around, epsilon=margins)
         np.testing.assert_allclose(driving.applied[car], verdict.action, atol=2e-5)
         corrected += verdict.status is not Status.passed

@@ -20,7 +20,7 @@ from safedpa_sim.training.simulator import BatchedCars  # noqa: E402
 def test_arrays_and_tensors_agree(name, seed, count):
     """In single precision: to 1e-6 of each entry's size, and over the border between two blocks."""
     robots = BatchedCars(load_configuration(name))
-    assert robots._arrays is not None, "the fast road is what is tested"
+    assert robots.model.straight_arrays(robots.model.period) is not None, "the fast way is what is tested"
     draw = robots.generator(seed)
     environment, state = robots.draw_environments(count, draw), robots.draw_states(count, draw)
     action = robots.draw_actions(count, draw)

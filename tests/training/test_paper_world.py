@@ -18,7 +18,7 @@ from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.training import car_task, phase_1b, stages
+from safedpa_sim.training import car_task, stages
 from safedpa_sim.training.car_task import Driving, evaluate, practice
 from safedpa_sim.training.configuration import Configuration, Practising, load_configuration, parse_configuration
 from safedpa_sim.training.configuration import configurations as shipped
@@ -158,7 +158,7 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
     told = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
     seen: list[Weights] = []
 
-    def figures(_: Any, made: Weights, cars: int) -> dict[str, Any]:
+    def figures(_: Any, made: Weights, *, cars: int, **_named: Any) -> dict[str, Any]:
         if cars > small.phase_1b.evaluation_cars:
             return {"success": 0.0, "reward": 0.0, "contacts": 0.0}
         seen.append(made)
@@ -169,7 +169,7 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
         if done == 128:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(phase_1b._Training, "evaluated", figures)
+    monkeypatch.setattr(car_task, "evaluate", figures)
     longer = replace(small, phase_1b=replace(small.phase_1b, steps=192))
     with pytest.raises(KeyboardInterrupt):
         train_policy(longer, weights, tmp_path, interrupt)
@@ -179,13 +179,22 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
     assert [entry["success"] for entry in summary["learning_curve"]] == [0.2, 0.5, 0.9]
 
 
-def test_development_drives_are_none_that_is_trained_on(small: Configuration, weights: Weights) -> None:
-    """Other seeds: a training begins with its own, or anew with that and the steps done, whole rollouts of all cars."""
+def test_development_drives_are_none_that_is_trained_on(
+    small: Configuration, taught: tuple[Weights, dict[str, Any]], weights: Weights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other seeds: a training begins with its own, or again with that and the steps done, whole rollouts of all cars."""
+    made: list[tuple[Driving, int]] = []
+
+    def driving(configuration: Configuration, with_: Weights, cars: int, seed: int, **named: Any) -> Driving:
+        made.append((Driving(configuration, with_, cars, seed, **named), seed))
+        return made[-1][0]
+
+    monkeypatch.setattr(car_task, "Driving", driving)
+    evaluate(small, taught[0], cars=64, seed=small.seed)
     for name in ("car_paper", "car_paper_small"):
         phase = load_configuration(name).phase_1b
-        assert car_task._EVALUATION_SEED % (phase.cars * phase.rollout)
-    trained_on = Driving(small, weights, 64, small.seed).scene.start
-    developed = Driving(small, weights, 64, small.seed + car_task._EVALUATION_SEED, calm=True).scene.start
+        assert (made[0][1] - small.seed) % (phase.cars * phase.rollout)
+    trained_on, developed = Driving(small, weights, 64, small.seed).scene.start, made[0][0].scene.start
     assert not set(map(tuple, trained_on.tolist())) & set(map(tuple, developed.tolist()))
 
 

@@ -13,8 +13,10 @@ from safedpa.errors import InputError
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import NetworkPredictor
 from safedpa_sim.training.reference_point import ReferencePoint, weights_told_of_axle
+from safedpa_sim.training.tuning_data import Drive
 
 AHEAD, WHEELBASE = 0.15, 0.31
 angles = st.floats(-3.0, 3.0)
@@ -94,11 +96,13 @@ def test_phi_told_of_the_axle_says_what_it_says_of_the_point():
         (0.05 * torch.arange(53.0), 0.01 * torch.randn(53, generator=generator), yaw, 1.0 + 0.0 * yaw), 1
     )
     actions = torch.tensor([[1.0, 0.1]]).expand(52, 2)
-    latents = [model.latent(model._row(states[:-1], actions, states[1:])[None]) for model in (asked, moved)]
-    untold = NetworkPredictor(weights)
-    wrong = untold.latent(untold._row(states[:-1], actions, states[1:])[None])
-    apart = (latents[0] - latents[1]).abs().max()
-    assert apart < 0.05 * (latents[0] - wrong).abs().max()
+    drive = Drive(states.numpy(), actions.numpy())
+    latents = [
+        model.latent(model.seen(lived_of(model.networks, [drive])).lived.rows[None])
+        for model in (asked, moved, NetworkPredictor(weights))
+    ]
+    right, told, wrong = latents
+    assert (right - told).abs().max() < 0.05 * (right - wrong).abs().max()
 
 
 def test_what_is_no_wheelbase_is_refused():
