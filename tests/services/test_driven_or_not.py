@@ -1,12 +1,16 @@
-"""Which models ``safedpa up`` drives, told before anybody tries."""
+"""Which models ``safedpa up`` drives, and by which command."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.dynamics.own import EFFECTS_VARIABLE
 from safedpa.robot import robot_named
-from safedpa_services.driving import why_refused
+from safedpa_services import driving
+from safedpa_services.driving import drive_command, why_refused
 
 
 def _at(name: str, period: float) -> PhysicsModel:
@@ -34,3 +38,31 @@ def test_equations_are_driven_at_any_rate() -> None:
 
 def test_what_no_policy_was_learned_for_is_refused_by_that_and_not_by_its_rate() -> None:
     assert "wanted one with learned policies" in why_refused(load_model("point_learned"))
+
+
+MODEL, MINE = Path("m"), Path("mine.py")
+
+
+@pytest.mark.parametrize(
+    ("name", "own_robot", "file", "named", "margin", "period", "command"),
+    [
+        ("car", False, None, "", None, 0.0, "--model m"),
+        ("pendulum", False, None, "", None, 0.0, "--robot pendulum --model m"),
+        ("pendulum", True, MINE, "", None, 0.0, "--robot-file mine.py --model m"),
+        ("pendulum", False, MINE, "", None, 0.0, "--robot pendulum --effects mine.py --model m"),
+        ("car", False, None, ":theirs.py", None, 0.0, "--effects theirs.py --model m"),
+        ("car", False, MINE, "theirs.py", None, 0.0, "--effects mine.py --model m"),
+        ("car", False, None, "", Path("two words"), 0.0, "--model m --margin 'two words'"),
+        ("car", False, None, "", None, 0.05, "--model m"),
+        ("car", False, None, "", None, 0.1, "--model m --rate 10"),
+        ("car", False, None, "", None, 5.0, "--model m"),
+    ],
+)
+def test_the_command_to_drive_names_what_is_neither_the_default_nor_in_the_users_file(
+    name: str, own_robot: bool, file: Path | None, named: str, margin: Path | None, period: float, command: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(driving, "own_robots", lambda: {name} if own_robot else set())
+    model = load_model(name)
+    monkeypatch.setenv(EFFECTS_VARIABLE, named)
+    assert drive_command(model, MODEL, margin, file, period) == f"safedpa up {command}"

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import safedpa.robot as robot_module
-from safedpa import installed
 from safedpa.adaptation import AdaptationNode
 from safedpa.check_robot import check_robot
 from safedpa.dynamics import load_model, load_own
@@ -89,7 +90,7 @@ def test_up_drives_it_and_its_recording_tells_what_is_hidden(
     assert {"drone": "ax_offset", "cleaner": "pull"}[name] in named
 
 
-def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
+def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     empty, half = tmp_path / "empty.py", tmp_path / "half.py"
@@ -142,18 +143,13 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
         ),
     ],
 )
-def test_a_mistake_of_any_sort_is_told_in_a_line(
+def test_a_mistake_of_any_sort_is_reported_in_a_line(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
     old: str,
     new: str,
     said: str,
 ) -> None:
-    """Half of them ended in a traceback, and deviations of zero or NaN were fine."""
-    # states and ways at which the filter is looked at, which has no mistake here
-    monkeypatch.setattr("safedpa.check_robot._PROBED", 1)
-    monkeypatch.setattr("safedpa.safety.check_barriers._CHASES", 1)
     source = FILES["cleaner"].read_text(encoding="utf-8")
     assert old in source
     (tmp_path / "cleaner.toml").write_bytes((FILES["cleaner"].parent / "cleaner.toml").read_bytes())
@@ -191,7 +187,7 @@ def _of_another_robot(*_: object) -> list[FunctionBarrier]:
         (_of_another_robot, "reads the states x, y, yaw"),
     ],
 )
-def test_whatever_its_own_barriers_do_is_a_sentence_and_the_backup_acts(
+def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
     broken: Callable[..., Any], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load_own(FILES["drone"])
@@ -229,29 +225,27 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
             world_number(wrong)
 
 
-def _forget_what_is_installed() -> None:
-    installed._all.cache_clear()
-    robot_module._shipped.cache_clear()
-
-
-def test_the_robot_of_another_distribution_is_known_and_a_broken_one_costs_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.processes
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("stranger_gone:ROBOT", "cannot be loaded"),
+        ("stranger_glider:SYSTEM", "wanted an Abstract"),
+        ("stranger_glider:ROBOT", "25.0"),
+    ],
+)
+def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_sentence(
+    value: str, said: str, tmp_path: Path
 ) -> None:
+    """A process looks once for what is installed."""
     info = tmp_path / "stranger-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
     source = FILES["drone"].read_text(encoding="utf-8").replace('"drone"', '"glider"')
     (tmp_path / "stranger_glider.py").write_text(source + "\n\nROBOT = Drone()\n", encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    entries = info / "entry_points.txt"
-    for value, said in (("stranger_gone:ROBOT", "cannot be loaded"), ("stranger_glider:SYSTEM", "wanted an Abstract")):
-        entries.write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
-        _forget_what_is_installed()
-        with pytest.raises(InputError, match=said):
-            robots()
-    entries.write_text("[safedpa.robots]\nglider = stranger_glider:ROBOT\n", encoding="utf-8")
-    _forget_what_is_installed()
-    assert robots()["glider"].rate == 25.0
-    entries.unlink()
-    _forget_what_is_installed()
-    assert "glider" not in robots()
+    asked = "from safedpa.robot import robots\ntry: print(r()['glider'].rate)\nexcept Exception as e: print(repr(e))"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True)
+    assert said in done.stdout
+    assert (done.stdout.startswith("InputError(")) is (said != "25.0")

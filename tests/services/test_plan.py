@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import click
 import pytest
 from click.testing import CliRunner
 
+from safedpa.bus import MemoryBroker, MemoryTransport
 from safedpa.bus.security.certificates import Card
+from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
@@ -146,6 +150,106 @@ def test_several_robots_have_names_and_scenes_of_their_own(monkeypatch: pytest.M
 def test_robots_that_cannot_be_are_refused(tmp_path: Path, options: list[str], complaint: str) -> None:
     result = CliRunner().invoke(up.command, [*options, "--out", str(tmp_path)])
     assert complaint in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("options", "load", "change"),
+    [
+        ([], "none", ""),
+        (["--load", "chair"], "chair", ""),
+        (["--load", "none"], "none", ""),
+        (["--change", "headwind"], "none", "headwind"),
+    ],
+)
+def test_load_and_change_are_as_asked_and_none_by_default(
+    options: list[str], load: str, change: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plan = planned(monkeypatch, tmp_path, "--headless", *options)
+    assert (plan.load, plan.change) == (load, change)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--model", "dart_car"], ""),
+        (["--model", "dart_car", "--load", "none"], ""),
+        (["--model", "dart_car", "--laser"], ""),
+        (["--model", "dart_car", "--load", "chair"], "--load: got 'chair' for a car with throttle, steer, whose"),
+        (["--model", "dart_car", "--change", "hitch"], "--change: got 'hitch' for a car with throttle, steer, whose"),
+        (["--robot", "pendulum", "--load", "chair"], "--load: got one for a pendulum, which has none"),
+        (["--model", "car_learned"], ""),
+        (["--model", "car_learned", "--rate", "20.1"], ""),  # half a percent is rounding of a period
+        (["--model", "car_learned", "--rate", "19"], "--rate: got 19 ticks per second, the model's networks were "),
+        (["--model", "car_learned", "--rate", "40"], "--rate: got 40 ticks per second, the model's networks were "),
+        (["--model", "car", "--rate", "40"], ""),  # equations hold at any rate
+    ],
+)
+def test_what_a_stand_in_or_a_learned_model_cannot_do_is_refused_and_nothing_else(
+    options: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The throttle's stand-in tows nothing; asked twice as often, networks would say that it goes as far each time."""
+    if complaint:
+        result = CliRunner().invoke(up.command, ["--headless", "--out", str(tmp_path), *options])
+        assert isinstance(result.exception, InputError)
+        assert str(result.exception).startswith(complaint)
+    else:
+        plan = planned(monkeypatch, tmp_path, "--headless", *options)
+        assert ("--drive=throttle" in plan.robot_process().arguments) is ("dart_car" in options)
+
+
+@pytest.fixture
+def driven(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """driven(code, begun, hurried): the summary of a drive whose supervisor ended so."""
+
+    def run(code: int, *, begun: bool, hurried: bool) -> Any:
+        class Supervisor:
+            def __init__(self, *_: Any) -> None:
+                """Its processes are made up."""
+
+            def run(self) -> int:
+                return code
+
+        monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
+        monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", Supervisor)
+        summary = tmp_path / "robot.json"
+        summary.write_text('{"ticks": 7}')
+        robot = SimpleNamespace(begun=begun, last_words=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
+        plan: Any = SimpleNamespace(
+            services=list, robot_process=lambda: robot, wallet=None, own_session=lambda: None, fleet="f",
+            names=("r1",), recording=tmp_path / "drive.mcap", summary=summary, other_summaries={},
+        )  # fmt: skip
+        stop: Any = SimpleNamespace(hurried=hurried)
+        return up.driven(plan, stop, lambda *_: nullcontext(lambda: None))
+
+    return run
+
+
+def test_a_drive_that_went_well_is_summed_up(driven: Any) -> None:
+    found = driven(0, begun=True, hurried=False)
+    assert found["ticks"] == 7
+    assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2}]
+
+
+@pytest.mark.parametrize(("begun", "hurried"), [(True, False), (True, True), (False, False), (False, True)])
+def test_a_robot_that_failed_is_reported_by_its_last_words(driven: Any, begun: bool, hurried: bool) -> None:
+    with pytest.raises(SafedpaError, match="robot: the motor is on fire"):
+        driven(1, begun=begun, hurried=hurried)
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_second_signal_ends_with_the_status_of_an_interrupt(
+    driven: Any, begun: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a shell reports it: 128 and the number of the signal, 2."""
+    with pytest.raises(click.exceptions.Exit) as ended:
+        driven(0, begun=begun, hurried=True)
+    assert ended.value.exit_code == 130
+    assert "drive.mcap" in capsys.readouterr().err
+
+
+def test_a_drive_whose_robot_never_started_is_an_error(driven: Any) -> None:
+    with pytest.raises(SafedpaError, match="nothing was driven"):
+        driven(0, begun=False, hurried=False)
 
 
 INSIDE, DOOR = "tls/127.0.0.1:7450", "tls/0.0.0.0:7447"

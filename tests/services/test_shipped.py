@@ -61,9 +61,10 @@ def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others
     model = load_model("car")
     own = replace(MarginCalibration({"obstacle": 0.01}, 0.9, 100, "2026-11-28", fingerprint(model)), period=0.05)
     told = {"a": (0.1, 0.8), "b": (0.05, 0.9), "c": (0.4, 0.99), "d": (0.2, 0.9)}
+    (tmp_path / "named_margins").mkdir()
     for name, (period, coverage) in told.items():
-        replace(own, period=period, coverage=coverage).save(tmp_path / f"{name}.toml")
-    monkeypatch.setattr(shipped, "_shipped", lambda _: {name: tmp_path / f"{name}.toml" for name in told})
+        replace(own, period=period, coverage=coverage).save(tmp_path / "named_margins" / f"{name}.toml")
+    monkeypatch.setattr(shipped, "files", lambda _: tmp_path)
     assert margin_for(model) == replace(own, slower={"0.2": own.epsilon, "0.4": own.epsilon})
 
 
@@ -89,8 +90,8 @@ def test_unknown_names_list_what_ships() -> None:
 def test_a_file_that_is_not_in_the_folder_where_it_was_looked_for_is_none_that_ships(
     tmp_path: Path, ending: str
 ) -> None:
-    """Whoever names a folder means a file of his own there, and not another one of the same name."""
-    stem = next(iter(shipped._shipped("named_margins")))
+    """A user who names a folder means a file of his own there, and not another one of the same name."""
+    stem = "car_10_hz"
     assert margin_for(load_model("car"), f"{stem}{ending}") is not None
     for asked, name in ((settings_named, "car"), (lambda source: margin_for(load_model("car"), source), stem)):
         with pytest.raises(InputError, match=rf"{name}{ending}: no such file, nor one that ships under that name"):

@@ -15,11 +15,9 @@ from typing import Any
 import pytest
 from tests.services.messages import health_of, state_of, verdict_of
 
-from safedpa.bus import HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Received, Request
-from safedpa.bus.loop.greeting import Greeting
+from safedpa.bus import HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
 from safedpa.bus.overview import FleetOverview
 from safedpa.bus.wire.requests import ORDER
-from safedpa.bus.wire.topics import MODEL
 from safedpa.errors import BusError, InputError, SafedpaError
 from safedpa_services import serving
 from safedpa_services.command_line import change_requests, stop_orders
@@ -255,65 +253,3 @@ def test_a_service_gives_way_to_the_networks_thread_within_a_millisecond(monkeyp
         assert sys.getswitchinterval() <= 0.001
     finally:
         sys.setswitchinterval(before)
-
-
-# a service that meets a robot
-
-
-class Asked:
-    """A node that asks for the model of every robot that it meets, and the bus on which it does."""
-
-    name, listens = "policy", (MODEL,)
-
-    def __init__(self) -> None:
-        self.welcomed: list[tuple[str, Answer | None]] = []
-        self.questions: list[tuple[str, float]] = []
-        self.answers: list[Any] = []
-
-    def agreed(self, _robot: str) -> None:
-        return None
-
-    def welcome(self, robot: str, answer: Answer | None) -> None:
-        self.welcomed.append((robot, answer))
-
-    def answer_agreed(self, _agreed: Any) -> None:
-        return None
-
-    def ask_model(self, _inbox: Any, robot: str, _service: str, patience: float) -> None:
-        self.questions.append((robot, patience))
-
-    def take_answers(self) -> list[Any]:
-        taken, self.answers = self.answers, []
-        return taken
-
-
-def said(topic: Any, number: int, robot: str = "r1") -> Received:
-    message: Any = SimpleNamespace(number=number)
-    return Received(topic, robot, message, b"", f"safedpa/f/{robot}/{topic.name}", 0.0)
-
-
-@pytest.mark.parametrize("answer", [None, TAKEN])
-def test_a_robots_messages_wait_for_its_model_and_for_no_more_than_a_second(answer: Answer | None) -> None:
-    """The newest of each topic is served then, the state first; two services are asked in that time."""
-    now, node = [100.0], Asked()
-    own: Any = node
-    greeting = Greeting(own, own, own, lambda: now[0], lambda *_: None)
-    assert not greeting.holds(said(VERDICT, 0)), "before its first state no robot is met"
-    for number in (1, 2):
-        assert greeting.holds(said(STATE, number))
-        assert greeting.holds(said(VERDICT, number))
-    ((robot, patience),) = node.questions
-    assert robot == "r1"
-    assert 2.0 * patience < greeting.deadline() - now[0] <= 1.0
-    assert greeting.ready() == []
-    if answer is not None:
-        node.answers = [SimpleNamespace(robot="r1", answer=answer)]
-    else:
-        now[0] = greeting.deadline()
-    served: list[Any] = greeting.ready()
-    assert [(item.topic, item.message.number) for item in served] == [(STATE, 2), (VERDICT, 2)]
-    assert node.welcomed == [("r1", answer)]
-    assert greeting.deadline() == inf
-    assert not greeting.holds(said(STATE, 3))
-    greeting.forget("r1")
-    assert greeting.holds(said(STATE, 4)), "it is asked again when the robot returns"
