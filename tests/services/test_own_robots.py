@@ -244,7 +244,7 @@ def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_senten
     (info / "entry_points.txt").write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
     source = FILES["drone"].read_text(encoding="utf-8").replace('"drone"', '"glider"')
     (tmp_path / "stranger_glider.py").write_text(source + "\n\nROBOT = Drone()\n", encoding="utf-8")
-    asked = "from safedpa.robot import robots\ntry: print(r()['glider'].rate)\nexcept Exception as e: print(repr(e))"
+    asked = "from safedpa.robot import robots\ntry: print(robots()['glider'].rate)\nexcept Exception as e: print(e)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True)
     assert said in done.stdout
