@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from itertools import groupby
+from itertools import groupby, pairwise
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from safedpa.robots.car.barriers import braking_of
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
 from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
+from safedpa_services.dashboard.world import body_entries
 
 _NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.floats(-5.0, 5.0)
 _VECTORS = st.lists(_NUMBERS, max_size=6).map(tuple)
@@ -98,13 +100,29 @@ def test_the_clearance_ring_is_where_the_capsules_axis_must_stop(look, tick_of):
     )
 
 
-def test_the_wheels_turn_with_the_steer(look, tick_of):
-    state = tick_of(0)[0][1]
-    car = _shape(look, STATE, state, "world/body", Lines)
-    turned = [strip[1] for strip in car.strips[2:]], [strip[0] for strip in car.strips[2:]]
-    angles = [math.atan2(b[1] - a[1], b[0] - a[0]) for b, a in zip(*turned, strict=True)]
-    yaw, steer = state.values[2], state.applied[1]
-    assert angles == pytest.approx([yaw, yaw, yaw + steer, yaw + steer])
+def _wheels(look, state):
+    """Directions of the long sides of the four drawn wheels, rear ones first [rad]."""
+    body = next(entry.shape for entry in body_entries(state, look) if entry.path == ("world", "body"))
+    sides = [max(pairwise(wheel), key=lambda side: math.dist(*side)) for wheel in body.strips[2:]]
+    return [math.atan2(b[1] - a[1], b[0] - a[0]) % math.pi for a, b in sides]
+
+
+@pytest.mark.parametrize(
+    ("actions", "applied", "front"),
+    [
+        (("target_speed", "steer"), (1.0, 0.3), 0.3),
+        (("throttle", "steer"), (0.2, -0.3), -0.3),
+        (("speed", "yaw_rate"), (1.0, 0.3), 0.0),  # a rate is no angle of a wheel
+        (("target_speed", "steer"), (), 0.0),  # a robot that does not report its action
+        (("target_speed", "steer"), (1.0,), 0.0),
+        (("target_speed", "steer"), (1.0, 0.3, 0.3), 0.0),
+    ],
+)
+def test_front_wheels_turn_with_the_steering_and_rear_ones_do_not(look, tick_of, actions, applied, front):
+    state = replace(tick_of(0)[0][1], values=(2.0, 1.0, 0.5, 1.2), applied=applied)
+    system = SimpleNamespace(state_names=look.system.state_names, action_names=actions)
+    wheels = _wheels(replace(look, system=system, swept=lambda _state: None), state)
+    assert wheels == pytest.approx([0.5, 0.5, 0.5 + front, 0.5 + front])
 
 
 def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -95,6 +96,21 @@ def test_a_strange_scene_is_drawn_as_far_as_it_goes(pendulum: Look, other: dict[
     drawn = paths(RobotView(pendulum).take(state(1, **other), 0.0))
     assert "world/rod" in drawn
     assert ("phase/safe_set" in drawn) is ("corridor" not in other)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.4, 0.9), (0.9, 2.0 * math.pi - 0.4), (0.0, 9.0)])
+def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(pendulum: Look, low: float, high: float) -> None:
+    """Chords are nearer to the centre than the circle by less than a thousandth of its radius."""
+    entries = RobotView(pendulum).take(state(1, corridor=(low, high)), 0.0)
+    sector = next(entry.shape for entry in entries if entry.path == ("world", "sector"))
+    assert isinstance(sector, Lines)
+    points = sector.strips[0]
+    assert points[0] == pytest.approx((-1.15 * math.sin(low), 1.15 * math.cos(low)))
+    middles = [math.dist((0.0, 0.0), (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]))) for a, b in pairwise(points)]
+    assert min(middles) > 1.148
+    assert len(points) < 200
+    length = sum(math.dist(one, other) for one, other in pairwise(points))
+    assert length == pytest.approx(1.15 * min(high - low, 2.0 * math.pi), rel=2e-3)
 
 
 def test_the_safe_set_is_where_the_filter_sees_it(pendulum: Look) -> None:

@@ -8,17 +8,16 @@ import subprocess
 import sys
 import time
 import urllib.request
-from types import SimpleNamespace
 
 import pytest
 
-from safedpa_services.dashboard import __main__ as dashboard_process
-from safedpa_services.dashboard.doors import Door, choose_port
+from safedpa.errors import InputError
+from safedpa_services.dashboard.doors import Door, choose_port, opened
 
 pytestmark = pytest.mark.processes
 
 PATIENCE = 240.0
-"""s; a dashboard yields to everybody, and a busy machine leaves it little."""
+"""s; a dashboard has a low priority, and a busy machine leaves it little time."""
 
 
 def _start(*options):
@@ -69,8 +68,6 @@ def test_bad_options_are_refused_in_one_line(options, complaint):
 
 
 def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_port):
-    from safedpa.errors import InputError
-
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
@@ -79,23 +76,22 @@ def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_
         assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
 
 
-def test_a_port_that_another_took_since_it_was_chosen_is_passed_over_unless_wished_for(free_port, monkeypatch):
+def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_wished_for(free_port):
     """Two dashboards that are started at one moment find the same ports free."""
-    from safedpa.errors import InputError
-
     doors = []
-    monkeypatch.setattr(dashboard_process, "choose_port", lambda *_: free_port)
-    monkeypatch.setattr(dashboard_process, "Door", lambda *given: doors.append(Door(*given)))
-    options = SimpleNamespace(bind="127.0.0.1", web_port=None, name=())
+
+    def open_door(port):
+        doors.append(Door("127.0.0.1", port, 5678))
+
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
-        address = dashboard_process._open_door(options, 5678)
-        options.web_port = free_port
+        port = opened(open_door, free_port, wished=False)
         with pytest.raises(InputError, match=f"--web-port {free_port}"):
-            dashboard_process._open_door(options, 5678)
-    doors.pop().close()
-    assert int(address.rpartition(":")[2]) > free_port
+            opened(open_door, free_port, wished=True)
+    (door,) = doors
+    door.close()
+    assert port > free_port
 
 
 def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from safedpa.bus import HEALTH, Bus, MemoryBroker, MemoryTransport
-from safedpa_services.dashboard.dashboard import Dashboard
+from safedpa.bus import HEALTH, Bus, MemoryBroker, MemoryTransport, encode
+from safedpa.records import McapRecorder
+from safedpa_services.dashboard.dashboard import Dashboard, draw_recording
 from safedpa_services.dashboard.fleet_view import FleetView
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
@@ -58,26 +59,17 @@ def test_the_recording_carries_its_own_arrangement(recording):
     assert len(RrdReader(recording).blueprints()) >= 1
 
 
-class Slow:
-    """A stream whose viewers read late, or never."""
+def test_a_recording_of_messages_is_drawn_whole_and_at_their_robots_time(look, drive, tmp_path):
+    """However fast it is read: it is no live view that may leave pictures out."""
+    from rerun.chunk import RrdReader
 
-    def __init__(self, never: bool) -> None:
-        self.never, self.done = never, []
-
-    def flush(self, *, timeout_sec: float) -> None:
-        self.done.append(("flush", timeout_sec))
-        if self.never:
-            raise RuntimeError("timeout")
-
-    def disconnect(self) -> None:
-        self.done.append(("disconnect", 0.0))
-
-
-@pytest.mark.parametrize("never", [False, True])
-def test_what_is_on_its_way_is_written_first_for_a_second_at_most_and_then_all_is_closed(look, never):
-    from safedpa_services.dashboard.painter import Painter
-
-    painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
-    painter._stream = stream = Slow(never)
-    painter.close()
-    assert stream.done == [("flush", 1.0), ("disconnect", 0.0)]
+    path, drawn = tmp_path / "a.mcap", tmp_path / "a.rrd"
+    with McapRecorder(path) as recorder:
+        for k, tick in enumerate(drive(100)):
+            for topic, message in tick[:3]:
+                recorder.write(f"safedpa/f/r1/{topic.name}", encode(message), 50_000_000 * k, 0)
+        recorder.write("safedpa/f/r1/state", b"garbage", 6_000_000_000, 0)
+    draw_recording([path], look, drawn)
+    chunks = [chunk for chunk in RrdReader(drawn).stream() if chunk.entity_path == "/robots/r1/world/body"]
+    times = sorted(value for chunk in chunks for value in chunk.to_record_batch().column("t").cast("int64").to_pylist())
+    assert [1e-9 * value for value in times] == pytest.approx([0.05 * k for k in range(100)])

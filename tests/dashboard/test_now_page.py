@@ -1,4 +1,4 @@
-"""The page of words: what is awaited and from whom, a stand with its reason, the keyframes that repeat the present."""
+"""The page of sentences: what is awaited and from which service, a stand with its reason, the keyframes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,20 @@ from dataclasses import replace
 
 import pytest
 
-from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Received, Refused
-from safedpa_services.dashboard.fleet_view import KEYFRAME_SECONDS, FleetView
+from safedpa.bus import (
+    HEALTH,
+    NO_ROBOT,
+    STATE,
+    VERDICT,
+    FindingMessage,
+    LatentMessage,
+    Received,
+    Refused,
+    SurroundingsMessage,
+    VerdictMessage,
+)
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.shapes import Page, States
 
 
@@ -69,7 +81,7 @@ def test_a_keyframe_never_stands_later_than_a_change_that_is_still_to_come(look,
     frames = _drive(view, tick_of, range(75), **changed)
     state, verdict = tick_of(82)[0][1], tick_of(80)[2][1]
     frames += view.take([_received(STATE, state, at=4.2), _received(VERDICT, verdict, at=4.2)], 4.2)
-    frames += view.take([], 4.2 + KEYFRAME_SECONDS)
+    frames += view.take([], 5.2)
     lane = [(f.at, e.shape.state) for f in frames for e in f.entries if e.path[-1] == "filter" and not e.static]
     assert lane[-1] == (pytest.approx(4.0), "corrected")
     assert sorted(lane) == lane
@@ -90,3 +102,62 @@ def test_every_second_all_that_is_drawn_on_change_is_drawn_again(look, tick_of):
     paths = {"/".join(e.path[2:]) for e in entries}
     assert paths >= {"world/obstacles", "world/goal", "world/field", "world/clearance", "now", "services/robot"}
     assert {e.path[-1]: e.shape for e in entries if isinstance(e.shape, States)}["filter"] == States("passed")
+
+
+STAMP = {"epoch": 7, "tick": 1, "robot_time": 0.0, "publish_time": 0.0}
+HEARD = {
+    "verdict": VerdictMessage(
+        **STAMP, status="passed", sentence="", action=(), wish=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
+        margin=0.0, solver="", microseconds=0.0,
+    ),
+    "estimate": LatentMessage(**STAMP, model="m", values=(0.1,), deviations=(0.1,)),
+    "diagnosis": FindingMessage(
+        **STAMP, model="m", stage="learning", sentence="", number=1, error=0.0, band=0.0, evidence=0.0, threshold=0.0,
+        coverage=1.0, where="",
+    ),
+    "perception": SurroundingsMessage(**STAMP, points=(), movers=(), hidden=(), ages=()),
+}  # fmt: skip
+
+
+def _awaited(look, state, name="", last=None):
+    """What is awaited at 20 s, if ``name`` was heard at ``last`` only and all others 0.9 s ago."""
+    page = NowPage(look)
+    page.take(state, 10.0)
+    for own, message in HEARD.items():
+        heard = last if own == name else 19.1
+        if heard is not None:
+            page.take(message, heard)
+    page.take(state, 20.0)
+    return [line for line in page.page(20.0).text.splitlines() if line.startswith("**Waiting for**")]
+
+
+@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("name", HEARD)
+@pytest.mark.parametrize("last", [None, 18.9, 19.1])
+def test_a_service_is_missed_after_a_second_of_silence(look, tick_of, name, last, sees):
+    """The diagnosis is missed until its first message only; perception by robots with sources of their own."""
+    state = replace(tick_of(1)[0][1], sources=("laser",) if sees else ())
+    missed = last is None if name == "diagnosis" else last != 19.1 and (sees or name != "perception")
+    lines = _awaited(look, state, name, last)
+    assert len(lines) == missed
+    assert all(name in line for line in lines)
+
+
+@pytest.mark.parametrize(("age", "silent"), [(0.9, False), (1.1, True), (30.0, True)])
+def test_a_robot_is_silent_after_a_second(look, tick_of, age, silent):
+    page = NowPage(look)
+    page.take(tick_of(1)[0][1], 20.0 - age)
+    assert ("the robot's states: silent" in page.page(20.0).text) is silent
+
+
+@pytest.mark.parametrize(("since", "reported"), [(1.9, False), (2.1, True)])
+def test_nothing_is_missed_in_the_first_two_seconds_of_a_robot_or_of_a_restarted_one(look, tick_of, since, reported):
+    page, state = NowPage(look), tick_of(1)[0][1]
+    page.take(state, 5.0)
+    page.take(replace(state, epoch=8), 20.0 - since)
+    page.take(replace(state, epoch=8), 19.9)
+    assert ("Waiting for" in page.page(20.0).text) is reported
+
+
+def test_before_the_first_state_that_one_is_awaited(look):
+    assert "the robot's first state" in NowPage(look).page(0.0).text

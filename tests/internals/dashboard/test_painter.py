@@ -1,0 +1,34 @@
+"""The end of a recording: what is pending is written for a second at most, whatever viewers do."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.dynamics import load_model
+from safedpa.safety import FilterSettings
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.painter import Painter
+
+
+class Slow:
+    """A stream whose viewers read late, or never."""
+
+    def __init__(self, never: bool) -> None:
+        self.never, self.done = never, []
+
+    def flush(self, *, timeout_sec: float) -> None:
+        self.done.append(("flush", timeout_sec))
+        if self.never:
+            raise RuntimeError("timeout")
+
+    def disconnect(self) -> None:
+        self.done.append(("disconnect", 0.0))
+
+
+@pytest.mark.parametrize("never", [False, True])
+def test_pending_rows_are_written_first_for_a_second_at_most_and_then_all_is_closed(never: bool) -> None:
+    look = look_of(load_model("car"), FilterSettings())
+    painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
+    painter._stream = stream = Slow(never)
+    painter.close()
+    assert stream.done == [("flush", 1.0), ("disconnect", 0.0)]
