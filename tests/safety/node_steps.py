@@ -1,15 +1,12 @@
-"""One robot's messages to the filter's service, tick by tick, and what it is answered."""
+"""One robot's messages to the filter's service, tick by tick, and its answers."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from safedpa.bus import LATENT, VERDICT, WISH, LatentMessage, Stale, StateMessage, VerdictMessage, WishMessage
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
-from safedpa.safety import Verdict
-from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 
@@ -32,9 +29,9 @@ def stamp(state: StateMessage) -> dict[str, Any]:
     return {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
 
 
-def latent_at(state: StateMessage) -> LatentMessage:
-    values = tuple(CAR.latent.tolist())
-    return LatentMessage(**stamp(state), model=fingerprint(CAR), values=values, deviations=values)
+def latent_at(state: StateMessage, model: PhysicsModel = CAR) -> LatentMessage:
+    values = tuple(model.latent.tolist())
+    return LatentMessage(**stamp(state), model=fingerprint(model), values=values, deviations=values)
 
 
 def asked(
@@ -45,31 +42,3 @@ def asked(
     verdict = node.afterwards("r")[VERDICT]
     assert isinstance(verdict, VerdictMessage)
     return verdict
-
-
-def memory_of(node: SafetyFilterNode) -> FilteredRobot:
-    return node._robots["r"]
-
-
-def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float] = (1.0, 0.1)) -> FilteredRobot:
-    """After so many ticks, in which it did what it was told from the second on."""
-    node = SafetyFilterNode(model, SETTINGS)
-    applied = (0.0, 0.0)
-    for tick in range(ticks):
-        state = state_at(tick, applied=applied)
-        latent = replace(latent_at(state), model=fingerprint(model), values=tuple(model.latent.tolist()))
-        wish = WishMessage(**stamp(state), values=action, controller="test")
-        outputs = node.step("r", state, {LATENT: latent, WISH: wish})
-        applied = next(iter(outputs.values())).values  # type: ignore[union-attr,assignment]
-        node.afterwards("r")
-    return memory_of(node)
-
-
-def told(memory: FilteredRobot) -> tuple[float, ...]:
-    assert memory.decision is not None
-    return tuple(memory.decision.verdict.action.tolist())
-
-
-def verdict_of(memory: FilteredRobot, **changed: Any) -> Verdict:
-    assert memory.decision is not None
-    return replace(memory.decision.verdict, **changed)

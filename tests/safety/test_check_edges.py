@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.checked import Values, first, made, probe
+from tests.safety.checked import Values, first, made, probe, slide
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter, check_filter
@@ -76,14 +76,13 @@ def test_of_a_rollout_with_two_values_both_count() -> None:
 
 def recorded(checked: Checked) -> tuple[Checked, list[float]]:
     asked: list[float] = []
-    affine = checked.safe.tools.prediction._affine
 
     def step(state: Values, action: Values) -> Values:
         asked.append(float(action[0]))
-        f, g = affine(state)
+        f, g = slide(state)
         return np.asarray(f + g @ action)
 
-    tools = replace(checked.safe.tools, prediction=Prediction(affine, step))
+    tools = replace(checked.safe.tools, prediction=Prediction(slide, step))
     safe: Any = type("Safe", (), {"settings": checked.safe.settings, "tools": tools})()
     return Checked(safe, checked.barriers, checked.margins, None), asked
 

@@ -38,6 +38,18 @@ def test_nobody_writes_into_what_the_next_one_sees(model: Any) -> None:
             kept[0] = 7.0
 
 
+@pytest.mark.parametrize("wrong", [None, 1.0, "model", [halved]], ids=["none", "number", "text", "list"])
+def test_what_is_no_model_cannot_be_driven(wrong: Any) -> None:
+    with pytest.raises(InputError, match=r"^model: got .*, wanted a model, a Prediction, affine"):
+        RolloutBarrier(wrong, [0.0], lambda x: x[0], 2)
+
+
+def test_a_backup_answers_with_a_row_of_actions() -> None:
+    with pytest.raises(InputError, match=r"^backup: got shape .*, wanted"):
+        ClosedLoop(lambda x, a: x + a, lambda _: [[1.0]]).action(np.zeros(1))
+    assert ClosedLoop(lambda x, a: x + a, lambda _: [1.0]).action(np.zeros(1)).tolist() == [1.0]
+
+
 def test_a_path_ends_where_nothing_moves() -> None:
     path = ClosedLoop(lambda x, a: np.maximum(x - 1.0, 0.0), [0.0]).path(np.array([2.0]), 50)
     assert [float(x[0]) for x in path] == [2.0, 1.0, 0.0, 0.0]

@@ -1,6 +1,8 @@
-"""The corridor: exact gradient, the angle follows what is kept, odd corridors are refused."""
+"""Barriers of limits: exact gradients, the angle follows what is kept, odd limits are refused."""
 
 from __future__ import annotations
+
+from math import inf, nan, nextafter
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
-from safedpa.safety import CorridorBarrier
+from safedpa.safety import CorridorBarrier, SpeedBarrier
 
 finite = st.floats(-20.0, 20.0)
 
@@ -40,13 +42,22 @@ def test_other_entries_of_the_state_and_names() -> None:
     np.testing.assert_allclose(barrier.evaluate(np.zeros(3))[1], [[0.5, 0.0, 1.0], [-0.5, 0.0, -1.0]])
 
 
-@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0), (0.0, float("inf"))])
-def test_an_empty_corridor_is_refused(low: float, high: float) -> None:
-    with pytest.raises(InputError, match="wanted finite low < high"):
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (nan, 1.0), (0.0, nan), (-inf, 1.0), (0.0, inf)])
+def test_empty_and_endless_limits_are_refused(low: float, high: float) -> None:
+    with pytest.raises(InputError, match=f"corridor: got {low} to {high}, wanted finite low < high"):
         CorridorBarrier(low, high, 0.2)
+    with pytest.raises(InputError, match=f"speed limits: got {low} to {high}, wanted finite numbers, low < high"):
+        SpeedBarrier(low, high)
 
 
-@pytest.mark.parametrize("time", [0.0, -1.0, float("nan")])
+@given(st.floats(-1e9, 1e9))
+def test_the_narrowest_limits_are_taken(low: float) -> None:
+    high = nextafter(low, inf)
+    assert CorridorBarrier(low, high, 1e-300).values(np.array([low, 0.0])).min() == 0.0
+    assert SpeedBarrier(low, high, 0).values(np.array([high])).tolist() == [0.0, high - low]
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0, nan, inf])
 def test_a_time_that_is_none_is_refused(time: float) -> None:
     with pytest.raises(InputError, match="wanted a finite time > 0"):
         CorridorBarrier(0.0, 1.0, time)

@@ -1,3 +1,6 @@
+"""Settings of the filter: defaults, files, and what is refused with the name of its key."""
+
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,12 +48,19 @@ def test_keys_left_out_keep_their_defaults() -> None:
     [
         ("etta = 0.1", r"etta: unknown key; did you mean 'eta'\?"),
         ("eta = 0", "eta: got 0, wanted more than 0"),
-        ("eta = 1.5", r"eta: got 1\.5"),
+        ("eta = 1.0000001", r"eta: got 1\.0000001, wanted more than 0\.0, at most 1"),
         ("eta = nan", "eta: got nan, wanted a finite number"),
         ("eta = true", "eta: got True"),
         ('eta = "high"', "eta: got 'high'"),
         ("epsilon = -0.1", r"epsilon\.default: got -0\.1"),
         ("epsilon = { obstacle = inf }", r"epsilon\.obstacle: got inf"),
+        ("epsilon = { obstacle = 0.1, speed = -1.0 }", r"epsilon\.speed: got -1\.0, wanted at least 0"),
+        ("margin = -0.1", r"margin: got -0\.1, wanted at least 0"),
+        ("margin = inf", "margin: got inf, wanted a finite number"),
+        ("margin = true", "margin: got True, wanted a finite number"),
+        ('margin = "conformel"', "margin: got 'conformel', wanted a number >= 0, or .*conformal"),
+        ('action_low = "ab"', "action_low: got 'ab', wanted a list of numbers"),
+        ("action_high = [inf, 0.34]", "action_high: got inf, wanted a finite number"),
         ("action_low = [0.0]", "action_high: got 2 numbers, action_low has 1"),
         ("action_low = []\naction_high = []", "action_high: got 0 numbers"),
         ("action_low = [3.0, 0.0]", r"action_low: got 3\.0, wanted less than action_high 2\.0"),
@@ -58,7 +68,9 @@ def test_keys_left_out_keep_their_defaults() -> None:
         ("action_low = 3.0", r"action_low: got 3\.0, wanted a list of numbers"),
         ("action_low = [nan, 0.0]", "action_low: got nan"),
         ("weights = [1.0]", "weights: got 1 numbers, wanted 2 or none"),
-        ("weights = [1.0, 0.0]", "weights: got"),
+        ("weights = [1.0, 0.0]", "weights: got .* wanted positive numbers"),
+        ("weights = [-1.0, 1.0]", "weights: got .* wanted positive numbers"),
+        ("backup_action = [-0.601, 0.0]", r"backup_action: got -0\.601, wanted -0\.6 to 2\.0"),
         ("backup_action = [0.0, 1.0]", r"backup_action: got 1\.0, wanted -0\.34 to 0\.34"),
         ("backup_action = [0.0]", "backup_action: got 1 numbers"),
         ("slack_tolerance = 1e-4", "slack_tolerance: no setting any more, .* leave it out"),
@@ -66,13 +78,16 @@ def test_keys_left_out_keep_their_defaults() -> None:
         ("slack_linear = 1e4", "slack_linear: no setting any more"),
         ("braking_gain = 0", "braking_gain: got 0"),
         ("plausible_wish = 0", "plausible_wish: got 0, wanted more than 0"),
+        ("plausible_wish = inf", "plausible_wish: got inf, wanted a finite number"),
         ("speed_high = -0.8", r"speed_high: got -0\.8, wanted more than speed_low -0\.8"),
         ('system = "pendulum"\nclearance = 0.1', "action_low: got none for the system 'pendulum', wanted its bounds"),
         ('system = "pendulum"\netta = 0.1', "etta: unknown key"),
         ("clearance = -0.1", r"clearance: got -0\.1, wanted at least 0"),
+        ("clearance = nan", "clearance: got nan, wanted "),
         ("speed_low = 3.0", r"speed_high: got 2\.2, wanted more than speed_low 3\.0"),
         ("relinearisations = 2.5", r"relinearisations: got 2\.5, wanted a whole number"),
         ("relinearisations = true", "relinearisations: got True"),
+        ("relinearisations = -1", "relinearisations: got -1, wanted at least 0, at most 20"),
         ("relinearisations = 21", "relinearisations: got 21, wanted at least 0, at most 20"),
         ("enabled = 1", "enabled: got 1, wanted true or false"),
         ("format = 2", "format: wanted 1"),
@@ -126,6 +141,44 @@ def test_settings_of_no_named_robot_hold_what_any_robot_knows() -> None:
     own = FilterSettings(action_low=(-1.0,), action_high=(1.0,), barriers={"clearance": 0.3})
     assert (own.barriers, own.barrier("clearance"), own.barrier("braking_gain")) == ({"clearance": 0.3}, 0.3, 2.5)
     assert parse_settings(write_settings(own)) == own
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"eta": 1e-300, "plausible_wish": 1e-300, "relinearisations": 0},
+        {"margin": "theorem", "epsilon": {"obstacle": 0}},
+        {"margin": 1e9, "weights": (1e-300, 1e300), "epsilon": 0.0},
+        {"action_low": (math.nextafter(2.0, 0.0), -0.34)},
+    ],
+    ids=str,
+)
+def test_settings_at_the_ends_of_their_ranges_come_back_from_their_file(changes: dict[str, Any]) -> None:
+    settings = FilterSettings(**changes)
+    assert parse_settings(write_settings(settings)) == settings
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rests"),
+    [
+        ((-1.0, -2.0), (1.0, 2.0), [0.0, 0.0]),
+        ((0.5, -2.0), (1.0, -1.0), [0.5, -1.0]),
+        ((0.0, -2.0), (1.0, 0.0), [0.0, 0.0]),
+    ],
+)
+def test_the_resting_action_is_the_admissible_one_nearest_to_zero_unless_a_backup_is_set(
+    low: tuple[float, ...], high: tuple[float, ...], rests: list[float]
+) -> None:
+    found = FilterSettings(system="", action_low=low, action_high=high)
+    assert found.resting_action.tolist() == rests
+    assert found.weight_vector.tolist() == [1.0, 1.0]
+    assert replace(found, backup_action=high).resting_action.tolist() == list(high)
+
+
+@pytest.mark.parametrize("barriers", [1.0, ["clearance"], {"clearanse": 0.1}], ids=str)
+def test_settings_of_barriers_are_known_numbers_by_name(barriers: Any) -> None:
+    with pytest.raises(InputError, match=r"barriers: got .*, wanted numbers by name|clearanse: .*clearance"):
+        FilterSettings(barriers=barriers)
 
 
 @pytest.mark.parametrize("backup", [(-0.6, -0.34), (2.0, 0.34)])

@@ -1,4 +1,4 @@
-"""What the filter's service makes of one robot's messages, tick by tick, beside what is said of it."""
+"""How the filter's service answers one robot, tick by tick: what it remembers, learns and forgets in between."""
 
 from __future__ import annotations
 
@@ -7,36 +7,54 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import ABSENT, CAR, SETTINGS, asked, latent_at, memory_of, state_at
+from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, asked, latent_at, state_at
 
-from safedpa.bus import ACTION, VERDICT, StateMessage, VerdictMessage
-from safedpa.dynamics import fingerprint
-from safedpa.safety.filtered_robot import too_late
+from safedpa.bus import ACTION, VERDICT, Request, VerdictMessage
+from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.scene import AbstractScene
-from safedpa.safety.trail import LONGEST_AGE
+from safedpa.safety.orders import Orders
+
+AT_REST = (0.0, 0.0, 0.0, 0.0)
+NEAR: dict[str, Any] = {"obstacles": ((0.9, 0.0, 0.1),)}
+"""Near enough for an error of h to count."""
 
 
-@pytest.mark.parametrize(("seconds", "good"), [(0.0, True), (LONGEST_AGE, True), (-1e-9, False), (1.0 + 1e-9, False)])
-def test_how_old_a_state_may_be_where_its_action_acts(seconds: float, good: bool) -> None:
-    assert (too_late(state_at(0, until_action=seconds)) == []) is good
+def answered(node: SafetyFilterNode, tick: int, model: PhysicsModel = CAR, **changed: Any) -> VerdictMessage:
+    state = state_at(tick, **changed)
+    return asked(node, state, latent_at(state, model), (1.0, 0.1) if model is LATE else (1.0, 0.0))
 
 
-def test_a_latent_stands_in_for_the_missing_ones_of_a_second() -> None:
+def obeyed(node: SafetyFilterNode, ticks: range, model: PhysicsModel = CAR, **changed: Any) -> VerdictMessage:
+    """The last verdict, after a robot did for some ticks what the filter decided."""
+    verdict = None
+    for tick in ticks:
+        verdict = answered(node, tick, model, **({"applied": verdict.action} if verdict else {}), **changed)
+    assert verdict is not None
+    return verdict
+
+
+# states and latents
+
+
+@pytest.mark.parametrize(("seconds", "good"), [(0.0, True), (1.0, True), (-1e-9, False), (1.0 + 1e-9, False)])
+def test_a_state_may_be_a_second_old_where_its_action_acts(seconds: float, good: bool) -> None:
+    verdict = answered(SafetyFilterNode(CAR, SETTINGS), 0, until_action=seconds)
+    assert (verdict.status == "passed") is good
+    assert ("wanted 0 to 1 s" in verdict.sentence) is not good
+
+
+def test_the_last_latent_stands_in_for_missing_ones_for_a_second() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    assert asked(node, state_at(0), latent_at(state_at(0))).status == "passed"
+    assert answered(node, 0).status == "passed"
     for tick in range(1, 24):
         verdict = asked(node, state_at(tick), ABSENT)
-        if tick <= 20:
-            assert verdict.status == "passed", tick
-        else:
-            assert verdict.status == "fallback", tick
-            assert "the latent (none of the last second has arrived)" in verdict.sentence
+        assert verdict.status == ("passed" if tick <= 20 else "fallback"), tick
+        assert ("the latent (none of the last second has arrived)" in verdict.sentence) is (tick > 20)
 
 
-def test_a_latent_of_another_run_or_another_model_is_none() -> None:
+def test_a_latent_of_another_run_or_another_model_is_refused() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    asked(node, state_at(0), latent_at(state_at(0)))
+    answered(node, 0)
     verdict = asked(node, state_at(1, epoch=2), ABSENT)
     assert (verdict.status, "none of the last second" in verdict.sentence) == ("fallback", True)
     verdict = asked(node, state_at(2), replace(latent_at(state_at(2)), model="another"))
@@ -44,7 +62,10 @@ def test_a_latent_of_another_run_or_another_model_is_none() -> None:
     assert f"the latent (of model another, the filter has {fingerprint(CAR)})" in verdict.sentence
 
 
-def test_the_path_is_told_with_every_fourth_tick_and_the_next_state_with_each() -> None:
+# predictions
+
+
+def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_each() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     for tick in range(9):
         state = state_at(tick)
@@ -54,111 +75,122 @@ def test_the_path_is_told_with_every_fourth_tick_and_the_next_state_with_each() 
         np.testing.assert_allclose(verdict.predicted, wanted[: len(verdict.predicted)], atol=1e-12)
 
 
-def test_of_a_state_of_another_size_nothing_is_foretold() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
-    state = state_at(0, (0.0, 0.0, 0.0))
-    verdict = asked(node, state, latent_at(state))
+@pytest.mark.parametrize("model", [CAR, LATE])
+def test_for_a_state_of_another_size_nothing_is_predicted(model: PhysicsModel) -> None:
+    node = SafetyFilterNode(model, SETTINGS)
+    before = obeyed(node, range(3), model)
+    verdict = answered(node, 3, model, values=(0.0, 0.0, 0.0), applied=before.action)
     assert (verdict.status, verdict.predicted) == ("fallback", ())
+    assert asked(node, state_at(4, applied=verdict.action), ABSENT).status == "passed"
 
 
-@pytest.mark.parametrize(("speed", "still"), [(0.02, True), (-0.02, True), (0.021, False), (-0.021, False)])
-def test_who_is_slow_enough_after_an_order_stands(speed: float, still: bool) -> None:
+def test_a_first_action_of_another_size_teaches_nothing() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    assert not node.at_rest("r")
-    state = state_at(0, (0.0, 0.0, 0.0, speed))
-    asked(node, state, latent_at(state))
-    assert not node.at_rest("r"), "nobody ordered it"
-    asked(node, state_at(1, (0.0, 0.0, 0.0, speed)), replace(latent_at(state), model="another"))
-    assert node.at_rest("r") is still, "the backup brakes it as well"
+    assert "later than told" not in answered(node, 0, applied=(0.1,)).sentence
 
 
-class Scene(AbstractScene):
-    """A scene with a backup of its own."""
-
-    def __init__(self, backup: Any) -> None:
-        self.backup = backup
-
-    def of(self, state: StateMessage) -> str:
-        return "scene"
+def at_rest_with(applied: tuple[float, float], verdict: VerdictMessage) -> Any:
+    """The path of a late car whose actuators have settled at ``applied`` when the verdict's action is sent."""
+    memory, start = LATE.initial_memory(np.array(applied)), np.array((0.0, 0.0, 0.0, 0.5))
+    return LATE.held(start, np.array(verdict.action), memory, LATE.latent, 8, period=0.05)[0]
 
 
-def failing(state: Any) -> Any:
-    raise RuntimeError("no backup")
+@pytest.mark.parametrize(("epoch", "tick"), [(1, 8), (1, 4), (2, 8), (2, 0)])
+def test_after_lost_ticks_the_actuators_count_as_settled_at_what_is_applied(epoch: int, tick: int) -> None:
+    node = SafetyFilterNode(LATE, SETTINGS)
+    obeyed(node, range(6), LATE)
+    verdict = answered(node, tick, LATE, applied=(0.25, -0.1), epoch=epoch)
+    np.testing.assert_allclose(verdict.predicted, at_rest_with((0.25, -0.1), verdict), atol=1e-12)
+
+
+def test_after_a_tick_that_taught_nothing_the_actuators_count_as_settled_at_the_watchdogs_action() -> None:
+    node = SafetyFilterNode(LATE, SETTINGS)
+    verdict = answered(node, 3, LATE, applied=(0.1,))
+    assert (verdict.status, verdict.predicted) == ("fallback", ())
+    verdict = answered(node, 4, LATE, applied=(0.25, -0.1), applied_by="watchdog")
+    np.testing.assert_allclose(verdict.predicted, at_rest_with((0.25, -0.1), verdict), atol=1e-12)
+
+
+# the watch over the margin
 
 
 @pytest.mark.parametrize(
-    ("backup", "wanted"),
-    [
-        (None, (0.0, 0.0)),
-        (failing, (0.0, 0.0)),
-        (lambda _: np.zeros(3), (0.0, 0.0)),
-        (lambda _: (np.nan, 0.1), (0.0, 0.0)),
-        (lambda _: (0.1, np.inf), (0.0, 0.0)),
-        (lambda _: (-0.3, 0.1), (-0.3, 0.1)),
-        (lambda _: (9.0, -9.0), (2.0, -0.34)),
-    ],
+    ("changed", "compared"),
+    [({}, True), ({"applied_by": "watchdog"}, False), ({"applied_by": "none"}, False)]
+    + [({"tick": tick}, False) for tick in (2, 3, 5)],
+    ids=str,
 )
-def test_where_a_step_raised_the_scene_s_backup_is_what_is_left(backup: Any, wanted: tuple[float, float]) -> None:
+def test_a_prediction_is_compared_only_with_the_next_tick_of_the_filters_own_action(
+    changed: dict[str, Any], compared: bool
+) -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    state = state_at(0)
-    outputs = node.rescue("r", state, "the filter raised")
-    assert outputs[ACTION].values == (0.0, 0.0), "of a robot that nothing is known of"
-    asked(node, state, latent_at(state))
-    memory_of(node).scene = Scene(backup)
-    for _ in range(2):
-        outputs = node.rescue("r", state, "the filter raised")
-        assert outputs[ACTION].values == pytest.approx(wanted)
-        verdict = outputs[VERDICT]
-        assert isinstance(verdict, VerdictMessage)
-        assert (verdict.status, verdict.action) == ("fallback", outputs[ACTION].values)
-        assert "the filter raised" in verdict.sentence
-        assert (verdict.predicted, verdict.model, verdict.coverage, verdict.stands) == ((), "", -1.0, 0.0)
-    node.forget("r")
-    assert node.rescue("r", state, "x")[ACTION].values == (0.0, 0.0)
+    before = answered(node, 3, values=AT_REST, **NEAR)
+    assert before.coverage == -1.0
+    verdict = answered(node, **{"tick": 4, "applied": before.action, "values": AT_REST, **NEAR, **changed})
+    assert (verdict.coverage == 1.0) is compared
+    assert (verdict.coverage == -1.0) is not compared
 
 
-def test_after_a_failure_the_margin_goes_on_and_all_else_begins_anew() -> None:
+def closer(node: SafetyFilterNode, ticks: range) -> VerdictMessage:
+    """The last verdict of a car that creeps up to an obstacle though its wish is to rest."""
+    for tick in ticks:
+        state = state_at(tick, (0.012 * tick, 0.0, 0.0, 0.0), **NEAR)
+        verdict = asked(node, state, latent_at(state), (0.0, 0.0))
+    return verdict
+
+
+def test_misses_widen_the_margin_and_a_failure_does_not_narrow_it_again() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    asked(node, state_at(0), latent_at(state_at(0)))
-    before = memory_of(node)
-    node.rescue("r", state_at(1), "x")
-    asked(node, state_at(2), latent_at(state_at(2)))
-    assert memory_of(node) is not before
-    assert memory_of(node).margin is before.margin
+    widened = closer(node, range(10))
+    assert 0.0 < widened.coverage < 0.7
+    assert widened.margin > SETTINGS.epsilon["obstacle"]
+    node.rescue("r", state_at(10), "x")
+    after = closer(node, range(12, 13))
+    assert (after.margin, after.coverage) == (widened.margin, widened.coverage), "no prediction reaches over the gap"
+    node.leave("r")
+    assert closer(node, range(13, 14)).coverage == -1.0
 
 
-def test_a_shorter_period_is_another_model_over_that_period_with_the_same_margin() -> None:
+def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
-    asked(node, state_at(0), latent_at(state_at(0)))
-    before = memory_of(node)
-    state = state_at(1, period=0.025)
+    widened = closer(node, range(10))
+    state = state_at(10, (0.0, 0.0, 0.0, 0.5), period=0.025)
     verdict = asked(node, state, latent_at(state))
-    after = memory_of(node)
-    assert after is not before
-    assert (after.model.period, after.margin) == (0.025, before.margin)
+    assert (verdict.margin, verdict.coverage) == (widened.margin, widened.coverage)
     wanted, _ = CAR.held(np.array(state.values), np.array(verdict.action), (), CAR.latent, 1, period=0.025)
     np.testing.assert_allclose(verdict.predicted[0], wanted[0], atol=1e-12)
-    asked(node, replace(state, tick=2), latent_at(state))
-    assert memory_of(node) is after
 
 
-def test_the_newest_state_and_model_are_told_until_the_robot_leaves() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
-    assert node.newest("r") is None
-    state = state_at(0)
-    asked(node, state, latent_at(state))
-    assert node.newest("r") == state
-    assert node.model_of("r") == fingerprint(CAR)
-    node.leave("r")
-    assert node.newest("r") is None
+# standing
 
 
-def test_who_stands_though_something_is_wished_is_told_so() -> None:
-    node = SafetyFilterNode(CAR, SETTINGS)
-    sentences = []
+@pytest.mark.parametrize(
+    ("changed", "wish", "status", "stands"),
+    [
+        ({}, (1.0, 0.0), "passed", 0.2),
+        ({"obstacle": 0.9}, (1.0, 0.0), "corrected", 0.2),
+        ({"enabled": False}, (1.0, 0.0), "disabled", 0.2),
+        ({}, (0.0, 0.0), "passed", 0.0),
+        ({"order": "stop"}, (1.0, 0.0), "stopped", 0.0),
+    ],
+)
+def test_a_robot_stands_only_while_a_wish_should_move_it(
+    changed: dict[str, Any], wish: tuple[float, float], status: str, stands: float
+) -> None:
+    orders = Orders()
+    if "order" in changed:
+        orders.answer("r", Request(do=changed["order"], who="me"))
+    node = SafetyFilterNode(CAR, replace(SETTINGS, enabled=changed.get("enabled", True)), orders=orders)
+    for tick in range(5):
+        state = state_at(tick, AT_REST, obstacles=((changed.get("obstacle", 6.0), 0.0, 0.1),))
+        verdict = asked(node, state, latent_at(state), wish)
+    assert (verdict.status, verdict.stands) == (status, pytest.approx(stands))
+
+
+def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None:
+    node, sentences = SafetyFilterNode(CAR, SETTINGS), []
     for tick in range(140):
-        state = state_at(tick, (0.0, 0.0, 0.0, 0.0), obstacles=((0.85, 0.0, 0.3),))
-        verdict = asked(node, state, latent_at(state))
+        verdict = answered(node, tick, values=AT_REST, obstacles=((0.85, 0.0, 0.3),))
         sentences.append(verdict.sentence)
         if tick < 80:
             assert verdict.standstill == ""
@@ -166,3 +198,52 @@ def test_who_stands_though_something_is_wished_is_told_so() -> None:
     assert verdict.standstill
     assert f"The robot has stood for {verdict.stands:.1f} s. {verdict.standstill}." in sentences[-1]
     assert "has stood" not in sentences[20]
+
+
+def test_after_half_a_second_a_correction_that_moves_nothing_is_replaced_by_rest() -> None:
+    node, verdict, rests = SafetyFilterNode(CAR, SETTINGS), None, list[int]()
+    for tick in range(24):
+        applied = verdict.action if verdict else (0.0, 0.0)
+        verdict = answered(node, tick, values=AT_REST, applied=applied, obstacles=((0.8, 0.0, 0.1),))
+        if "dead band" in verdict.sentence:
+            assert (verdict.status, verdict.action) == ("corrected", (0.0, 0.0))
+            rests.append(tick)
+    assert 10 <= rests[0] <= 14
+    assert len(rests) >= 8
+
+
+@pytest.mark.parametrize(("speed", "still"), [(0.02, True), (-0.02, True), (0.021, False), (-0.021, False)])
+def test_a_braked_robot_is_at_rest_below_two_centimetres_a_second(speed: float, still: bool) -> None:
+    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0, (0.0, 0.0, 0.0, speed))
+    assert not node.at_rest("r")
+    asked(node, state, latent_at(state))
+    assert not node.at_rest("r"), "the filter did not stop it"
+    asked(node, replace(state, tick=1), replace(latent_at(state), model="another"))
+    assert node.at_rest("r") is still, "the backup brakes it as well"
+
+
+# failures and farewells
+
+
+def test_a_rescue_sends_an_action_and_a_verdict_that_promises_nothing() -> None:
+    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    for known in (False, True, True):
+        if known:
+            asked(node, state, latent_at(state))
+        outputs = node.rescue("r", state, "the filter raised")
+        verdict = outputs[VERDICT]
+        assert isinstance(verdict, VerdictMessage)
+        assert outputs[ACTION].values == verdict.action == (0.0, 0.0)
+        assert (verdict.status, "the filter raised" in verdict.sentence) == ("fallback", True)
+        assert (verdict.predicted, verdict.model, verdict.stands) == ((), "", 0.0)
+        assert (verdict.coverage, verdict.promised) == (-1.0, -1.0)
+
+
+def test_the_newest_state_and_model_are_known_until_the_robot_leaves() -> None:
+    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    assert node.newest("r") is None
+    asked(node, state, latent_at(state))
+    assert node.newest("r") == state
+    assert node.model_of("r") == fingerprint(CAR)
+    node.leave("r")
+    assert node.newest("r") is None

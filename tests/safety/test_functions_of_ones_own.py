@@ -135,6 +135,9 @@ def test_values_of_one_barrier_are_not_taken_for_the_next_ones() -> None:
     [
         (None, np.array([[0.05]]), 2, "g of the model: got shape (1, 1), wanted (2, 1)"),
         (None, np.array([0.05]), 2, "g of the model: got shape (1,), wanted (2, 1)"),
+        (None, np.ones((1, 2)), 1, "g of the model: got shape (1, 2), wanted (1, 1)"),
+        (np.zeros(2), np.ones((1, 1)), 1, "f of the model: got shape (2,), wanted (1,)"),
+        (np.zeros((1, 1)), np.ones((1, 1)), 1, "f of the model: got shape (1, 1), wanted (1,)"),
         (np.zeros(1), np.full((2, 1), 0.05), 2, "f of the model: got shape (1,), wanted (2,)"),
         (0.0, np.full((2, 1), 0.05), 2, "f of the model: got shape (), wanted (2,)"),
     ],
@@ -150,6 +153,46 @@ def test_a_model_whose_shapes_numpy_would_stretch(f: Any, g: Any, states: int, w
 def test_one_number_is_f_of_one_state() -> None:
     safe = SafetyFilter(lambda x: (float(x[0]), np.eye(1)), [FunctionBarrier(wall)], SETTINGS)
     assert safe.decide([0.0], [0.1]).status is Status.passed
+
+
+@pytest.mark.parametrize("g", [np.ones(2), np.ones((2, 1)), np.ones((1, 3)), np.ones((1, 2, 1))], ids=str)
+def test_slopes_given_with_a_step_have_a_row_for_each_state(g: Any) -> None:
+    """The step knows the next state, and says nothing of their shape: the filter needs them once a wish is refused."""
+    settings = FilterSettings(action_low=(-1.0,) * 2, action_high=(1.0,) * 2, epsilon=0.0)
+    for given, status in ((g, Status.fallback), (np.ones((1, 2)), Status.corrected)):
+        model = Prediction(lambda x, given=given: (x, given), lambda x, a: x + a.sum())
+        verdict = SafetyFilter(model, [FunctionBarrier(wall)], settings).decide([0.5], [0.9, 0.9])
+        assert verdict.status is status
+
+
+@pytest.mark.parametrize("lowest", [-1.0, -3.0])
+def test_an_action_is_found_though_the_model_has_no_number_for_others(lowest: float) -> None:
+    """The actuator saturates above 1, and below ``lowest`` nothing is known: 0.5 - x allows an action of 0.5."""
+
+    def step(x: Any, a: Any) -> Any:
+        return np.array([min(float(a[0]), 1.0) if a[0] >= lowest else math.nan])
+
+    def affine(x: Any, around: Any) -> Any:
+        g = np.array([[float(around[0] < 1.0)]])
+        return step(x, around) - g @ around, g
+
+    barrier = FunctionBarrier(lambda x: 0.5 - x[0], lambda x: np.array([-1.0]))
+    settings = FilterSettings(action_low=(-3.0,), action_high=(3.0,), eta=1.0, epsilon=0.0)
+    verdict = SafetyFilter(Prediction(affine, step), [barrier], settings).decide([0.0], [2.0])
+    assert (verdict.status, verdict.slack) == (Status.corrected, 0.0)
+    assert verdict.action == pytest.approx([0.5], abs=1e-6)
+
+
+def test_functions_of_several_values_return_one_for_each_name() -> None:
+    one = FunctionBarrier(lambda x: x[0], lambda _: [1.0, 0.0])
+    assert one.evaluate(np.array([0.5, 0.0]))[1].tolist() == [[1.0, 0.0]]
+    two = FunctionBarrier(lambda x: x[:2], lambda _: [[1.0], [1.0]], names=("a", "b"))
+    assert two.values(np.array([0.5, 0.25])).tolist() == [0.5, 0.25]
+    with pytest.raises(InputError, match=r"of barrier a, b: got shape \(2, 1\), wanted \(2, 2\)"):
+        two.evaluate(np.zeros(2))
+    for wrong in ([1.0], [1.0, 2.0, 3.0], 1.0, [[1.0, 2.0]]):
+        with pytest.raises(InputError, match=r"of barrier a, b: got shape \(.*\), wanted \(2,\)"):
+            FunctionBarrier(lambda _, wrong=wrong: wrong, names=("a", "b")).values(np.zeros(2))
 
 
 def test_three_slopes_are_no_table_of_three_actions() -> None:
@@ -209,6 +252,9 @@ class Kindless(Own):
         (lambda: SafetyFilter(still, [Kindless(post)], SETTINGS), "barrier Kindless: got kind None"),
         (lambda: FunctionBarrier(3), "h: got int, wanted a function"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, ("left", "right")), "gradient: got tuple, wanted a function"),  # type: ignore[arg-type]
+        (lambda: FunctionBarrier(None), "h: got NoneType, wanted a function"),
+        (lambda: FunctionBarrier(wall, names=()), "names: got (), wanted a sequence with one name for each"),
+        (lambda: FunctionBarrier(wall, names="ab"), "names: got 'ab', wanted a sequence with one name for each"),
         (lambda: FunctionBarrier(wall, names=(1,)), "names: got"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, names=("left", 1)), "names: got"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, kind=["a"]), "kind: got"),  # type: ignore[arg-type]
@@ -216,6 +262,8 @@ class Kindless(Own):
         (lambda: HigherOrderBarrier([wall, 2], [1.0]), "derivatives: got"),  # type: ignore[list-item]
         (lambda: HigherOrderBarrier([wall, wall], 1.0), "rates: got float, wanted a list"),  # type: ignore[arg-type]
         (lambda: HigherOrderBarrier([wall, wall], ["1"]), "rates: got '1'"),  # type: ignore[list-item]
+        (lambda: HigherOrderBarrier(wall, [1.0]), "derivatives: got function, wanted a list"),
+        (lambda: HigherOrderBarrier([], []), "rates: got 0 for 0 derivatives, wanted h and its"),
     ],
 )
 def test_mistakes_are_told_when_they_are_made(made: Callable[[], Any], words: str) -> None:
@@ -241,8 +289,12 @@ def test_names_of_states_may_be_a_list() -> None:
 
 
 def test_a_range_without_numbers_believes_everything() -> None:
-    with pytest.raises(ValueError, match="plausible range: got NaN"):
-        Plausible(np.array([math.nan]), np.array([1.0]), ("x",))
+    everything = Plausible(np.array([-np.inf]), np.array([np.inf]), ("x",))
+    safe = SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS, state_range=everything)
+    assert safe.decide([-1e300], [0.0]).status is Status.passed
+    for low, high in ((math.nan, 1.0), (0.0, math.nan)):
+        with pytest.raises(ValueError, match="plausible range: got NaN"):
+            Plausible(np.array([low]), np.array([high]), ("x",))
 
 
 def test_a_period_with_a_default_is_no_latent() -> None:

@@ -17,7 +17,6 @@ from safedpa.safety import (  # noqa: E402
     Plausible,
     SafetyFilter,
     Status,
-    gymnasium_wrapper,
 )
 
 DT = 0.05
@@ -210,7 +209,8 @@ def test_a_vector_environment_gets_one_verdict_an_environment() -> None:
         observations, _, terminated, _, infos = env.step(wishes)
         verdicts = infos["verdict"]
         assert verdicts.shape == (3,)
-        assert infos["_verdict"].tolist() == [True] * 3
+        (masks,) = (value for key, value in infos.items() if key.startswith("_") and key.endswith("verdict"))
+        assert masks.tolist() == [True] * 3, "as gymnasium marks which environments have a value"
         assert infos["own"].tolist() == [1, 1, 1]
         assert not terminated.any()
         statuses |= {(index, verdict.status) for index, verdict in enumerate(verdicts)}
@@ -244,9 +244,12 @@ def test_scenes_and_latents_of_each_environment() -> None:
 @pytest.mark.parametrize(("low", "high"), [((-1.0, -0.1), (1.0, 1.0)), ((-1.0, -1.0), (0.1, 1.0))])
 def test_each_bound_of_each_action_has_to_be_in_the_box(low: tuple[float, ...], high: tuple[float, ...]) -> None:
     two = FilterSettings(action_low=(-0.5, -0.5), action_high=(0.5, 0.5), backup_action=(0.0, 0.0), system="")
-    gymnasium_wrapper._check_actions(gymnasium.spaces.Box(-0.5, 0.5, (2,), np.float32), two)
+    safe, env = SafetyFilter(lambda x: (F @ x, np.hstack([G, G])), [FunctionBarrier(wall)], two), Cart()
+    env.action_space = gymnasium.spaces.Box(-0.5, 0.5, (2,), np.float32)
+    GymnasiumSafetyFilter(env, safe, lambda seen: seen[:2])
+    env.action_space = gymnasium.spaces.Box(np.float32(low), np.float32(high), (2,))
     with pytest.raises(InputError, match="wanted one that holds the settings' bounds"):
-        gymnasium_wrapper._check_actions(gymnasium.spaces.Box(np.float32(low), np.float32(high), (2,)), two)
+        GymnasiumSafetyFilter(env, safe, lambda seen: seen[:2])
 
 
 def test_vector_environments_that_do_not_fit() -> None:

@@ -83,6 +83,7 @@ def test_several_values_and_a_gradient_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("derivatives", "rates"),
     [([room], []), ([room, closing], []), ([room, closing], [1.0, 2.0]), ([room, closing], [0.0]),
+     ([room, closing], [-1.0]), ([room, closing], [np.inf]),
      ([room, closing], [np.nan]), ([room, closing, closing], [allowed, 1.0])],
 )  # fmt: skip
 def test_what_does_not_fit_is_named(derivatives: list[Any], rates: list[Any]) -> None:

@@ -3,8 +3,10 @@ decision that another one would disturb is none."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from collections import UserDict
 from collections.abc import Callable
 from typing import Any
 
@@ -237,6 +239,9 @@ def test_a_list_of_stale_inputs_of_any_sort() -> None:
         {"function": 0.1j},
         {"function": np.array([0.1, 0.2])},
         {"function": np.array([0.1])},
+        {"function": -1e-9},
+        {"default": math.inf},
+        {"default": -1.0},
         {3: 0.1},
         {None: 0.1},
     ],
@@ -249,6 +254,7 @@ def test_margins_that_are_none(epsilon: Any) -> None:
         assert verdict.status is Status.fallback
         assert "margin epsilon" in verdict.reason
     assert safe.decide([0.0], [0.1], epsilon={"function": np.float32(0.05)}).status is Status.passed
+    assert safe.decide([0.0], [0.1], epsilon=UserDict({"function": 0.06})).margin == 0.06
     assert safe.decide([0.0], [0.1], epsilon=None).status is Status.passed
 
 

@@ -1,6 +1,7 @@
 """Coverage of the margins on data that they have not seen."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from safedpa.safety import (
     split_conformal_margin,
 )
 from safedpa.safety.calibration import calibration_from_errors
+from safedpa.safety.margin import margins_over_drives
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 
@@ -38,19 +40,24 @@ def test_the_quantile_is_the_stated_order_statistic() -> None:
     assert split_conformal_margin([-3.0], 0.5) == -3.0
 
 
-@pytest.mark.parametrize("coverage", [0.5, 0.8, 0.9, 0.95, 0.99, 0.999])
-def test_smallest_sample_is_the_first_with_a_finite_margin(coverage: float) -> None:
-    least = smallest_sample(coverage)
+@pytest.mark.parametrize(
+    ("coverage", "least"),
+    [(0.01, 1), (0.5, 1), (0.51, 2), (0.75, 3), (0.8, 4), (0.9, 9), (0.95, 19), (0.99, 99), (0.999, 999)],
+)
+def test_smallest_sample_is_the_first_with_a_finite_margin(coverage: float, least: int) -> None:
+    """coverage / (1 - coverage), rounded up."""
+    assert smallest_sample(coverage) == least
     assert math.isfinite(split_conformal_margin(np.zeros(least), coverage))
     assert split_conformal_margin(np.zeros(least - 1), coverage) == math.inf
 
 
-@pytest.mark.parametrize("bad", [0.0, 1.0, -0.5, math.nan])
+@pytest.mark.parametrize("bad", [0.0, 1.0, -0.5, 1.1, math.nan, math.inf])
 def test_refuses_what_is_no_coverage(bad: float) -> None:
     for call in (
         lambda: split_conformal_margin([1.0], bad),
         lambda: smallest_sample(bad),
         lambda: OnlineMargin(0.1, bad),
+        lambda: margins_over_drives([[1.0]], bad),
     ):
         with pytest.raises(InputError, match="coverage: got"):
             call()
@@ -154,6 +161,8 @@ def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None
         ({"actions": [[1.0]]}, "transitions: got shapes"),
         ({"next_states": [[1.0, 1.0]] * 3}, "transitions: got shapes"),
         ({"states": [1.0, 1.0, 1.0]}, "transitions: got shapes"),
+        ({"actions": [0.0] * 3}, "transitions: got shapes"),
+        ({"latents": [0.0] * 3}, "latents: got shape"),
         ({"states": [0.0] * 3, "next_states": [0.0] * 3}, "transitions: got shapes"),
         ({"latents": [[1.0]]}, "latents: got shape"),
         ({"barriers": []}, "barriers: got none"),
@@ -199,13 +208,27 @@ GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"
     [
         ("coverage = 0.95", "coverage = 1.0", "coverage: got 1"),
         ("coverage = 0.95", "coverage = 0.0", "coverage: got 0.0, wanted more than 0"),
+        ("coverage = 0.95", "coverage = nan", "coverage: got nan, wanted a finite number"),
+        ("coverage = 0.95", "coverage = true", "coverage: got True, wanted a finite number"),
         ("coverage = 0.95", "coverage = 'x'", "coverage: got 'x'"),
         ("coverage = 0.95", "", "coverage: missing"),
         ("coverage", "coverrage", "coverrage: unknown key; did you mean 'coverage'"),
         ("= 0.02", "= -0.02", r"epsilon\.obstacle: got -0\.02"),
+        ("= 0.02", "= inf", r"epsilon\.obstacle: got inf, wanted a finite number"),
+        ("= 0.02", "= true", r"epsilon\.obstacle: got True, wanted a finite number"),
+        ("= 0.02", '= 0.02\n"speed" = nan', r"epsilon\.speed: got nan, wanted a finite number"),
+        ("= 0.02", "= 0.02\n[drive]\nobstacle = -0.5", r"drive\.obstacle: got -0\.5, wanted a finite number >= 0"),
+        ("= 0.02", "= 0.02\n[theorem]\nobstacle = nan", r"theorem\.obstacle: got nan"),
+        ("= 0.02", "= 0.02\n[constants]\nL = -1.0", r"constants\.L: got -1\.0"),
+        ("= 0.02", "= 0.02\n[covered]\na = inf", r"covered\.a: got inf"),
+        ("format = 1", "format = 1\ndrives = inf", "drives: got inf"),
+        ("format = 1", "format = 1\ntheorem = [0.1]", "theorem: got .* wanted a table of numbers"),
         ('"obstacle" = 0.02', "", "epsilon: got {}"),
         ("transitions = 500", "transitions = 0", "transitions: got 0"),
         ('date = "2026-11-21"', "date = 3", "date: got 3"),
+        ('fingerprint = "abc"', "", "fingerprint: missing; wanted the keys format, coverage, transitions, date,"),
+        ("transitions = 500", "", "transitions: missing"),
+        ("format = 1", "", "format: missing"),
         ("format = 1", "format = 7", "format: wanted 1"),
         ("format = 1", "format", "not TOML"),
     ],
@@ -217,6 +240,35 @@ def test_margin_files_are_checked(old: str, new: str, words: str, tmp_path: Path
     path.write_text(GOOD_FILE.replace(old, new))
     with pytest.raises(InputError, match=words):
         MarginCalibration.load(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"epsilon": {"obstacle": 0}},
+        {"coverage": 1e-9, "transitions": 1},
+        {"coverage": math.nextafter(1.0, 0.0), "drives": 1, "origin": "a command"},
+        {"drive": {"obstacle": 0.0}, "theorem": {"obstacle": 0.0}},
+    ],
+    ids=str,
+)
+def test_calibrations_at_the_ends_of_their_ranges_come_back_from_their_file(changes: dict[str, Any]) -> None:
+    made = replace(MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"), **changes)
+    assert MarginCalibration.parse(made.write()) == made
+
+
+@pytest.mark.parametrize("margin", ["drive", "theorem"])
+def test_a_chosen_margin_has_a_number_for_each_kind_and_no_other(margin: str) -> None:
+    epsilon = {"obstacle": 0.1, "speed": 0.2}
+    made = MarginCalibration(epsilon, 0.95, 500, "", "abc", **{margin: {"speed": 0.4, "obstacle": 0.3}})
+    assert made.chosen(margin).epsilon == {"obstacle": 0.3, "speed": 0.4}
+    assert made.chosen("conformal").epsilon == epsilon
+    assert made.chosen(0.7).epsilon == {"obstacle": 0.7, "speed": 0.7}
+    for table in ({}, {"obstacle": 0.3}, {"obstacle": 0.3, "corridor": 0.4}, {**epsilon, "corridor": 0.1}):
+        with pytest.raises(
+            InputError, match=f"margin '{margin}': the calibration has it for .*, wanted obstacle, speed"
+        ):
+            replace(made, **{margin: table}).chosen(margin)
 
 
 def run(online: OnlineMargin, errors: np.ndarray) -> np.ndarray:
@@ -278,13 +330,15 @@ def test_one_early_miss_does_not_widen_the_margin_but_many_do() -> None:
     [
         {"calibrated": -0.1},
         {"calibrated": math.inf},
+        {"calibrated": math.nan},
         {"rate": 0.0},
-        {"rate": 1.5},
+        {"rate": 1.0001},
+        {"rate": math.nan},
         {"window": 0},
     ],
 )
 def test_online_margin_refuses(bad: dict[str, Any]) -> None:
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"calibrated margin: got|wanted 0 < rate <= 1 and window >= 1"):
         OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **bad})
 
 

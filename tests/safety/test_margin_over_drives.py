@@ -25,6 +25,8 @@ def test_by_hand() -> None:
     assert margins_over_drives(drives, 0.81) == (math.inf, math.inf)
     assert margins_over_drives([], 0.5) == (math.inf, math.inf)
     assert margins_over_drives([[1.0]], 0.5) == (1.0, 1.0)
+    assert margins_over_drives([[1.0, 3.0, 2.0]], 0.5) == (3.0, 3.0)
+    assert margins_over_drives([[1.0, 3.0, 2.0]], 0.51) == (math.inf, math.inf)
 
 
 @pytest.mark.parametrize("bad", [[[]], [[math.nan]], [[[1.0]]], [[math.inf]], [[1.0], [1.0, math.nan]]])

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, memory_of, state_at
+from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, stamp, state_at
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT as LATENTS
 from safedpa.bus import STATE as STATES
-from safedpa.bus import LatentMessage, Received, VerdictMessage
+from safedpa.bus import TAKEOVER, WISH, LatentMessage, ModelMessage, Received, VerdictMessage, WishMessage
 from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.topics import key_of
-from safedpa.dynamics import fingerprint
+from safedpa.dynamics import fingerprint, parse_model, write_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
@@ -37,6 +37,8 @@ from safedpa_sim.robots.scene import Scene
 
 QUICK = 0.005
 EPSILON = {"obstacle": 0.003, "field": 0.002, "speed": 0.005}
+WIDEST = 0.005
+"""What a verdict reports."""
 OF_QUICK_STEPS = MarginCalibration(EPSILON, 0.99, 500, "2026-11-28", fingerprint(CAR), period=QUICK)
 LONGER = "A step is 10 times as long as those that the margin was calibrated on"
 
@@ -49,8 +51,8 @@ def answered(
 
 
 def test_over_ten_times_as_long_steps_it_is_ten_times_as_wide_and_promises_nothing() -> None:
-    node, verdict = answered(OF_QUICK_STEPS)
-    assert memory_of(node).margin.epsilon == pytest.approx({kind: 10.0 * value for kind, value in EPSILON.items()})
+    _, verdict = answered(OF_QUICK_STEPS)
+    assert verdict.margin == pytest.approx(10.0 * WIDEST)
     assert LONGER in verdict.sentence
     assert "calibrate it at this period" in verdict.sentence
     assert verdict.promised == -1.0
@@ -58,27 +60,27 @@ def test_over_ten_times_as_long_steps_it_is_ten_times_as_wide_and_promises_nothi
 
 @pytest.mark.parametrize("period", [QUICK, 1.009 * QUICK, 0.5 * QUICK])
 def test_over_steps_as_long_or_shorter_it_stays_what_it_is(period: float) -> None:
-    node, verdict = answered(OF_QUICK_STEPS, period)
-    assert memory_of(node).margin.epsilon == EPSILON
+    _, verdict = answered(OF_QUICK_STEPS, period)
+    assert verdict.margin == WIDEST
     assert "times as long" not in verdict.sentence
     assert verdict.promised == 0.99
 
 
 def test_one_that_does_not_say_is_of_the_models_own_steps() -> None:
     silent = replace(OF_QUICK_STEPS, period=0.0)
-    node, verdict = answered(silent)
-    assert (memory_of(node).margin.epsilon, verdict.promised) == (EPSILON, 0.99)
-    node, verdict = answered(silent, 0.1)
-    assert memory_of(node).margin.epsilon["obstacle"] == pytest.approx(2.0 * EPSILON["obstacle"])
+    _, verdict = answered(silent)
+    assert (verdict.margin, verdict.promised) == (WIDEST, 0.99)
+    _, verdict = answered(silent, 0.1)
+    assert verdict.margin == pytest.approx(2.0 * WIDEST)
     assert "A step is 2 times as long" in verdict.sentence
 
 
 def test_numbers_that_no_data_stand_behind_are_taken_as_they_are() -> None:
-    node, verdict = answered(None, 0.5)
-    assert memory_of(node).margin.epsilon == dict(SETTINGS.epsilon)
+    _, verdict = answered(None, 0.5)
+    assert verdict.margin == 0.01
     assert "times as long" not in verdict.sentence
-    node, verdict = answered(OF_QUICK_STEPS, settings=replace(SETTINGS, margin=0.02))
-    assert set(memory_of(node).margin.epsilon.values()) == {0.02}
+    _, verdict = answered(OF_QUICK_STEPS, settings=replace(SETTINGS, margin=0.02))
+    assert verdict.margin == 0.02
     assert "times as long" not in verdict.sentence
     own = HeldModel(CAR, "own", uncalibrated(SETTINGS, "own"))
     assert own.margin_over(5.0, SETTINGS) == (own.calibration, 1.0)
@@ -86,8 +88,8 @@ def test_numbers_that_no_data_stand_behind_are_taken_as_they_are() -> None:
 
 def test_the_margin_that_the_settings_choose_is_the_one_that_is_widened() -> None:
     whole = replace(OF_QUICK_STEPS, drive={kind: 2.0 * value for kind, value in EPSILON.items()})
-    node, _ = answered(whole, settings=replace(SETTINGS, margin="drive"))
-    assert memory_of(node).margin.epsilon["speed"] == pytest.approx(20.0 * EPSILON["speed"])
+    _, verdict = answered(whole, settings=replace(SETTINGS, margin="drive"))
+    assert verdict.margin == pytest.approx(20.0 * WIDEST)
 
 
 def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps() -> None:
@@ -101,7 +103,7 @@ def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps
     for tick in range(2, 30):  # far from everything: as a whole
         state = state_at(tick, period=0.05, applied=verdict.action)
         verdict = asked(node, state, latent_at(state))
-    assert memory_of(node).margin.epsilon["obstacle"] == pytest.approx(10.0 * EPSILON["obstacle"])
+    assert verdict.margin == pytest.approx(10.0 * WIDEST)
 
 
 @pytest.mark.parametrize(("slow", "then"), [(0.1, QUICK), (0.1, 0.05)])
@@ -113,14 +115,24 @@ def test_a_robot_that_goes_on_quicker_is_not_held_to_what_its_long_steps_took(sl
     verdict = asked(node, state, latent_at(state))
     assert f"A step is {slow / QUICK:g} times" not in verdict.sentence
     times = then / QUICK
-    assert memory_of(node).margin.epsilon == pytest.approx({kind: times * value for kind, value in EPSILON.items()})
+    assert verdict.margin == pytest.approx(times * WIDEST)
     assert verdict.promised == (0.99 if times == 1.0 else -1.0)
 
 
-def test_what_an_offered_model_would_bring_is_told_at_the_robots_own_period() -> None:
-    node, _ = answered(OF_QUICK_STEPS)
-    held = HeldModel(CAR, "another", replace(OF_QUICK_STEPS, epsilon={"obstacle": 0.02}, fingerprint="another"))
-    assert "the margin of obstacle goes from 0.03 to 0.2" in node._foretold("r", held)
+def test_what_an_offered_margin_would_bring_is_reported_for_the_robots_own_period() -> None:
+    document = write_model(CAR) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
+    new = fingerprint(parse_model(document))
+    margin = margin_text(replace(OF_QUICK_STEPS, epsilon={**EPSILON, "obstacle": 0.02}, fingerprint=new))
+    for calibration, sent, foretold in ((OF_QUICK_STEPS, margin, "obstacle goes from 0.03 to 0.2"), (None, "", "")):
+        node, verdict = answered(calibration)
+        state = state_at(1, applied=verdict.action)
+        offer = {"step": "offer", "change": 1, "fingerprint": new, "replaces": fingerprint(CAR)}
+        node.hear("r", ModelMessage(**stamp(state), **offer, document=document, margin=sent))
+        wish = WishMessage(**stamp(state), values=(1.0, 0.0), controller="test")
+        node.step("r", state, {LATENTS: latent_at(state), WISH: wish})
+        takeover = node.afterwards("r")[TAKEOVER]
+        assert takeover.state == "ready", "where nothing was calibrated no margin is missed"
+        assert foretold in takeover.foretold
 
 
 TABLES = st.dictionaries(
@@ -147,8 +159,8 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     assert told[0.05][0].epsilon == told[0.1][0].epsilon == {"obstacle": 0.05, "field": 0.002, "speed": 0.01}
     assert told[0.11][0].epsilon == told[0.2][0].epsilon == {"obstacle": 0.05, "field": 0.02, "speed": 0.02}
     assert told[0.4][0].epsilon == {"obstacle": 0.1, "field": 0.04, "speed": 0.04}
-    node, verdict = answered(calibration, 0.1)
-    assert (memory_of(node).margin.epsilon["obstacle"], verdict.promised) == (0.05, 0.99)
+    _, verdict = answered(calibration, 0.1)
+    assert (verdict.margin, verdict.promised) == (0.05, 0.99)
     assert "times as long" not in verdict.sentence
     assert MarginCalibration.parse(calibration.write()) == calibration
     assert margin_from_text(margin_text(calibration)) == calibration

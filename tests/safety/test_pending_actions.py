@@ -154,7 +154,18 @@ def test_what_looks_between_ticks_still_does() -> None:
 def test_what_is_no_delay_is_named() -> None:
     late = PendingActions(Prediction(affine), 2, (0.0,))
     cases: list[tuple[Callable[[], object], str]] = [
-        (lambda: PendingActions(affine, 0, (0.0,)), "wanted a whole number of pending actions"),
+        *(
+            (
+                lambda count=count: PendingActions(affine, count, (0.0,)),
+                "wanted a whole number of pending actions, 1 or more",
+            )
+            for count in (0, -1, True, 1.0, "1", None)
+        ),
+        (lambda: late.split(np.zeros(2)), "state: got shape"),
+        (lambda: late.split(np.zeros((1, 4))), "state: got shape"),
+        (lambda: late.state([[0.0, 0.0]]), "pending: got state"),
+        (lambda: late.state(1.0), "pending: got state"),
+        (lambda: late.state([0.0, 0.0], np.zeros((2, 2))), "pending: got"),
         (lambda: PendingActions(affine, 2, ()), "wanted (actions,) finite"),
         (lambda: PendingActions(affine, 2, (np.nan,)), "wanted (actions,) finite"),
         (lambda: late.state([0.0, 0.0], [[1.0]]), "pending: got"),

@@ -13,13 +13,14 @@ from safedpa.bus import STATE as STATES
 from safedpa.bus import LatentMessage, StateMessage
 from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.topics import key_of
-from safedpa.dynamics import load_model
+from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 from safedpa.safety.drive_heights import DrivenTick
-from safedpa.safety.recorded import RecordedTransitions, _drives, calibration_from_recordings
+from safedpa.safety.recorded import RecordedTransitions, calibration_from_recordings
 from safedpa.safety.shipped import settings_named
 
+CAR = load_model("car")
 STAMP = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
 STATE = StateMessage(
     **STAMP, values=(0.0, 0.0, 0.0, 1.0), applied=(0.0, 0.0), applied_by="filter", period=0.05, lockstep=False,
@@ -69,8 +70,8 @@ def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab
     """State and latent of each (robot, epoch, tick), in this order; of tick 2 no latent was heard."""
     with McapRecorder(path) as recorder:
         for robot, epoch, number in told:
-            state = replace(tick(number).state, epoch=epoch)
-            latent = replace(LATENT, epoch=epoch, tick=number, values=(10.0 * number,), model=model)
+            state = replace(tick(number).state, epoch=epoch, values=(0.01 * number, 0.0, 0.0, 0.2))
+            latent = replace(LATENT, epoch=epoch, tick=number, values=tuple(CAR.latent.tolist()), model=model)
             recorder.write(key_of("fleet", robot, STATES), encode(state), number, number)
             if number != 2:
                 recorder.write(key_of("fleet", robot, LATENTS), encode(latent), number, number)
@@ -78,18 +79,12 @@ def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab
 
 
 def test_each_start_of_each_robot_is_a_drive_with_its_ticks_in_order(tmp_path: Path) -> None:
-    path = recorded(
-        tmp_path / "drive.mcap", ("b", 7, 1), ("a", 7, 2), ("a", 8, 0), ("b", 7, 0), ("a", 7, 3), ("a", 7, 1)
-    )
-    drives = [
-        [(one.state.epoch, one.state.tick, one.latent and one.latent.values) for one in ticks]
-        for ticks in _drives(path, "0123456789ab")
-    ]
-    assert drives == [
-        [(7, 1, (10.0,)), (7, 2, None), (7, 3, (30.0,))],
-        [(8, 0, (0.0,))],
-        [(7, 0, (0.0,)), (7, 1, (10.0,))],
-    ]
+    """Three robots that start twice each, and messages in any order; the fifth drive measures the coverage."""
+    told = [(robot, epoch, number) for robot in "abc" for epoch in (7, 8) for number in range(60)]
+    mixed = [told[place] for place in np.random.default_rng(0).permutation(len(told)).tolist()]
+    path = recorded(tmp_path / "drive.mcap", *mixed, model=fingerprint(CAR))
+    made = calibration_from_recordings(CAR, settings_named("car"), [path], 0.5, "2024-01-01")
+    assert (made.drives, made.transitions, made.period) == (5, 5 * 59, 0.05)
 
 
 def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
@@ -98,4 +93,4 @@ def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"drive\.mcap: latents of model ba9876543210, wanted .*; drive with that model"
     ):
-        calibration_from_recordings(load_model("car"), settings_named("car"), [path], 0.5, "2024-01-01")
+        calibration_from_recordings(CAR, settings_named("car"), [path], 0.5, "2024-01-01")

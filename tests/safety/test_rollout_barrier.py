@@ -367,6 +367,19 @@ def test_a_user_function_cannot_write_into_what_the_next_one_sees() -> None:
         RolloutBarrier(affine, brake, careless, 5, NAMES).values(np.zeros(4))
 
 
+@pytest.mark.parametrize(("speed", "end"), [(0.5, -1.0), (-0.5, 1.0)])
+def test_the_point_robot_stops_in_about_half_a_second_without_overshooting(speed: float, end: float) -> None:
+    """Integrated in steps of 1 ms from 0.5 m/s: slower, and h would hold a robot back from everything far around it."""
+    motion, x, seconds = Motion(np.zeros(2), 0.0, 9.0, 3.0), np.array([0.0, 0.0, 0.0, speed, 0.0]), 0.0
+    way = abs(StoppingBarrier(np.array([[9.0, 0.0, 0.0]]), motion).values(x)[0] - 9.0)
+    while abs(x[3]) > 0.05 * abs(speed):
+        thrust, _ = stopping_action(x[:, np.newaxis], motion, np.array([end]))
+        x[0], x[3], seconds = x[0] + 0.001 * x[3], x[3] + 0.001 * float(thrust[0]), seconds + 0.001
+        assert x[3] * speed > 0.0
+    assert 0.2 < seconds < 0.8
+    assert speed < 0.0 or way == pytest.approx(x[0], abs=0.01), "the barrier foresees that way"
+
+
 def test_the_point_robots_stopping_manoeuvre_is_a_rollout() -> None:
     """The same path, hence the same room at its ticks; between them the rollout sees a little more."""
     motion, hazards = Motion(np.array([0.7, -0.4]), 1.9, 2.9, 3.0), np.array([[0.4, 0.0, 0.2], [-0.5, 0.3, 0.2]])

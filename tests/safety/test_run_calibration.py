@@ -17,6 +17,7 @@ from safedpa.safety.live_margin import live_margin
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.theory_recorded import RecordedBound, recorded_bound
 from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
 
 
@@ -71,12 +72,26 @@ def test_a_prediction_without_numbers_is_no_error_of_zero() -> None:
         calibration_from_runs(incomplete_model(), settings_named("car"), [wild], 0.9, "2024-01-01")
 
 
-def test_a_robot_that_no_robot_declares_is_refused() -> None:
+def stranger() -> PhysicsModel:
+    """A car but for the names of its states, so that no robot declares it."""
     model = incomplete_model()
     states = tuple(dataclasses.replace(one, name=f"other_{one.name}") for one in model.system.state)
     model.system = dataclasses.replace(model.system, name="stranger", state=states)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("made", "settings"), [(stranger, "car"), (lambda: load_model("point_wind"), "point")], ids=["stranger", "point"]
+)
+def test_a_robot_around_whose_states_no_barriers_can_be_drawn_gets_no_margin(made: Any, settings: str) -> None:
+    model, chosen = made(), settings_named(settings)
+    states, actions = np.zeros((4, len(model.system.state))), np.zeros((4, len(model.system.action)))
+    run = Run("run", model.system, model.period * np.arange(4), states, actions, (Stretch(0, 4),))
     with pytest.raises(InputError, match="wanted one of a robot that says which barriers may be drawn"):
-        calibration_from_runs(model, settings_named("car"), [], 0.9, "2024-01-01")
+        calibration_from_runs(model, chosen, [run], 0.5, "2024-01-01")
+    assert live_margin(model, chosen, run, ()) == ""
+    nothing: Any = None  # not one transition is looked at
+    assert recorded_bound(model, chosen, nothing, np.zeros(0, dtype=bool), 0.5) == RecordedBound({}, {})
 
 
 def swung(model: PhysicsModel, rows: int = 400) -> Run:
@@ -140,4 +155,3 @@ def test_the_larger_margin_of_all_and_of_the_newest_half_counts(
     found = margin_from_text(live_margin(model, settings_named("car"), run, ())).epsilon
     assert asked == [stretches, (Stretch(10, 12), Stretch(13, 20))]
     assert found == {"obstacle": 0.02, "field": 0.03 if newest else 0.01, "speed": 0.05}
-    assert live_margin(load_model("point_wind"), settings_named("point"), run, ()) == "", "no barriers without a scene"

@@ -15,7 +15,7 @@ from safedpa.errors import InputError
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.robots.pendulum.pendulum_scene import PendulumScene
 from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier, scenes
-from safedpa.safety.scene import MOST_OBSTACLES, AbstractScene, DeclaredScene
+from safedpa.safety.scene import AbstractScene, DeclaredScene
 from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
@@ -126,9 +126,8 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
 
 def test_a_declared_robot_among_too_many_obstacles_has_no_scene() -> None:
     scene = declared(lambda *_: [FunctionBarrier(lambda x: 1.0 - x[0])])
-    assert MOST_OBSTACLES == 64
-    assert not isinstance(scene.of(state(obstacles=((0.0, 0.0, 0.1),) * MOST_OBSTACLES)), str)
-    told = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * (MOST_OBSTACLES + 1)))
+    assert not isinstance(scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 64)), str)
+    told = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 65))
     assert told == "scene (obstacles: got 65, wanted at most 64; send the nearest)"
 
 

@@ -244,10 +244,21 @@ def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], words: str) -
         SafetyFilter.for_model(load_model("car"), FilterSettings(**changed))
 
 
-def test_limits_that_are_the_models_own_fit() -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_that_are_the_models_own_fit_and_none_beyond_them(name: str) -> None:
+    model = load_model(MODELS[name])
+    bounds = {end: [getattr(each, end[7:]) for each in model.system.action] for end in ("action_low", "action_high")}
+    SafetyFilter.for_model(model, FilterSettings(system="", **bounds))
+    for place, variable in enumerate(model.system.action):
+        for end, further in (("action_low", -1e-9), ("action_high", 1e-9)):
+            beyond = {**bounds, end: [*bounds[end]]}
+            beyond[end][place] += further
+            with pytest.raises(InputError, match=rf"for {variable.name}, the system .* takes .*; wanted bounds within"):
+                SafetyFilter.for_model(model, FilterSettings(system="", **beyond))
+
+
+def test_a_backup_that_answers_no_numbers_is_refused() -> None:
     car = load_model("car")
-    low, high = ([getattr(each, end) for each in car.system.action] for end in ("low", "high"))
-    SafetyFilter.for_model(car, FilterSettings(action_low=low, action_high=high))
     with pytest.raises(InputError, match="backup: got"):
         SafetyFilter.for_model(car, FilterSettings(), backup=lambda state: np.array([0.0, np.nan]))
 

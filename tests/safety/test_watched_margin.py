@@ -202,6 +202,14 @@ def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
     assert Ceiling.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
+def test_the_settings_leave_room_for_ten_layers_below_the_ceiling() -> None:
+    """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
+    ceiling = Ceiling.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
+    assert ceiling.error("a", Seen(2.1, 2.1), 0.0) is None
+    assert ceiling.error("a", Seen(2.1, 1.9), 0.0) == pytest.approx(0.1)
+    assert ceiling.error("b", Seen(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
+
+
 def test_a_margin_that_just_fits_its_ceiling_keeps_it() -> None:
     low = Ceiling(0.25, {"a": 0.5})
     assert low.fitting("a", lambda _: 0.125) == (0.125, low)

@@ -1,4 +1,4 @@
-"""What the filter's service keeps of one robot between two ticks, and what it takes for known."""
+"""What the filter keeps of one robot between two ticks."""
 
 from __future__ import annotations
 
@@ -9,28 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import (
-    ABSENT,
-    CAR,
-    LATE,
-    SETTINGS,
-    asked,
-    driven,
-    latent_at,
-    stamp,
-    state_at,
-    told,
-    verdict_of,
-)
+from tests.internals.safety.robot_memory import driven, told, verdict_of
+from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, stamp, state_at
 
 from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
-from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.straight import walked
 from safedpa.errors import InputError
 from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.found_delay import FoundDelay
-from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.prediction import Prediction
+from safedpa.safety.scene import AbstractScene
 from safedpa.safety.trail import Trail
 from safedpa.safety.watched_margin import WatchedMargin
 
@@ -63,7 +52,8 @@ def test_a_latent_that_is_a_tick_old_is_used_however_long_the_tick() -> None:
 
 
 @pytest.mark.parametrize(
-    ("since", "tick", "waits"), [(-1, 0, False), (0, 0, True), (0, 20, True), (0, 21, False), (3, 2, False)]
+    ("since", "tick", "waits"),
+    [(-1, 0, False), (0, 0, True), (0, 20, True), (0, 21, False), (5, 4, False), (5, 25, True), (5, 26, False)],
 )
 def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, tick: int, waits: bool) -> None:
     memory = driven()
@@ -72,18 +62,6 @@ def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, t
 
 
 # the margin's watch
-
-
-@pytest.mark.parametrize(
-    ("tick", "applied_by", "forgotten"), [(1, "filter", False), (2, "filter", True), (1, "watchdog", True)]
-)
-def test_what_was_not_done_or_not_seen_is_not_held_against_the_prediction(
-    monkeypatch: pytest.MonkeyPatch, tick: int, applied_by: str, forgotten: bool
-) -> None:
-    memory = driven()
-    calls = kept_calls(monkeypatch, WatchedMargin, "expect")
-    memory.watch_margin(state_at(tick, applied=told(memory), applied_by=applied_by))
-    assert calls == ([None] if forgotten else [])
 
 
 @pytest.mark.parametrize(("before", "now"), [((), ("laser",)), (("laser",), ()), (("laser",), ("laser",)), ((), ())])
@@ -121,15 +99,17 @@ def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyP
     assert bool(memory.pending) is (model is LATE)
 
 
+def test_without_a_scene_no_margin_rises() -> None:
+    """Where no h is known, more of a new margin must not come into force."""
+    memory, risen = driven(ticks=3), list[float]()
+    memory.margin.rise = lambda *known: risen.append(known[-1])
+    memory.watch_margin(state_at(3))
+    memory.barriers = "no goal"
+    memory.watch_margin(state_at(4))
+    assert risen == [0.05]
+
+
 # what is around it
-
-
-@pytest.mark.parametrize(("age", "old"), [(-1e-6, False), (1.0, False), (-2e-6, True), (1.0 + 1e-9, True)])
-def test_how_old_a_source_may_be(age: float, old: bool) -> None:
-    memory, state = driven(), state_at(1, sources=("laser",), obstacles=())
-    memory.see(state, seen(state, ages=(age,)))
-    assert isinstance(memory.barriers, str) is old
-    assert not old or "a source is" in str(memory.barriers)
 
 
 @pytest.mark.parametrize(
@@ -172,31 +152,11 @@ def test_a_model_that_refuses_its_dead_time_has_none(monkeypatch: pytest.MonkeyP
 # the actuators
 
 
-def test_who_did_what_it_was_told_remembers_what_was_expected() -> None:
-    memory = driven(LATE)
-    expected = memory.expected_memory
-    memory.remember_actuators(state_at(1, applied=told(memory)))
-    assert memory.memory is expected
-
-
 def test_where_nothing_was_expected_the_command_is_felt_all_the_same() -> None:
     memory = driven(LATE)
     before, memory.expected_memory = memory.memory, None
     memory.remember_actuators(state_at(1, applied=told(memory)))
     assert memory.memory == LATE.felt(told(memory), before, period=0.05)[1]
-
-
-def test_the_watchdogs_command_comes_behind_what_is_on_its_way() -> None:
-    memory = driven(LATE, ticks=3)
-    before = memory.memory
-    memory.remember_actuators(state_at(3, applied=(0.0, 0.0), applied_by="watchdog"))
-    assert memory.memory == LATE.felt((0.0, 0.0), before, period=0.05)[1]
-
-
-def test_after_ticks_that_were_lost_it_begins_as_if_it_had_rested_at_what_was_applied() -> None:
-    memory = driven(LATE, ticks=3)
-    memory.remember_actuators(state_at(9, applied=(0.7, 0.2)))
-    assert memory.memory == LATE.initial_memory(np.array((0.7, 0.2)))
 
 
 def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_force() -> None:
@@ -310,8 +270,43 @@ def test_without_a_memory_of_the_actuators_none_comes_of_what_is_on_its_way(monk
     assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent)[1] == memory.memory
 
 
-def test_names_that_this_file_leans_on() -> None:
-    """A delayed model remembers what was sent, the shipped car nothing; and the helpers decide as the service does."""
-    assert load_model("car").initial_memory(np.zeros(2)) == ()
-    assert LATE.initial_memory(np.zeros(2)) != ()
-    assert asked(SafetyFilterNode(CAR, SETTINGS), state_at(0), latent_at(state_at(0))).status == "passed"
+# what is left of a robot whose step raised
+
+
+class Scene(AbstractScene):
+    """A scene with a backup of its own."""
+
+    def __init__(self, backup: Any) -> None:
+        self.backup = backup
+
+    def of(self, state: StateMessage) -> str:
+        return "scene"
+
+
+def failing(state: Any) -> Any:
+    raise RuntimeError("no backup")
+
+
+@pytest.mark.parametrize(
+    ("backup", "wanted"),
+    [
+        (None, (0.0, 0.0)),
+        (failing, (0.0, 0.0)),
+        (lambda _: np.zeros(3), (0.0, 0.0)),
+        (lambda _: (np.nan, 0.1), (0.0, 0.0)),
+        (lambda _: (0.1, np.inf), (0.0, 0.0)),
+        (lambda _: (-0.3, 0.1), (-0.3, 0.1)),
+        (lambda _: (9.0, -9.0), (2.0, -0.34)),
+    ],
+)
+def test_the_last_resort_is_the_backup_of_the_scene_within_the_bounds(backup: Any, wanted: tuple[float, float]) -> None:
+    memory = driven()
+    memory.scene = Scene(backup)
+    assert memory.last_resort(state_at(1)).tolist() == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("stands", "speeds"), [(True, (3,)), (False, ())])
+def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(stands: bool, speeds: tuple[int, ...]) -> None:
+    memory = driven()
+    memory.scene = SimpleNamespace(stands=stands)
+    assert memory.speeds == speeds

@@ -1,4 +1,4 @@
-"""What the filter's service keeps of a robot that stands, of its way out, and of another model that is tried at it."""
+"""What the filter keeps of a robot that stands, of its deadlock escape, and of another model that is tried."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import CAR, SETTINGS, driven, state_at, told, verdict_of
+from tests.internals.safety.robot_memory import decided_of, driven, told, verdict_of
+from tests.safety.node_steps import CAR, SETTINGS, state_at
 
 from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError
 from safedpa.safety import Status, Verdict
+from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.way_out import Here
 
 # whether it stands
@@ -27,7 +30,7 @@ def test_what_is_promised_under_the_wish_is_asked_of_the_model_where_the_wish_di
     memory.decision = memory.decision._replace(verdict=verdict)
     clipped = np.clip((9.0, 0.1), SETTINGS.low, SETTINGS.high)
     promises = list[Any]()
-    memory.standing.promise = lambda *rows: promises.append(rows)  # type: ignore[method-assign]
+    memory.standing.promise = lambda *rows: promises.append(rows)
     path = ((0.3, 0.0, 0.0, 0.5), (0.6, 0.0, 0.0, 0.5))
     memory.watch_standing(state, path)
     ((here, wished, expected),) = promises
@@ -50,28 +53,37 @@ def test_who_wishes_nothing_or_of_whom_nothing_is_known_does_not_stand_in_vain(
     verdict = verdict_of(memory, status=Status.corrected, wish=np.array(wish))
     memory.decision = memory.decision._replace(verdict=verdict)
     said = list[str]()
-    memory.standing.promise = lambda *_: said.append("promise")  # type: ignore[method-assign]
-    memory.standing.interrupted = lambda: said.append("interrupted")  # type: ignore[method-assign]
-    memory._next = lambda *_: ((0.1, 0.0, 0.0, 0.5),) if known else ()  # type: ignore[method-assign]
+    memory.standing.promise = lambda *_: said.append("promise")
+    memory.standing.interrupted = lambda: said.append("interrupted")
+    memory._next = lambda *_: ((0.1, 0.0, 0.0, 0.5),) if known else ()
     memory.watch_standing(state_at(0), ((0.3, 0.0, 0.0, 0.5),))
     assert said == ["interrupted" if interrupted else "promise"]
 
 
-@pytest.mark.parametrize(("failed", "rests"), [(0.0, False), (1.0, True)])
-def test_a_correction_is_given_up_only_after_one_like_it_failed(failed: float, rests: bool) -> None:
+@pytest.mark.parametrize(
+    ("status", "failed", "rests", "given_up"),
+    [
+        (Status.corrected, 1.0, Status.passed, True),
+        (Status.passed, 1.0, Status.passed, False),
+        (Status.fallback, 1.0, Status.passed, False),
+        (Status.corrected, 0.0, Status.passed, False),
+        (Status.corrected, 1.0, Status.corrected, False),
+        (Status.corrected, 1.0, Status.relaxed, False),
+    ],
+)
+def test_a_correction_that_moves_nothing_is_given_up_for_a_rest_that_is_safe(
+    status: Status, failed: float, rests: Status, given_up: bool
+) -> None:
     memory = driven()
     memory.standing.failed = failed
-    correction = verdict_of(memory, status=Status.corrected)
-    resting = verdict_of(memory, status=Status.passed, action=np.zeros(2))
-    asked_for = list[int]()
-
-    def rest() -> Verdict:
-        asked_for.append(1)
-        return resting
-
-    found = memory.out_of_dead_band(state_at(1), correction, CAR.latent, rest)
-    assert (found is not correction) is rests
-    assert len(asked_for) == (1 if rests else 0)
+    verdict, resting = verdict_of(memory, status=status), verdict_of(memory, status=rests, action=np.zeros(2))
+    found = memory.out_of_dead_band(state_at(1), verdict, CAR.latent, lambda: resting)
+    if given_up:
+        assert (found.status, found.action.tolist()) == (Status.corrected, [0.0, 0.0])
+        assert found.wish is verdict.wish
+        assert "dead band" in found.reason
+    else:
+        assert found is verdict
 
 
 @pytest.mark.parametrize(("failed", "known", "rests"), [(0.024, True, False), (0.026, True, True), (1.0, False, False)])
@@ -80,7 +92,7 @@ def test_a_correction_that_leads_further_than_what_failed_is_tried(failed: float
     robot = driven()
     assert robot.decision is not None
     if not known:
-        robot._next = lambda *_: ()  # type: ignore[method-assign]
+        robot._next = lambda *_: ()
     robot.standing.failed = failed
     state, verdict = robot.decision.state, robot.decision.verdict
     correction = replace(verdict, status=Status.corrected, action=np.array((0.5, 0.0)))
@@ -92,7 +104,7 @@ def test_a_correction_that_leads_further_than_what_failed_is_tried(failed: float
 @pytest.mark.parametrize(("h_now", "binds"), [(1.0, False), (0.999, True), (1.001, False)])
 def test_a_margin_binds_where_less_is_left_than_it_asks_for(h_now: float, binds: bool) -> None:
     memory, said = driven(), list[Any]()
-    memory.standing.reason = lambda *known: said.append(known) or "why"  # type: ignore[method-assign,func-returns-value]
+    memory.standing.reason = lambda *known: said.append(known) or "why"
     assert memory.standstill(verdict_of(memory, h_now=h_now, margin=SETTINGS.eta)) == "why"
     assert [known[2] for known in said] == [binds]
 
@@ -183,7 +195,7 @@ def test_out_of_the_layer_leads_no_action_that_failed_to_move_the_robot(monkeypa
     for failed, fails in ((0.0, False), (0.024, False), (0.026, True)):
         robot.standing.failed = failed
         assert here.fails((0.5, 0.0)) is fails
-    robot._next = lambda *_: ()  # type: ignore[method-assign]
+    robot._next = lambda *_: ()
     for failed in (0.0, 0.026):
         robot.standing.failed = failed
         assert here.fails((0.5, 0.0)) is True
@@ -191,10 +203,10 @@ def test_out_of_the_layer_leads_no_action_that_failed_to_move_the_robot(monkeypa
 
 def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = driven()
-    kinds = {kind: list(rows) for kind, rows in robot.barriers.rows.items()}  # type: ignore[union-attr]
+    kinds = {kind: list(rows) for kind, rows in robot.barriers.rows.items()}
     first, *others = kinds
     assert others
-    robot.margin = SimpleNamespace(epsilon={first: 0.25})  # type: ignore[assignment]
+    robot.margin = SimpleNamespace(epsilon={first: 0.25})
     margins = told_to_the_way_out(robot, monkeypatch).margins
     assert {margins[row] for row in kinds[first]} == {0.25}
     assert {margins[row] for kind in others for row in kinds[kind]} == {0.0}
@@ -226,3 +238,27 @@ def test_another_model_is_tried_with_what_was_wished_or_had_to_be_done(
     memory.try_out(memory.decision._replace(verdict=verdict), around)
     wanted = {"wish": [(1.0, 0.1)], "action": [(0.2, 0.0)], "": []}[decided]
     assert [tuple(wish.tolist()) for wish in asked_with] == wanted
+
+
+@pytest.mark.parametrize(
+    ("status", "predicted", "refused"),
+    [
+        (Status.passed, ((0.1, 0.0, 0.0, 0.5),), False),
+        (Status.fallback, ((0.1, 0.0, 0.0, 0.5),), True),
+        (Status.passed, (), True),
+    ],
+)
+def test_a_model_is_refused_where_it_alone_cannot_decide(
+    status: Status, predicted: Any, refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = driven(ticks=3)
+    decided, barriers, answer = decided_of(memory), memory.barriers, verdict_of(memory, status=status)
+    memory.filter = SimpleNamespace(decide=lambda *_, **__: answer)
+    monkeypatch.setattr(FilteredRobot, "predicted", lambda *_: (predicted, None))
+    memory.try_out(decided, "no scene")
+    memory.try_out(decided_of(memory, status=Status.fallback), barriers)
+    if refused:
+        with pytest.raises(InputError, match="the filter cannot decide with it: "):
+            memory.try_out(decided, barriers)
+    else:
+        memory.try_out(decided, barriers)

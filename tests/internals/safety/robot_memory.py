@@ -1,0 +1,42 @@
+"""What the filter's service remembers of one robot, after some ticks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
+
+from safedpa.bus import LATENT, WISH, WishMessage
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.safety import Verdict
+from safedpa.safety.filtered_robot import Decided, FilteredRobot
+from safedpa.safety.node import SafetyFilterNode
+
+
+def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float] = (1.0, 0.1)) -> FilteredRobot:
+    """After so many ticks; from the second on the robot did what the filter decided."""
+    node, applied = SafetyFilterNode(model, SETTINGS), (0.0, 0.0)
+    for tick in range(ticks):
+        state = state_at(tick, applied=applied)
+        latent = replace(latent_at(state), model=fingerprint(model), values=tuple(model.latent.tolist()))
+        wish = WishMessage(**stamp(state), values=action, controller="test")
+        outputs = node.step("r", state, {LATENT: latent, WISH: wish})
+        applied = next(iter(outputs.values())).values
+        node.afterwards("r")
+    return node._robots["r"]
+
+
+def told(memory: FilteredRobot) -> tuple[float, ...]:
+    assert memory.decision is not None
+    return tuple(memory.decision.verdict.action.tolist())
+
+
+def verdict_of(memory: FilteredRobot, **changed: Any) -> Verdict:
+    assert memory.decision is not None
+    return replace(memory.decision.verdict, **changed)
+
+
+def decided_of(memory: FilteredRobot, **changed: Any) -> Decided:
+    assert memory.decision is not None
+    return memory.decision._replace(verdict=verdict_of(memory, **changed))
