@@ -111,6 +111,7 @@ class Fleet:
         self.heard: list[Received] = []
         self.takeovers: list[TakeoverMessage] = []
         self._loops: dict[str, tuple[Bus, ServiceLoop]] = {}
+        self._nodes: dict[str, AbstractNode] = {}
         self._scene = Scene.random(seed, load)
         self._epoch = 0
         self.start_robot()
@@ -133,6 +134,7 @@ class Fleet:
     def start(self, service: str) -> None:
         """A new process of a service, which says its setup."""
         node, setup = built(service, self._model, self._controller, self._zones)
+        self._nodes[service] = node
         bus = Bus(MemoryTransport(self._broker), "test")
         self._loops[service] = (bus, ServiceLoop(node, bus, clock=lambda: self.now))
         bus.publish(SETUP, NO_ROBOT, setup, service)
@@ -143,8 +145,8 @@ class Fleet:
             self._loops.pop(service)[0].close()
 
     def order(self, *switches: str, who: str) -> None:
-        """Somebody switches sources and zones of perception."""
-        node = self._loops["perception"][1]._node
+        """Switches sources and zones of perception."""
+        node = self._nodes["perception"]
         assert isinstance(node, PerceptionNode)
         assert node.switches.answer(ROBOT, Request(do="switch", switches=switches, who=who)).ok
 

@@ -6,10 +6,13 @@ import dataclasses
 import errno
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,8 +20,6 @@ import pytest
 from safedpa.bus import HEALTH, NO_ROBOT, SETUP, STATE, Bus, HealthMessage, MemoryBroker, MemoryTransport, Received
 from safedpa.bus.wire.setup import setup_message
 from safedpa.records import Finding, read_messages
-from safedpa.records import mcap_recorder as module
-from safedpa_services.recorder import recorder as service
 from safedpa_services.recorder.recorder import Recorder
 
 RECORDING = """
@@ -105,7 +106,7 @@ def test_a_full_disk_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None
 
 
 class Fleet:
-    """A recorder and someone who speaks, in one process."""
+    """A recorder and a publisher, in one process."""
 
     def __init__(self, path: Path) -> None:
         broker = MemoryBroker()
@@ -128,10 +129,10 @@ def state(fleet_of: Any) -> Any:
     return fleet_of().robot.state_message()
 
 
-def test_when_there_is_room_again_the_recording_goes_on_in_another_file(
+def test_the_recording_continues_in_another_file_once_there_is_room(
     tmp_path: Path, state: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fleet = Fleet(tmp_path / "drive.mcap")
+    fleet, later = Fleet(tmp_path / "drive.mcap"), time.monotonic() + 10.0
     setup = setup_message("policy", {"model": "car"})
     fleet.bus.publish(SETUP, NO_ROBOT, setup, "policy")
     for tick in range(50):
@@ -142,24 +143,23 @@ def test_when_there_is_room_again_the_recording_goes_on_in_another_file(
     assert before.acknowledged >= 51
     assert before.state == "running"
 
-    write = module._WholeRecordFile.write
-
-    def full(self: Any, data: bytes) -> int:
+    def full(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(module._WholeRecordFile, "write", full)
-    for tick in range(50, 90):
-        fleet.say(dataclasses.replace(state, tick=tick))
-    fleet.recorder.turn(0.0)
-    fleet.recorder.sync()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+        fleet.recorder.sync()
+        for tick in range(50, 90):
+            fleet.say(dataclasses.replace(state, tick=tick))
+        fleet.recorder.turn(0.0)
+        fleet.recorder.sync()
     during = fleet.health()
     assert during.state == "failing"
     assert "No space left" in during.detail
     assert during.acknowledged >= before.acknowledged
 
-    monkeypatch.setattr(module._WholeRecordFile, "write", write)
-    monkeypatch.setattr(service, "_RETRY_SECONDS", 0.0)
-    fleet.recorder._next_retry = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: later)
     fleet.recorder.sync()
     for tick in range(90, 120):
         fleet.say(dataclasses.replace(state, tick=tick))
@@ -176,7 +176,7 @@ def test_when_there_is_room_again_the_recording_goes_on_in_another_file(
     assert keys[0].endswith("setup/policy"), "a file can be replayed by itself"
 
 
-def test_a_setup_that_is_said_again_is_kept_once(tmp_path: Path) -> None:
+def test_a_repeated_setup_is_recorded_once(tmp_path: Path) -> None:
     fleet = Fleet(tmp_path / "drive.mcap")
     setup = setup_message("policy", {"model": "car"})
     for _ in range(4):

@@ -1,20 +1,25 @@
-"""What a replay counts and tells, step by step, by hand: what is missing, what was rounded, what a gap leaves open."""
+"""What a replay counts step by step: what is missing, what was rounded, what a gap leaves open."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from safedpa.bus import ACTION, LATENT, VERDICT, ActionMessage, LatentMessage, VerdictMessage
+from safedpa.bus.wire.setup import setup_message
 from safedpa.replay.comparison import Difference
-from safedpa.replay.driver import Driven
-from safedpa.replay.replay import Replay, ServiceReplay, _Judge
+from safedpa.replay.driver import Driven, Driver
+from safedpa.replay.replay import Replay, ServiceReplay, replay
+from safedpa.replay.tape import Entry, RobotTape
 
 FIELDS = {topic.message: frozenset(item.name for item in fields(topic.message)) for topic in (LATENT, VERDICT, ACTION)}
 EVERYWHERE = (float("-inf"), float("inf"))
+Judged = Callable[..., ServiceReplay]
 
 
 def stamp(tick: int) -> dict[str, Any]:
@@ -41,22 +46,35 @@ def step(tick: int, recorded: Any, outputs: dict[Any, Any], unknown: str = "", a
     return Driven(state, recorded, outputs, unknown, anew)
 
 
-def judged(
-    service: str, steps: list[Driven], window: tuple[float, float] = EVERYWHERE, actions: dict[Any, Any] | None = None
-) -> ServiceReplay:
-    tape: Any = SimpleNamespace(fields=FIELDS, actions=actions or {})
-    return _Judge(tape, service, window, 1e-6).judged(iter(steps), lambda _: None)
+@pytest.fixture
+def judged(monkeypatch: pytest.MonkeyPatch) -> Judged:
+    """A replay of steps that are given, in place of those of the service's node."""
+
+    def of(
+        service: str,
+        steps: list[Driven],
+        window: tuple[float, float] = EVERYWHERE,
+        actions: dict[Any, Any] | None = None,
+    ) -> ServiceReplay:
+        tape = RobotTape("r1", (Path("a.mcap"),), actions=actions or {}, fields=FIELDS)
+        tape.setups[service] = [(0, setup_message(service, {}))]
+        tape.computed[service] = [Entry(0, step.recorded) for step in steps if step.recorded is not None]
+        monkeypatch.setattr(Driver, "run", lambda _: iter(steps))
+        (found,) = replay(tape, window).services
+        return found
+
+    return of
 
 
-def test_what_was_sent_and_comes_out_as_nothing_is_a_difference_with_its_tick_and_time() -> None:
-    """A node that refuses what it took once; field by field there is nothing to compare."""
+def test_a_message_that_does_not_come_out_again_is_a_difference(judged: Judged) -> None:
+    """The node now refuses the state."""
     found = judged("adaptation", [step(4, latent(4), {LATENT: latent(4)}), step(5, latent(5), {})])
     assert found.differing == [Difference(3, 5, 0.25, "latent", "message", "sent", "none", exact_only=False)]
     assert (found.compared, found.identical) == ({"latent": 2}, {"latent": 1})
     assert not Replay([found]).agrees
 
 
-def test_a_verdict_without_the_action_that_was_recorded_with_it_is_one_too() -> None:
+def test_the_action_of_a_verdict_is_compared_too(judged: Judged) -> None:
     known = {(3, 9): [action(9)]}
     both = {VERDICT: verdict(9), ACTION: action(9)}
     assert judged("safety_filter", [step(9, verdict(9), both)], actions=known).differing == []
@@ -69,7 +87,7 @@ def test_a_verdict_without_the_action_that_was_recorded_with_it_is_one_too() -> 
     )  # fmt: skip
 
 
-def test_of_two_that_answered_a_tick_the_verdicts_own_action_is_compared() -> None:
+def test_of_two_answers_to_a_tick_the_action_of_the_verdict_is_compared(judged: Judged) -> None:
     known = {(3, 9): [action(9, 0.3), action(9)]}
     both = {VERDICT: verdict(9), ACTION: action(9)}
     assert judged("safety_filter", [step(9, verdict(9), both)], actions=known).differing == []
@@ -78,8 +96,8 @@ def test_of_two_that_answered_a_tick_the_verdicts_own_action_is_compared() -> No
 @pytest.mark.parametrize(
     "field", [name for name in sorted(FIELDS[VerdictMessage]) if name not in ("version", "microseconds")]
 )
-def test_every_field_that_says_what_was_decided_is_compared(field: str) -> None:
-    """All but when, how long and from what; each field is told by name."""
+def test_every_field_of_a_decision_is_compared(judged: Judged, field: str) -> None:
+    """All but when, how long and from what."""
     value = getattr(verdict(9), field)
     changed: Any = value + 1 if isinstance(value, int | float) else ("?",) if isinstance(value, tuple) else f"{value}?"
     out = replace(verdict(9), **{field: changed})
@@ -88,7 +106,7 @@ def test_every_field_that_says_what_was_decided_is_compared(field: str) -> None:
     assert [item.field for item in found.differing] == ([] if field in left_out else [field])
 
 
-def test_another_last_digit_is_counted_and_no_difference() -> None:
+def test_another_last_digit_is_counted_and_is_no_difference(judged: Judged) -> None:
     found = judged("adaptation", [step(4, latent(4), {LATENT: latent(4, 0.1 + 1e-12)})])
     assert (found.differing, found.rounded, found.identical) == ([], 1, {"latent": 0})
     assert Replay([found]).agrees
@@ -98,8 +116,10 @@ def test_another_last_digit_is_counted_and_no_difference() -> None:
 
 
 @pytest.mark.parametrize(("agreeing", "known_again"), [(19, False), (20, True), (30, True)])
-def test_a_memory_counts_as_known_again_after_twenty_outputs_that_agree(agreeing: int, known_again: bool) -> None:
-    """What differs behind a gap is held against nobody, and what agreed by chance is no proof either."""
+def test_a_memory_counts_as_known_again_after_twenty_outputs_that_agree(
+    judged: Judged, agreeing: int, known_again: bool
+) -> None:
+    """Differences behind a gap may stem from the gap, and a few outputs may agree by chance."""
     steps = [
         step(0, latent(0), {LATENT: latent(0)}),
         step(1, latent(1), {LATENT: latent(1, 0.5)}, "a state is missing"),
@@ -115,14 +135,14 @@ def test_a_memory_counts_as_known_again_after_twenty_outputs_that_agree(agreeing
     assert Replay([found]).agrees == known_again
 
 
-def test_a_difference_among_those_that_agree_begins_the_count_anew() -> None:
+def test_a_difference_restarts_the_count_of_agreeing_outputs(judged: Judged) -> None:
     steps = [step(0, latent(0), {LATENT: latent(0, 0.5)}, "unknown")]
     steps += [step(tick, latent(tick), {LATENT: latent(tick, 0.5 if tick == 15 else 0.1)}) for tick in range(1, 40)]
     (span,) = judged("adaptation", steps).spans
     assert (span.agrees_from, span.steps) == (16, 16)
 
 
-def test_a_memory_that_begins_anew_ends_what_was_unknown() -> None:
+def test_a_memory_that_is_reset_is_known_again(judged: Judged) -> None:
     steps = [
         step(0, latent(0), {LATENT: latent(0, 0.5)}, "unknown"),
         step(1, latent(1), {LATENT: latent(1)}, anew=True),
@@ -133,7 +153,7 @@ def test_a_memory_that_begins_anew_ends_what_was_unknown() -> None:
     assert Replay([found]).unsettled is None
 
 
-def test_only_the_window_is_counted_both_ends_included_and_outputs_that_were_lost_are() -> None:
+def test_the_window_is_counted_with_both_ends_and_lost_outputs_are_counted(judged: Judged) -> None:
     steps = [step(tick, latent(tick) if tick != 7 else None, {LATENT: latent(tick)}) for tick in range(20)]
     found = judged("adaptation", steps, (0.25, 0.5))
     assert found.compared == {"latent": 5}, "ticks 5 to 10 without tick 7"

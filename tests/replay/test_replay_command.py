@@ -158,3 +158,31 @@ def test_a_recording_opens_in_the_viewer(capsys: pytest.CaptureFixture[str], tmp
     assert run(capsys, BOX, "--rrd", str(drawn), "--to", "0.5")[0] == 0
     assert drawn.read_bytes()[:3] == b"RRF"
     assert drawn.stat().st_size > 50_000
+
+
+@pytest.mark.parametrize(
+    ("run_of", "out", "refused"),
+    [
+        ("drives", "drives/new.mcap", True),  # it would be read as one more file of the run
+        ("drives", "drives/a.mcap", True),
+        ("drives", "drives/report.json", False),
+        ("drives", "elsewhere/new.mcap", False),
+        ("drives", "new.mcap", False),
+        ("drives/a.mcap", "drives/a.mcap", True),
+        ("drives/a.mcap", "drives/new.mcap", False),  # the file alone is the run
+        ("drives/a.mcap", "drives/../drives/a.mcap", True),
+    ],
+)
+def test_a_recording_is_not_written_into_the_run_that_is_read(
+    run_of: str, out: str, refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """The recordings are empty, which is noticed later."""
+    monkeypatch.chdir(tmp_path)
+    Path("drives").mkdir()
+    for name in ("a", "b"):
+        Path(f"drives/{name}.mcap").touch()
+    code, _, err = run(capsys, run_of, "--out", out)
+    assert code == 2
+    assert ("stands for a recording of this run" in err) is refused
+    assert ("the file is empty" in err) is not refused

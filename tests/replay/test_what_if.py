@@ -19,7 +19,7 @@ from safedpa.replay.tape import RobotTape, read_tape
 from safedpa.replay.what_if import Change, summary_of, what_if
 from safedpa.safety.shipped import margin_for
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.recorded_drive import _robot_options, drive_again
+from safedpa_sim.recorded_drive import drive_again
 from safedpa_sim.robots.__main__ import robot_parser
 from safedpa_sim.robots.stand_ins import robot_of
 
@@ -128,9 +128,10 @@ polygon = [[-9.0, -9.0], [9.0, -9.0], [9.0, 0.5], [-9.0, 0.5]]
         (["--laser", "--people=3"], ""),
         (["--laser"], ZONES),
         (["--load=box", "--change=hitch", "--change-after=1"], ""),
+        (["--force=0.01", "--wind=3"], ""),
     ],
 )
-def test_whatever_the_car_was_started_with_it_is_driven_again(tmp_path: Path, words: list[str], zones: str) -> None:
+def test_a_drive_is_repeated_with_all_options_of_the_robot(tmp_path: Path, words: list[str], zones: str) -> None:
     driven = drive_again(recorded(tmp_path / "run.mcap", *words, zones=zones), Change())
     assert driven["apart_from_tick"] is None
     assert driven["ticks"] == 60
@@ -140,12 +141,17 @@ def test_whatever_the_car_was_started_with_it_is_driven_again(tmp_path: Path, wo
         assert f"{name.replace('-', '_')}={value or True}" in driven["robot"]
 
 
-def test_every_option_that_makes_the_robot_is_taken_from_the_recording(box: RobotTape) -> None:
-    words = ["--drive=throttle", "--force=0.01", "--world=mass=2", "--wind=3", "--name=other", "--fleet=other"]
-    tape = replace(box, setups={"robot": [(0, setup_message("robot", vars(robot_parser().parse_args(words))))]})
-    options = _robot_options(tape)
-    assert (options.drive, options.force, options.world, options.wind) == ("throttle", 0.01, ["mass=2"], 3.0)
-    assert (options.name, options.fleet) == ("r1", "fleet"), "who is nobody's business"
+def test_options_of_the_robot_are_taken_from_the_recording_and_those_of_its_process_are_not(box: RobotTape) -> None:
+    words = ["--world=mass=2", "--name=other", "--fleet=other"]
+    tape = replace(box, setups={**box.setups, "robot": [(0, setup_message("robot", options_with(*words)))]})
+    with pytest.raises(InputError, match="--world: got mass=2, for a robot of one's own"):
+        drive_again(tape, Change())
+    tape.setups["robot"] = [(0, setup_message("robot", options_with(*words[1:])))]
+    assert "other" not in drive_again(tape, Change())["robot"]
+
+
+def options_with(*words: str) -> dict[str, object]:
+    return vars(robot_parser().parse_args(["--seed=3", *words]))
 
 
 def test_a_closed_zone_makes_it_another_drive(tmp_path: Path) -> None:

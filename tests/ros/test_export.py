@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.messages import StateMessage, VerdictMessage
+from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.errors import InputError, RunError
-from safedpa.records import load_run, read_messages
+from safedpa.records import McapRecorder, load_run, read_messages
 from safedpa.records.column_map_file import parse_column_map
 from safedpa.records.mcap_run import read_recording
-from safedpa.replay.ros2_bag import _Speaker, export_bag
-from safedpa.robot import robot_named
+from safedpa.replay.ros2_bag import export_bag
 from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa
 
@@ -113,16 +113,44 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
         load_run(log, CAR, parse_column_map(MAP))
 
 
-def test_a_state_that_is_repeated_in_lockstep_is_told_once() -> None:
-    state = StateMessage(
-        epoch=1, tick=0, robot_time=0.0, publish_time=1.0, values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
-        applied_by="none", period=0.05, lockstep=True, goal=(1.0, 1.0), obstacles=(), field=(-1.0, 1.0, -1.0, 1.0),
-        footprint=(0.1, 0.1, 0.1),
+def state_of(values: int, applied: int, tick: int = 0, **changes: Any) -> StateMessage:
+    """A state of a robot with so many numbers, on a field."""
+    what: dict[str, Any] = {"field": (-1.0, 1.0, -1.0, 1.0), "publish_time": 1.0, **changes}
+    return StateMessage(
+        epoch=1, tick=tick, robot_time=0.05 * tick, values=(0.0,) * values, applied=(0.0,) * applied,
+        applied_by="none", period=0.05, lockstep=True, goal=(1.0, 1.0), obstacles=(), footprint=(0.1, 0.1, 0.1), **what,
     )  # fmt: skip
-    speaks = _Speaker("r1", robot_named("car"))
-    assert list(speaks.of(state, 1))
-    assert not list(speaks.of(replace(state, publish_time=1.1), 2))
-    assert list(speaks.of(replace(state, tick=1), 3))
+
+
+def states_in_the_bag(folder: Path, *states: StateMessage) -> list[Any]:
+    """What the bag of a recording of these states has under the topic of states."""
+    from rosbags.highlevel import AnyReader
+
+    with McapRecorder(folder / "a.mcap") as recorder:
+        for number, state in enumerate(states):
+            recorder.write(key_of("fleet", "r1", STATE), encode(state), number, number)
+        path = recorder.path
+    export_bag(path, path.with_suffix(""))
+    with AnyReader([path.with_suffix("")]) as reader:
+        found = [(line, raw) for line, _, raw in reader.messages() if line.topic == "/r1/state"]
+        return [reader.deserialize(raw, line.msgtype) for line, raw in found]
+
+
+def test_a_state_that_is_repeated_in_lockstep_is_exported_once(tmp_path: Path) -> None:
+    states = [state_of(4, 2), state_of(4, 2, publish_time=1.1), state_of(4, 2, tick=1)]
+    assert len(states_in_the_bag(tmp_path, *states)) == 2
+
+
+def test_a_robot_without_a_setup_is_known_by_its_numbers_and_by_whether_it_drives_in_a_field(tmp_path: Path) -> None:
+    """A robot that speaks ROS drives in a plane; a pendulum has no field."""
+    (car,) = states_in_the_bag(tmp_path, state_of(4, 2))
+    assert car.name == list(CAR.state_names)
+    for field in ((), (-1.0, 1.0, -1.0, 1.0)):
+        (pendulum,) = states_in_the_bag(tmp_path, state_of(2, 1, field=field))
+        assert pendulum.name == ["angle", "rate"]
+    for unknown in (state_of(12, 2), state_of(4, 6), state_of(4, 2, field=())):
+        with pytest.raises(RunError, match="no known kind of robot"):
+            states_in_the_bag(tmp_path, unknown)
 
 
 @pytest.mark.long

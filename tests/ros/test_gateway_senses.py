@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
-from tests.ros.test_gateway_alone import ASKED, LIMITS, Link, Publisher, Quiet
+from tests.ros.gateway_rig import ASKED, rig_of
 
-from safedpa.bus import SCAN, STATE, Bus, MemoryBroker, MemoryTransport, Received, ScanMessage, StateMessage
+from safedpa.bus import ScanMessage, StateMessage
 from safedpa.bus.wire.messages import VerdictMessage
 from safedpa.errors import InputError
 from safedpa.robots.car.ros_face import CarFace
@@ -20,7 +20,6 @@ from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
-from safedpa_services.ros_gateway.gateway import Gateway
 from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
 from safedpa_services.ros_gateway.overheard import Overheard
 from safedpa_services.ros_gateway.robot_file import Localisation, RobotFile, Scan, Surroundings, load_robot_file
@@ -109,7 +108,7 @@ def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_fra
     assert localised.refused == 1
 
 
-def test_whoever_speaks_on_the_driver_s_topic_is_told_and_answered_though_he_shows_no_token() -> None:
+def test_a_publisher_without_a_token_on_the_driver_s_topic_is_reported_and_answered() -> None:
     now, answers = [1.0], [0]
     heard = Overheard("/drive", clock=lambda: now[0])
 
@@ -124,10 +123,16 @@ def test_whoever_speaks_on_the_driver_s_topic_is_told_and_answered_though_he_sho
         heard.take(b"")
     assert answers == [1], "a flood is answered once in a millisecond"
     assert "a sender without a name" in heard.why
-    now[0] += 1.01
-    assert heard.why == ""
+    now[0] += 0.0005
+    heard.take(b"")
+    assert answers == [1]
+    now[0] += 0.001
     heard.take(b"")
     assert answers == [2]
+    now[0] += 0.99
+    assert heard.why
+    now[0] += 0.02
+    assert heard.why == ""
 
 
 def signed(sender: bytes) -> Attachment:
@@ -208,7 +213,8 @@ class Markers:
 
 def test_a_path_of_another_model_is_not_drawn_and_ends_no_drive() -> None:
     markers: Any = Markers()
-    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: 7.0)
+    now = [7.0]
+    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
         epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
@@ -216,7 +222,7 @@ def test_a_path_of_another_model_is_not_drawn_and_ends_no_drive() -> None:
     )  # fmt: skip
     voice.verdict(verdict)
     assert markers.said == []
-    voice._next_marker = 0.0
+    now[0] += 1.0
     voice.verdict(replace(verdict, predicted=((0.5, 0.0, 0.0, 1.0, 0.0),)))
     assert markers.said[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
 
@@ -248,7 +254,7 @@ class Diagnostics:
         self.said.append(values["status"][0])
 
 
-def test_the_gateway_tells_goal_place_in_the_map_scans_and_why_it_brakes() -> None:
+def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_gateway_brakes() -> None:
     now = [100.0]
     file = RobotFile(
         robot="car", odometry=ASKED.odometry, command=ASKED.command, wire=ASKED.wire,
@@ -258,29 +264,16 @@ def test_the_gateway_tells_goal_place_in_the_map_scans_and_why_it_brakes() -> No
     clock = lambda: now[0]  # noqa: E731
     odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
     goal = Newest("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
-    localised, scanner = Localised("map", "odom", clock), Scanner("", clock)
-    driver, drive, diagnostics = Overheard("/drive", clock), Publisher(), Diagnostics()
-    broker, states, scans = MemoryBroker(), list[StateMessage](), list[ScanMessage]()
-    link: Any = Link()
-    command: Any = drive
+    localised, scanner, diagnostics = Localised("map", "odom", clock), Scanner("", clock), Diagnostics()
     shown: Any = diagnostics
-    with Bus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as other:
-        inbox = other.inbox((STATE, SCAN), "r1")
-        senses = Senses(odometry, driver, None, goal, localised, (scanner,))
-        voice = Voice("r1", file.frame, CarFace(), shown, None, clock)
-        gateway = Gateway(bus, link, file, CarFace(), LIMITS, senses, command, voice, 0.05, clock)
-        gateway._verdicts = Quiet(now)  # type: ignore[assignment]
-        gateway._inbox = Quiet(now)  # type: ignore[assignment]
+    voice = Voice("r1", file.frame, CarFace(), shown, None, clock)
+    senses = {"goal": goal, "localised": localised, "scanners": (scanner,)}
+    with rig_of(asked=file, voice=voice, now=now, odometry=odometry, **senses) as rig:
 
         def turn(nanoseconds: int) -> None:
             head = {"stamp": {"sec": 5, "nanosec": nanoseconds}, "frame_id": "odom"}
             odometry.take(encode("nav_msgs/msg/Odometry", odometry_of(head, "b", 1.0, 0.0, 0.0, 0.5, 0.0)))
-            gateway._turn(now[0])
-            for item in inbox.take(0.0):
-                if isinstance(item, Received) and isinstance(item.message, StateMessage):
-                    states.append(item.message)
-                elif isinstance(item, Received) and isinstance(item.message, ScanMessage):
-                    scans.append(item.message)
+            rig.turns()
 
         turn(1)
         assert diagnostics.said[-1]["message"] == "the gateway brakes: the transform from map to odom is never there"
@@ -290,15 +283,57 @@ def test_the_gateway_tells_goal_place_in_the_map_scans_and_why_it_brakes() -> No
         goal.take(encode("geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}))
         scanner.take(scan_of([2.0] * 7))
         turn(2)
-    assert states[-1].values == (1.0, 2.0, 0.0, 0.5)
-    assert (states[-1].goal, states[-1].sources) == ((3.0, -1.0), ("laser",))
-    assert (scans[-1].source, scans[-1].mount, scans[-1].number) == ("laser", (0.2, 0.0, 0.0), 1)
-    assert scans[-1].robot_time == pytest.approx(0.05 - 0.02)
+        messages = rig.messages()
+    (state,) = [message for message in messages if isinstance(message, StateMessage)]
+    (scan,) = [message for message in messages if isinstance(message, ScanMessage)]
+    assert (state.values, state.goal, state.sources) == ((1.0, 2.0, 0.0, 0.5), (3.0, -1.0), ("laser",))
+    assert (scan.source, scan.mount, scan.number) == ("laser", (0.2, 0.0, 0.0), 1)
+    assert scan.robot_time == pytest.approx(0.05 - 0.02)
     assert diagnostics.said[-1]["message"] == "the gateway brakes: no action of the filter came in time"
     facts = {pair["key"]: pair["value"] for pair in diagnostics.said[-1]["values"]}
     assert facts["odometry_stamp"] == str(5 * 10**9 + 2)
-    driver.take(b"")
-    assert drive.sent[-1] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("sent", "kept"), [(1, 1), (8, 8), (9, 8), (40, 8)])
+def test_of_the_scans_between_two_periods_the_newest_eight_are_kept(sent: int, kept: int) -> None:
+    scanner = Scanner("laser")
+    for number in range(sent):
+        scanner.take(scan_of([1.0 + number / 100.0] * 7, header=_head(number + 1)))
+    newest = [1.0 + number / 100.0 for number in range(sent)][-kept:]
+    assert [turn.ranges[0] for turn in scanner.taken()] == pytest.approx(newest)
+
+
+def test_scans_without_a_stamp_are_all_new() -> None:
+    scanner = Scanner("laser")
+    for _ in range(3):
+        scanner.take(scan_of([1.0] * 7, header={"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "laser"}))
+    assert len(scanner.taken()) == 3
+
+
+@pytest.mark.parametrize(
+    ("rays", "changes", "believed"),
+    [
+        (8192, {"angle_min": 0.0, "angle_increment": 2.0 * math.pi / 8192}, True),
+        (8193, {"angle_min": 0.0, "angle_increment": 2.0 * math.pi / 8193}, False),
+        (5, {"angle_min": 0.0, "angle_increment": math.pi / 2.0}, True),  # the first direction again at the end
+        (7, {"angle_min": 0.0, "angle_increment": math.pi / 2.0}, False),
+        (5, {"angle_min": 0.0, "angle_increment": -math.pi / 2.0}, True),
+        (7, {"angle_min": 0.0, "angle_increment": -math.pi / 2.0}, False),
+        (4, {"angle_min": 12.5, "angle_increment": 0.1}, True),
+        (4, {"angle_min": -12.5, "angle_increment": 0.1}, True),
+        (4, {"angle_min": 12.6, "angle_increment": 0.1}, False),
+        (4, {"angle_min": -12.6, "angle_increment": 0.1}, False),
+        (7, {"range_min": 0.0, "range_max": 1000.0}, True),
+        (7, {"range_min": 0.1, "range_max": 1001.0}, False),
+        (7, {"range_min": 2.0, "range_max": 2.0}, False),
+    ],
+)
+def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most(
+    rays: int, changes: dict[str, float], believed: bool
+) -> None:
+    scanner = Scanner("laser")
+    scanner.take(scan_of([1.0] * rays, **changes))
+    assert (len(scanner.taken()), scanner.refused) == (believed, not believed)
 
 
 WHOLE = (
@@ -335,6 +370,13 @@ WHOLE = (
             "surroundings.obstacles: got some",
         ),
         ("[surr", '[wire]\ndiagnostics = "drive"\n[surr', "wire.diagnostics: got the command's own topic, 'drive'"),
+        (
+            "[surr",
+            '[wire]\nform = "bridge"\nmarkers = "drive"\n[surr',
+            "wire.markers: got the command's own topic, 'drive'",
+        ),
+        ('"/drive_in"', '"/drive"', "wish.topic: got the command's own, '/drive'"),
+        ('"/drive_in"', '"drive"', "wish.topic: got the command's own, '/drive'"),
         ("[surr", '[wire]\nmarkers = "/a/**"\n[surr', "wire.markers: got '/a/**', wanted a topic such as /odom"),
         (
             "[surr",

@@ -10,7 +10,7 @@ from subprocess import run
 
 import pytest
 
-from safedpa_lab.experiments.ros_faults import FAULTS, _judged
+from safedpa_lab.experiments.ros_faults import FAULTS
 from safedpa_lab.experiments.ros_report import page_of
 from safedpa_lab.ros import car
 from safedpa_services.command_line.group import safedpa
@@ -24,24 +24,6 @@ def test_the_page_is_made_of_the_figures_that_are_kept() -> None:
     assert result["with_filter"]["drives"] == 100
     assert {one["fault"] for one in result["faults"]} == {*FAULTS}
     assert all(one["held"] for one in result["faults"])
-
-
-@pytest.mark.parametrize(
-    ("mark", "collisions", "held"),
-    [
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 0, True),
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 1, False),
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": None}, 0, False),
-        ({"said": ["r1: something else"], "stood_after": 0.5}, 0, False),
-        ({"said": [], "stood_after": 0.5}, 0, False),
-    ],
-)
-def test_a_fault_holds_where_the_car_stands_untouched_and_the_right_one_told(
-    mark: dict[str, object], collisions: int, held: bool
-) -> None:
-    whole = {"speed": 1.0, "stopping_way": 0.3, "told_after": 0.1, **mark}
-    found = {"mark": whole, "collisions": collisions, "driver_brakes": 0}
-    assert _judged("filter killed", 1, found, "the gateway brakes: no action")["held"] is held
 
 
 def test_what_cannot_be_asked_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

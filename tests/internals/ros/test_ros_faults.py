@@ -1,0 +1,25 @@
+"""How a drive with a fault is judged; the drive itself takes a minute."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa_lab.experiments.ros_faults import _judged
+
+
+@pytest.mark.parametrize(
+    ("mark", "collisions", "held"),
+    [
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 0, True),
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 1, False),
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": None}, 0, False),
+        ({"said": ["r1: something else"], "stood_after": 0.5}, 0, False),
+        ({"said": [], "stood_after": 0.5}, 0, False),
+    ],
+)
+def test_a_fault_is_held_where_the_car_stops_without_a_collision_and_the_right_part_reports_it(
+    mark: dict[str, object], collisions: int, held: bool
+) -> None:
+    whole = {"speed": 1.0, "stopping_way": 0.3, "told_after": 0.1, **mark}
+    found = {"mark": whole, "collisions": collisions, "driver_brakes": 0}
+    assert _judged("filter killed", 1, found, "the gateway brakes: no action")["held"] is held

@@ -1,0 +1,171 @@
+"""A gateway without a network: the test sets its clock, its senses and the answers of the filter."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from unittest.mock import patch
+
+from safedpa.bus import (
+    ACTION,
+    HEALTH,
+    SCAN,
+    STATE,
+    WISH,
+    ActionMessage,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    Received,
+    Topic,
+)
+from safedpa.robots.car.ros_face import CarFace
+from safedpa_services.ros_gateway.gateway import Gateway
+from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.ros_gateway.robot_file import Command, Odometry, RobotFile, Surroundings, Wire, Wish
+from safedpa_services.ros_gateway.senses import Senses
+from safedpa_services.ros_gateway.voice import Voice
+
+DRIVE = "ackermann_msgs/msg/AckermannDriveStamped"
+ASKED = RobotFile(
+    robot="car",
+    odometry=Odometry("/odom"),
+    wish=Wish("/drive_in"),
+    command=Command("/drive", DRIVE),
+    surroundings=Surroundings((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
+    wire=Wire(form="bridge"),
+)
+LIMITS = ((-0.6, -0.34), (2.0, 0.34), (0.0, 0.0))
+POSE = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0)
+"""Numbers of the odometry; the last four are the rotation."""
+
+
+class Link:
+    """A link over which other publishers may be known."""
+
+    def __init__(self, form: str = "bridge", *others: Any) -> None:
+        self.form, self.others = form, list(others)
+
+    def watched(self, *_: Any) -> list[Any]:
+        return self.others
+
+
+class Publisher:
+    """Keeps the commands that are sent to the robot: speed and steering angle."""
+
+    type = DRIVE
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, float]] = []
+
+    def put(self, values: Mapping[str, Any]) -> None:
+        self.sent.append((values["drive"]["speed"], values["drive"]["steering_angle"]))
+
+
+class Sense:
+    """Numbers of an age [s]."""
+
+    refused, why = 0, ""
+
+    def __init__(self, numbers: tuple[float, ...], age: float = 0.0) -> None:
+        self.numbers, self.age = numbers, age
+
+    def read(self) -> tuple[Any, float, int]:
+        return self.numbers, self.age, 7
+
+
+@dataclass
+class Rig:
+    """What a gateway is made of, and what became of it."""
+
+    now: list[float]
+    drive: Publisher
+    odometry: Sense
+    driver: Overheard
+    gateway: Gateway = field(init=False)
+    heard: Any = field(init=False)
+    answer: Callable[[], list[Received]] | None = None
+    """What the filter sends when it is waited for; it advances the clock."""
+    answers_after: float = 0.0
+
+    def act(self, *values: float, seconds: float = 0.01, held_up: float = 0.0, **changes: Any) -> None:
+        """The filter answers each state after ``seconds``; the process is held up for ``held_up`` after that."""
+
+        def answer() -> list[Received]:
+            self.now[0] += seconds + held_up
+            stamp = {"epoch": self.gateway.epoch, "tick": self.gateway.tick}
+            message = ActionMessage(**{**stamp, "robot_time": 0.0, "publish_time": 0.0, "values": values, **changes})
+            return [Received(ACTION, "r1", message, b"", "", self.now[0])]
+
+        self.answer, self.answers_after = answer, seconds
+
+    def turns(self, count: int = 1, before: Callable[[int], None] = lambda _: None) -> list[tuple[float, float]]:
+        """The commands of so many periods, without the brakes at the end; ``before`` is called before each."""
+        done, first, marks = -1, len(self.drive.sent), [0]
+
+        def stopped() -> bool:
+            nonlocal done
+            done += 1
+            marks[0] = len(self.drive.sent)
+            if done < count:
+                before(done)
+            return done >= count
+
+        with patch.object(time, "sleep"):
+            self.gateway.run(stopped)
+        return self.drive.sent[first : marks[0]]
+
+    def messages(self) -> list[Any]:
+        """What the bus heard since."""
+        return [item.message for item in self.heard.take(0.0) if isinstance(item, Received)]
+
+
+class Waiting:
+    """An inbox in which nothing comes; waiting advances the clock."""
+
+    dropped = 0
+
+    def __init__(self, rig: Rig, topic: Topic) -> None:
+        self.rig, self.acts = rig, topic is ACTION
+
+    def take(self, longest: float) -> list[Received]:
+        if self.acts and self.rig.answer is not None and self.rig.answers_after < longest:
+            return self.rig.answer()
+        self.rig.now[0] += longest + 1e-6 if longest > 0.0 else 0.0
+        return []
+
+
+class SteppedBus(Bus):
+    """A bus whose inboxes wait by the clock of the test."""
+
+    rig: Rig
+
+    def inbox(self, topics: tuple[Topic, ...], *_: Any, **__: Any) -> Any:
+        return Waiting(self.rig, topics[0])
+
+
+@contextmanager
+def rig_of(
+    *,
+    asked: RobotFile = ASKED,
+    link: Any = None,
+    voice: Any = None,
+    now: list[float] | None = None,
+    odometry: Any = None,
+    driver: Any = None,
+    **senses: Any,
+) -> Iterator[Rig]:
+    """A gateway at 20 Hz from 100 s on; ``senses`` as ``Senses`` names them."""
+    clock, broker = now or [100.0], MemoryBroker()
+    rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or Overheard("/drive", lambda: clock[0]))
+    with SteppedBus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as ear:
+        bus.rig = rig
+        rig.heard = ear.inbox((STATE, SCAN, WISH, HEALTH), "r1", keep_all=True)
+        known = Senses(rig.odometry, rig.driver, **{"wish": None, **senses})  # type: ignore[arg-type]
+        said = voice or Voice("r1", "odom", CarFace(), None, None)
+        made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, said, 0.05, lambda: clock[0])
+        rig.gateway = Gateway(bus, *made)
+        yield rig
