@@ -43,8 +43,8 @@ class TalkingFleet:
         """One state and its verdict, with those fields changed."""
         tick = self.ticks[robot] = self.ticks.get(robot, -1) + 1
         stamp = {"epoch": 7, "tick": tick, "robot_time": tick * period, "publish_time": 1e9 + self.now}
-        self.bus.publish(STATE, robot, StateMessage(**{**stamp, **_STATE, "period": period, **state}))
-        self.bus.publish(VERDICT, robot, VerdictMessage(**{**stamp, **_VERDICT, **verdict}))
+        self.bus.publish(STATE, robot, StateMessage(**{**stamp, **STATE_FIELDS, "period": period, **state}))
+        self.bus.publish(VERDICT, robot, VerdictMessage(**{**stamp, **VERDICT_FIELDS, **verdict}))
 
     def beat(self, service: str, robot: str = "-", pid: int = 0, **changes: Any) -> None:
         """One heartbeat."""
@@ -81,7 +81,7 @@ class TalkingFleet:
             self.overview.listen(0.0)
 
 
-_STATE: dict[str, Any] = {
+STATE_FIELDS: dict[str, Any] = {
     "values": (0.5, 0.0, 0.0, 1.0),
     "applied": (1.0, 0.0),
     "applied_by": "filter",
@@ -91,7 +91,7 @@ _STATE: dict[str, Any] = {
     "field": (-4.0, 4.0, -4.0, 4.0),
     "footprint": (0.08, 0.4, 0.12),
 }
-_VERDICT: dict[str, Any] = {
+VERDICT_FIELDS: dict[str, Any] = {
     "status": "passed",
     "sentence": "The wish keeps every barrier condition and is handed on unchanged.",
     "action": (1.0, 0.0),

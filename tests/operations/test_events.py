@@ -21,7 +21,7 @@ SOURCES = [path for folder in ("shared", "services", "sim") for path in (ROOT / 
 LOOP = ("adaptation", "policy", "safety_filter")
 
 
-def test_every_event_that_is_written_stands_in_the_catalogue_and_the_other_way_round() -> None:
+def test_the_catalogue_lists_exactly_the_events_that_are_written() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in SOURCES if path.name != "events.py"}
     written = set()
     for text in texts.values():
@@ -42,7 +42,7 @@ def journal() -> tuple[Journal, list[dict[str, Any]]]:
     return Journal("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
 
 
-def test_verdicts_are_told_where_they_change(fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]) -> None:
+def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]) -> None:
     told, events = journal
     heard = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,))
     statuses = ["passed", "fallback", "fallback", "corrected", "passed", "stopped", "stopped", "passed", "disabled"]
@@ -73,7 +73,7 @@ def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[Journal, li
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
-def test_a_service_writes_whom_it_meets_and_what_it_refuses(
+def test_a_service_logs_the_robots_it_meets_and_what_it_refuses(
     fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]
 ) -> None:
     from safedpa.adaptation import AdaptationNode
@@ -86,7 +86,7 @@ def test_a_service_writes_whom_it_meets_and_what_it_refuses(
         fleet.tick("r1", state={"lockstep": True, "epoch": epoch}, verdict={})
         for _ in range(3):
             loop.turn(0.0)
-    fleet.bus._transport.put("safedpa/test/r1/state", b"garbage", never_drop=False)
+    MemoryTransport(fleet.broker).put("safedpa/test/r1/state", b"garbage", never_drop=False)
     loop.turn(0.0)
     kinds = [event["kind"] for event in events]
     assert kinds == ["robot.met", "robot.second_refused", "message.refused"]
@@ -129,7 +129,7 @@ def line(**event: Any) -> str:
     )
 
 
-def test_up_tells_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr("safedpa_services.supervisor.warnings.time.monotonic", lambda: now[0])
     told: list[str] = []
@@ -169,12 +169,10 @@ def test_up_tells_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: py
 def started_and_ended(one: Child) -> None:
     one.start()
     assert one.pid
-    one.kill()
-    with one._process as process:
-        process.wait(10)
+    one.end(10.0)
 
 
-def test_whoever_removes_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
+def test_removing_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
     told: list[str] = []
     policy = child(tmp_path / "run", "policy")
     policy.restarts = 1
@@ -187,7 +185,7 @@ def test_whoever_removes_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> Non
     assert policy.log.exists(), "the folder is there again, for what is said from now on"
 
 
-def test_last_words_are_told_by_one_program_alone(tmp_path: Path) -> None:
+def test_last_words_are_the_last_line_that_is_no_event(tmp_path: Path) -> None:
     robot = child(tmp_path, "robot")
     robot.log.write_text("safedpa-robot: --start: got far, wanted two numbers\n" + line())
     assert robot.last_words() == "--start: got far, wanted two numbers"
