@@ -1,4 +1,4 @@
-"""What a page says when the disk is full, and of names that come out of a file."""
+"""What a page reports when the disk is full."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import pytest
 from safedpa.compare.output import writable
 from safedpa.disk import why_not_written
 from safedpa.errors import InputError, RecordingError
-from safedpa_services.workbench import rerun_view, worker
 from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.rerun_view import write_view
 from safedpa_services.workbench.session_files import Kept, write_session
 
 pytest.importorskip("nicegui")
@@ -43,57 +43,11 @@ def test_nothing_is_left_of_a_file_that_found_no_room(tmp_path: Path, monkeypatc
         writable(tmp_path / "new", create=True)
 
 
-def _no_room(tell: Any) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/somewhere/model.toml")
-
-
-def test_the_process_that_computes_says_it_and_lives_on() -> None:
-    told: list[Any] = []
-    connection: Any = SimpleNamespace(send=told.append)
-    kind, error = worker._done(_no_room, (), connection)
-    assert kind == "failed"
-    assert str(error) == f"/somewhere/model.toml: cannot be written or read ({FULL})"
-    assert worker._done(lambda tell: 3, (), connection) == ("done", 3)
-
-
-def test_a_page_that_is_gone_ends_the_process() -> None:
-    def says(tell: Any) -> None:
-        tell(0.5)
-
-    def gone(_: Any) -> None:
-        raise BrokenPipeError
-
-    with pytest.raises(BrokenPipeError):
-        worker._done(says, (), SimpleNamespace(send=gone))  # type: ignore[arg-type]
-
-
 def test_no_view_is_begun_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    many = SimpleNamespace(begin=[0], run=[0], select=lambda rows: rows)
+    windows = type("Windows", (), {**vars(many), "__len__": lambda _: 1, "select": lambda _, rows: rows})()
+    session: Any = SimpleNamespace(comparison=SimpleNamespace(windows=windows), start=0)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 20))
     with pytest.raises(RecordingError, match=FULL):
-        rerun_view._require_room(tmp_path / "view.rrd")
-
-
-@pytest.mark.parametrize("name", ["/\x1b[2J\u202eodom:x", "/<script>alert(1)</script>:x", "/" + "a" * 5000])
-def test_a_topic_of_a_bag_is_offered_as_text(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nicegui import ui
-
-    from safedpa_services.workbench.file_preview import RawRows
-    from safedpa_services.workbench.open_dialog import ColumnsTable
-
-    shown: dict[str, str] = {}
-
-    class StopError(Exception):
-        """The rest of the form is not drawn."""
-
-    def select(options: dict[str, str], **_: Any) -> None:
-        shown.update(options)
-        raise StopError
-
-    monkeypatch.setattr(ui, "select", select)
-    table: Any = object.__new__(ColumnsTable)
-    table._raw = RawRows((name,), ())
-    with pytest.raises(StopError):
-        table._choice(0, "source", [name], name, "column for x")
-    assert list(shown) == [name], "the map gets the name as it is"
-    assert shown[name].isprintable()
-    assert len(shown[name]) < 300
+        write_view(session, tmp_path / "view.rrd")
+    assert list(tmp_path.iterdir()) == []

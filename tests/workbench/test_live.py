@@ -24,8 +24,7 @@ from safedpa.bus import (
 )
 from safedpa.errors import InputError
 from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.live_link import LiveLink, Told
-from safedpa_services.workbench.live_page import _answered, _consequences
+from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_panels import (
     change_lines,
     error_bars,
@@ -133,18 +132,31 @@ def test_a_waiting_robot_that_repeats_itself_draws_one_point(book):
     assert len(book.path) == before
 
 
-def test_silence_is_said(book):
-    assert "No diagnosis is heard" in book.silence(10.0)
-    book.take(finding(199), 10.0)
-    book.seen = 10.0
-    assert book.silence(11.0) == ""
-    book.seen = 20.0
-    assert "diagnosis is silent since 10 s" in book.silence(20.0)
-    assert "heard last 15 s ago" in book.silence(35.0)
+@pytest.mark.parametrize(
+    ("seen", "found", "told"),
+    [
+        (1.0, 1.0, ""),
+        (2.9, 2.9, ""),
+        (4.0, 1.0, "r1 was heard last 4 s ago: its drive has ended, or the link to it is broken. r1 drove for 10 s"),
+        (4.0, None, "r1 was heard last 4 s ago: its drive has ended"),
+        (1.0, 4.0, "The diagnosis is silent since 4 s."),
+        (1.0, None, "No diagnosis is heard"),
+    ],
+)
+def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen, found, told):
+    """Both speak at least once a second; a few lost messages are no silence."""
+    book.take(state(200), 100.0 - seen)
+    if found is not None:
+        book.take(finding(200), 100.0 - found)
+    said = book.silence(100.0)
+    assert said.startswith(told)
+    assert bool(said) is bool(told)
 
 
 def test_a_robot_that_stands_is_said_to_stand_with_reason_and_cure_and_the_mark_stays(book):
-    assert book.standstill() == ""
+    assert book.standstill() == "", "before a verdict nothing is known"
+    book.take(verdict(198, stands=9.0), 10.0)
+    assert book.standstill() == "", "it stands where no policy moves it"
     for tick, seconds in ((199, 5.5), (219, 6.5)):
         book.take(verdict(tick, stands=seconds, standstill="margin: obstacle leave less room"), 10.0)
     assert book.standstill().startswith("r1 stands for 6 s, margin: obstacle leave less room. Give it another goal")
@@ -154,22 +166,19 @@ def test_a_robot_that_stands_is_said_to_stand_with_reason_and_cure_and_the_mark_
     assert change_lines(book).count("stands: margin") == 1
 
 
-def test_each_answer_is_told_in_words_and_each_consequence_with_h_and_margin_of_now(book):
-    yes, no = Answer(ok=True, sentence="change 1 begins"), Answer(ok=False, sentence="refused: nobody is there")
-    assert _answered("accept", Told(yes, yes.sentence)) == "Accepted: change 1 begins."
-    assert _answered("accept", Told(no, no.sentence)) == "Refused because nobody is there."
-    assert _answered("accept", Told(None, "No diagnosis answers.")) == "No diagnosis answers."
-    book.take(verdict(199), 10.0)
-    status = Answer(ok=True, sentence="", candidates=("drag", "wind"), foreseen=("the margin goes from 1 to 2",))
-    told = _consequences(status, book)
-    assert told["drag"].startswith("If you accept: the margin goes from 1 to 2. Now h is 0.40, the margin 0.030.")
-    assert "is being computed" in told["wind"]
-
-
-def test_the_end_is_told_with_an_account(book):
-    book.take(state(200, goals_reached=3), 10.0)
-    assert book.account() == "r1 drove for 10 s: 3 goals, 0 collisions."
-    assert "its drive has ended, or the link to it is broken. r1 drove for 10 s" in book.silence(20.0)
+@pytest.mark.parametrize(
+    ("tick", "goals", "collisions", "account"),
+    [
+        (None, 0, 0, "Nothing was driven."),
+        (200, 3, 0, "r1 drove for 10 s: 3 goals, 0 collisions."),
+        (1228, 1, 1, "r1 drove for 61 s: 1 goal, 1 collision."),
+    ],
+)
+def test_the_account_of_a_drive_counts_its_goals_and_collisions(tick, goals, collisions, account):
+    book = RobotBook("r1")
+    if tick is not None:
+        book.take(state(tick, goals_reached=goals, collisions=collisions), 1.0)
+    assert book.account() == account
 
 
 def test_services_with_different_models_are_named(book):
@@ -227,6 +236,13 @@ def test_the_link_tells_answers_their_absence_and_nonsense_in_words(finished):
     sender = Bus(other, "fleet")
     sender.answer_requests(lambda robot, request: Answer(ok=True, sentence=f"{robot} {request.do}"), "r2")
     assert finished(link.ask("r2", Request(do="status"))).sentence == "r2 status"
+
+
+def test_the_link_waits_a_few_seconds_for_an_answer(monkeypatch, finished):
+    bus, waited = Bus(MemoryTransport(MemoryBroker()), "fleet"), []
+    monkeypatch.setattr(bus, "request", lambda _robot, _request, seconds: waited.append(seconds))
+    finished(LiveLink(bus).ask("r1", Request(do="status")))
+    assert 1.0 <= waited[0] <= 4.0
 
 
 def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():

@@ -163,22 +163,22 @@ def dialog(key, sign):
 
 
 @pytest.fixture(scope="module")
-def workbench_looks(browser, shown_workbench, pictures, axe):
+def look_of_workbench(browser, shown_workbench, pictures, axe):
     steps = (("", lambda _page: None), ("-open", dialog("o", ".preview table")), ("-keys", dialog("?", "dl.keys")))
     return Looks(browser, pictures, axe).at(shown_workbench, ".candidate", "workbench", steps)
 
 
 @pytest.fixture(scope="module")
-def live_looks(browser, shown_live, pictures, axe):
+def look_of_live(browser, shown_live, pictures, axe):
     return Looks(browser, pictures, axe).at(shown_live, ".candidate", "live")
 
 
-def test_the_workbench(workbench_looks):
-    assert workbench_looks.wrong == []
+def test_the_workbench(look_of_workbench):
+    assert look_of_workbench.wrong == []
 
 
-def test_the_live_page(live_looks):
-    assert live_looks.wrong == []
+def test_the_live_page(look_of_live):
+    assert look_of_live.wrong == []
 
 
 @pytest.mark.parametrize("name", ["compare", "diagnose"])
@@ -188,7 +188,7 @@ def test_the_reports(browser, reports, name, pictures):
 
 @pytest.mark.parametrize("name", ["workbench", "live"])
 def test_axe_finds_nothing(request, name):
-    found = request.getfixturevalue(f"{name}_looks").barriers
+    found = request.getfixturevalue(f"look_of_{name}").barriers
     if found is None:
         pytest.skip(f"{AXE} cannot be fetched by npm")
     assert found == []

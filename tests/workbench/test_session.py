@@ -212,25 +212,29 @@ def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_p
     assert 0.0 < margin.epsilon["obstacle"] < 0.1
 
 
-def test_the_rerun_recording_begins_at_the_chosen_start(searched, tmp_path):
+def test_the_rerun_recording_is_twenty_seconds_of_one_stretch_from_the_chosen_start_on(searched, tmp_path):
     from rerun.chunk import RrdReader
 
     from safedpa_services.workbench.rerun_view import write_view
 
     searched.add(searched.settled("quadratic_drag"))
-    searched.start = 42
-    write_view(searched, tmp_path / "view.rrd")
-    rows: dict[str, int] = {}
-    begins: list[float] = []
-    for chunk in RrdReader(tmp_path / "view.rrd").stream():
-        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
-        times = chunk.to_record_batch().to_pydict().get("t", [])
-        begins += [time.total_seconds() for time in times]
-    for name in ("measured", "given_model", "with_quadratic_drag"):
-        assert rows[f"/states/speed/{name}"] > 100
-        assert f"/plane/{name}" in rows
     windows = searched.comparison.windows
-    assert min(begins) == pytest.approx(float(windows.time[windows.start[42]]))
+    last = max(index for index in range(len(windows)) if windows.run[index] == 0)
+    for first, end in ((42, None), (last, float(windows.time[windows.end[last]]))):
+        searched.start, rows, times = first, dict[str, int](), list[float]()
+        write_view(searched, tmp_path / "view.rrd")
+        for chunk in RrdReader(tmp_path / "view.rrd").stream():
+            rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
+            times += [time.total_seconds() for time in chunk.to_record_batch().to_pydict().get("t", [])]
+        start = float(windows.time[windows.start[first]])
+        assert min(times) == pytest.approx(start)
+        if end is None:
+            assert 20.0 <= max(times) - start <= 22.0, "a horizon that begins within 20 s is shown to its end"
+        else:
+            assert max(times) == pytest.approx(end), "another recording follows, and is not shown"
+        for name in ("measured", "given_model", "with_quadratic_drag"):
+            assert rows[f"/states/speed/{name}"] > (100 if end is None else 10)
+            assert f"/plane/{name}" in rows
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused(versions, plain, runs, tmp_path):

@@ -1,4 +1,4 @@
-"""Tabs that come and go: what happens in one is nothing to the others."""
+"""Tabs that come and go: what happens in one does not disturb the others."""
 
 from __future__ import annotations
 
@@ -50,8 +50,24 @@ def _opened(built, module, monkeypatch, finished, *, leaves):
     return finished(begun())
 
 
+class Attended(Bench):
+    """Knows who listens."""
+
+    def __init__(self, *about):
+        super().__init__(*about)
+        self.listeners = []
+
+    def listen(self, tab, heard):
+        super().listen(tab, heard)
+        self.listeners.append(tab)
+
+    def leave(self, tab):
+        super().leave(tab)
+        self.listeners = [listener for listener in self.listeners if listener is not tab]
+
+
 def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, monkeypatch, finished):
-    bench, heard = Bench(Choice(), tmp_path), []
+    bench, heard = Attended(Choice(), tmp_path), []
 
     def built():
         return page.Page(bench, RerunDoor(), Shelf.of((), ()))
@@ -59,18 +75,17 @@ def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, m
     _opened(built, page, monkeypatch, finished, leaves=True)
     bench.listen("another", heard.append)
     bench.cancel()
-    assert list(bench._tabs) == ["another"]
+    assert bench.listeners == ["another"]
     assert heard == ["busy"]
     client = _opened(built, page, monkeypatch, finished, leaves=False)
-    assert len(bench._tabs) == 2, "one that stays does listen"
+    assert len(bench.listeners) == 2, "one that stays does listen"
     client.delete()
-    assert list(bench._tabs) == ["another"]
+    assert bench.listeners == ["another"]
 
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_a_live_tab_that_went_shows_nothing(leaves, monkeypatch, finished):
     link, shown = SimpleNamespace(untold=set()), []
     monkeypatch.setattr(live_page.LivePage, "show", lambda made: shown.extend([made]))
-    monkeypatch.setattr(live_page.LivePage, "_build", lambda made: setattr(made, "_dark", ui.dark_mode(None)))
     _opened(lambda: live_page.LivePage(link), live_page, monkeypatch, finished, leaves=leaves)
     assert len(shown) == len(link.untold) == (0 if leaves else 1)

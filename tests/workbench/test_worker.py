@@ -12,7 +12,7 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.workbench.worker import StoppedError, Worker
 
 JOBS = """
-import os, threading
+import errno, os, threading
 from safedpa.errors import InputError
 
 def doubled(number, tell):
@@ -24,6 +24,9 @@ def refused(tell):
 
 def broken(tell):
     return 1 / 0
+
+def no_room(tell):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/somewhere/model.toml")
 
 def endless(tell):
     tell(0.1)
@@ -59,6 +62,8 @@ def test_results_progress_errors_and_restarts(worker, jobs, finished):
             await worker.ask(jobs.refused)
         with pytest.raises(SafedpaError, match="ZeroDivisionError"):
             await worker.ask(jobs.broken)
+        with pytest.raises(SafedpaError, match=r"^/somewhere/model.toml: cannot be written or read \(the disk is full"):
+            await worker.ask(jobs.no_room)
         assert await worker.ask(jobs.niceness) > os.nice(0)
         with pytest.raises(StoppedError):
             await worker.ask(jobs.endless, tell=lambda _share: worker.stop())

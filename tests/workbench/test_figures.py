@@ -1,4 +1,4 @@
-"""What the workbench's figures and bars show, counted by hand: spans, marks, ticks, words that go by themselves."""
+"""What the workbench's figures and bars show: spans, marks, axes, directions."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.bus import Answer
-from safedpa_services.workbench import live_page, page, panel_fall, panel_path, panel_where, rerun_view
+from safedpa_services.workbench import panel_path, panel_where
 from safedpa_services.workbench.live_book import Mark, RobotBook
-from safedpa_services.workbench.live_link import Told
-from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.live_panels import (
     driven_lines,
     error_bars,
@@ -23,6 +20,7 @@ from safedpa_services.workbench.live_panels import (
 from safedpa_services.workbench.look import LIGHT
 
 NOW = 300.0
+ROBOT_WITHOUT_STATES = SimpleNamespace(system=SimpleNamespace(state=()))
 WHEN = (0.0, 100.0, 179.0, 181.0, 240.0, 299.0)
 """s; of a robot that drives for 300 s, of which the figures show the last 120."""
 
@@ -37,7 +35,7 @@ def book():
     return made
 
 
-def test_the_error_and_its_marks_are_those_of_the_last_two_minutes(book):
+def test_the_error_figure_shows_the_last_two_minutes_with_their_marks(book):
     figure = error_figure(book, LIGHT)
     band, error = figure["data"]
     assert error["x"] == band["x"] == [181.0, 240.0, 299.0]
@@ -50,7 +48,7 @@ def test_the_error_and_its_marks_are_those_of_the_last_two_minutes(book):
     assert figure["layout"]["yaxis"]["range"] == pytest.approx([0.0, 1.15 * 5.98])
 
 
-def test_before_two_minutes_all_is_shown(book):
+def test_a_drive_of_less_than_two_minutes_is_shown_whole(book):
     while book.path[-1][0] > 110.0:
         book.path.pop()
     for kept in (book.errors, book.marks):
@@ -61,7 +59,7 @@ def test_before_two_minutes_all_is_shown(book):
     assert figure["layout"]["xaxis"]["range"] == evidence["layout"]["xaxis"]["range"] == [0.0, 110.0]
 
 
-def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
+def test_the_evidence_figure_shows_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
     figure = evidence_figure(book, LIGHT)
     threshold, evidence = figure["data"]
     assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
@@ -73,7 +71,7 @@ def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in
     assert high > 1.6 * 13.8
 
 
-def test_the_path_is_that_of_the_last_twenty_seconds(book):
+def test_the_field_shows_the_path_of_the_last_twenty_seconds(book):
     (trail,) = field_figure(book, LIGHT)["data"]
     assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
 
@@ -99,7 +97,7 @@ def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_
     assert re.findall(r"[−+]\d+ %", page) == ([change] if change else [])
 
 
-def test_of_a_robot_that_was_not_heard_nothing_is_told_and_of_one_that_was_its_clock_goals_and_room():
+def test_the_table_of_a_drive_is_empty_until_a_robot_is_heard_and_then_has_its_clock_goals_and_room():
     book = RobotBook("r1")
     assert driven_lines(book) == ""
     book.state = SimpleNamespace(robot_time=41.6, goals_reached=3, collisions=1)
@@ -130,7 +128,7 @@ def test_the_robot_points_where_it_heads(book, yaw, turned):
     assert figure["layout"]["yaxis"]["range"] == [-3.0, 3.0]
 
 
-def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):
+def test_no_axis_of_a_small_figure_has_more_numbers_than_can_be_read(book):
     """At 11 letters a line and 4 pixels between lines: 20 pixels each; the figures are 110 to 190 pixels high."""
     states = [SimpleNamespace(name=name, unit="m") for name in ("x", "y", "yaw", "speed")]
     windows = SimpleNamespace(system=SimpleNamespace(state=states))
@@ -150,7 +148,7 @@ def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):
     assert high > 4.5
 
 
-def test_the_figure_along_time_bears_few_numbers_and_its_line_is_broken_between_stretches():
+def test_the_line_along_time_is_broken_between_stretches():
     windows = SimpleNamespace(
         names=("a", "b"), run=np.array([0, 0, 0, 1]), begin=np.array([0, 0, 2, 3]), start=np.arange(4),
         end=np.arange(1, 5), time=np.array([0.0, 1.0, 5.0, 0.0, 1.0]),
@@ -165,103 +163,29 @@ def test_the_figure_along_time_bears_few_numbers_and_its_line_is_broken_between_
     assert 2 <= figure["layout"]["yaxis"]["nticks"] <= 6
 
 
-@pytest.mark.parametrize(("first", "kept"), [(0, range(0, 21)), (5, range(5, 26)), (28, range(28, 30))])
-def test_a_view_of_a_run_is_twenty_seconds_of_it(first, kept):
-    """Windows of 1 s, one after the other; the stretch is 30 s long, and another one follows."""
-    count = 40
-    windows = SimpleNamespace(
-        begin=np.array([0] * 30 + [30] * 10), run=np.zeros(count, int), start=10 * np.arange(count),
-        end=10 * np.arange(1, count + 1), time=0.1 * np.arange(10 * count + 1), select=lambda rows: rows.tolist(),
-    )  # fmt: skip
-    many = type("Windows", (), {**windows.__dict__, "__len__": lambda _: count, "select": staticmethod(windows.select)})
-    session = SimpleNamespace(comparison=SimpleNamespace(windows=many()), start=first)
-    assert rerun_view._from_start(session) == list(kept)
-
-
-@pytest.mark.parametrize("where", ["page", "live"])
-def test_a_trouble_covers_the_page_for_no_longer_than_ten_seconds(where, monkeypatch, finished):
-    said = []
-    notify = SimpleNamespace(notify=lambda text, **how: said.append((text, how)))
-    if where == "page":
-        monkeypatch.setattr(page, "ui", notify)
-        made = object.__new__(page.Page)
-        bench = SimpleNamespace(trouble="the worker was ended: start it again", session=object())
-        made.__dict__ |= {"_bench": bench, "_verdict": _Anything()}
-        made._trouble()
-    else:
-        monkeypatch.setattr(live_page, "ui", notify)
-        answer = Answer(ok=True, sentence="change 1 was refused: the filter cannot have it", candidates=("drag",))
-
-        async def ask(_robot, _request):
-            return Told(answer, answer.sentence)
-
-        book = RobotBook("r1")
-        book.found = 1.0
-        made = object.__new__(LivePage)
-        made.__dict__ |= {
-            "_robot": "r1", "_asking": False, "_pending": "change 1", "_candidates": _Anything(), "_back": _Anything(),
-            "_link": SimpleNamespace(ask=ask, book=SimpleNamespace(robots={"r1": book})), "_told": "", "_earlier": 0,
-        }  # fmt: skip
-        finished(made.ask_status())
-    ((text, how),) = said
-    assert 1000.0 * len(text) / 15.0 <= how["timeout"] <= 10_000
-
-
 @pytest.mark.parametrize(
     ("errors", "widths"), [((0.4, 0.1, 0.3), [100.0, 25.0, 75.0]), ((0.1, 0.2), [50.0, 100.0]), ((0.0, 0.0), [0.0] * 2)]
 )
-def test_the_bars_stand_to_each_other_as_the_errors_do(errors, widths, monkeypatch):
+def test_the_bars_of_versions_are_as_long_as_their_errors(errors, widths, finished):
     """A model without any error, as of a recording that it made itself, has a bar without a length."""
-    drawn = []
-    monkeypatch.setattr(panel_fall, "_stage", lambda _label, _error, width, _number: drawn.append(width) or "")
-    monkeypatch.setattr(panel_fall, "_states", lambda _session: "")
-    monkeypatch.setattr(panel_fall, "numbers_of", lambda _values: [])
-    monkeypatch.setattr(panel_fall, "ui", _Anything())
-    panel = object.__new__(panel_fall.FallPanel)
-    for name in ("_stages", "_undo", "_numbers", "_states", "_said"):
-        setattr(panel, name, _Anything())
-    versions = [SimpleNamespace(label=f"version {at}", error=error) for at, error in enumerate(errors)]
-    looked_at = SimpleNamespace(values={}, improved="")
-    panel.show(SimpleNamespace(versions=versions, number=0, shown=None, decided=[], looked_at=looked_at))
-    assert drawn == pytest.approx(widths)
+    pytest.importorskip("nicegui")
+    from tests.workbench.tab import Tab
 
+    from safedpa_services.workbench.panel_fall import FallPanel
 
-@pytest.mark.parametrize("ok", [True, False])
-def test_words_that_pop_up_stay_long_enough_to_be_read_and_go_by_themselves(ok, monkeypatch, finished):
-    """15 letters a second are read; nothing covers the page for longer than ten seconds."""
-    said, asked = [], []
-    monkeypatch.setattr(live_page, "ui", SimpleNamespace(notify=lambda text, **how: said.append((text, how))))
+    none = SimpleNamespace(error=SimpleNamespace(scale=(), per_state=()), windows=ROBOT_WITHOUT_STATES)
+    versions = [SimpleNamespace(label=f"version {at}", error=error, comparison=none) for at, error in enumerate(errors)]
+    session = SimpleNamespace(
+        versions=versions, number=0, shown=None, decided=[], looked_at=SimpleNamespace(values={}, improved="2/3"),
+        comparison=none,
+    )  # fmt: skip
 
-    async def ask(robot, request):
-        asked.append((robot, request.do, request.effect))
-        return Told(Answer(ok=ok, sentence="change 1 begins" if ok else "refused: nobody is there"), "")
+    async def story():
+        with Tab() as tab:
+            FallPanel(lambda _: None, lambda: None, lambda: None).show(session)
+            return " ".join(tab.lines)
 
-    async def status():
-        return None
-
-    page = object.__new__(LivePage)
-    page.__dict__ |= {
-        "_who": SimpleNamespace(value="ann"), "_robot": "r1", "_told": "", "ask_status": status,
-        "_link": SimpleNamespace(ask=ask, book=SimpleNamespace(robots={"r1": RobotBook("r1")})),
-    }  # fmt: skip
-    finished(page._ask("accept", "drag"))
-    assert asked == [("r1", "accept", "drag")]
-    ((text, how),) = said
-    assert how["type"] == ("positive" if ok else "negative")
-    assert 1000.0 * len(text) / 15.0 <= how["timeout"] <= 10_000
-
-
-class _Anything:
-    """Stands for elements of a page: whatever is asked of it, it does nothing, and is entered and called."""
-
-    def __getattr__(self, name):
-        return _Anything()
-
-    def __call__(self, *_args, **_more):
-        return _Anything()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_raised):
-        return None
+    said = finished(story())
+    assert [float(width) for width in re.findall(r"width:([\d.]+)%", said)] == pytest.approx(widths)
+    assert re.findall(r'class="value">([\d.e-]+)<', said) == [f"{error:.3g}" for error in errors]
+    assert "better in 2 of 3 recordings" in said

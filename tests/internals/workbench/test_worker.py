@@ -1,0 +1,22 @@
+"""The background process of a page ends when the page's process is gone, whatever it computes then."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from safedpa_services.workbench import worker
+
+
+def test_a_page_that_is_gone_ends_the_process() -> None:
+    def says(tell: Any) -> None:
+        tell(0.5)
+
+    def gone(_: Any) -> None:
+        raise BrokenPipeError
+
+    connection: Any = SimpleNamespace(send=gone)
+    with pytest.raises(BrokenPipeError):
+        worker._done(says, (), connection)

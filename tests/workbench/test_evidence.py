@@ -1,0 +1,67 @@
+"""What speaks for a candidate and against it: gain, error, how well its parameters are known."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.diagnosis.document import Candidate, Value
+from safedpa_services.workbench.evidence import card_of
+
+
+def candidate(score: float | None, error: float | None = 0.2, std: float | None = 0.05) -> Candidate:
+    numbers = {"coefficient": Value(0.5, std, "1/m")}
+    return Candidate(0, "quadratic_drag", numbers, error, score, (), "rejected", "")
+
+
+@pytest.mark.parametrize(
+    ("score", "spoken_for", "spoken_against"),
+    [
+        (None, "", "no gain on unseen stretches may be chance"),
+        (-1.0, "", "a gain of -1.0 standard errors"),
+        (1.9, "", "a gain of 1.9 standard errors"),
+        (2.5, "2.5 standard errors: hardly chance", ""),
+        (3.5, "3.5 standard errors: clear of chance", ""),
+    ],
+)
+def test_a_gain_of_two_standard_errors_speaks_for_a_candidate_and_a_smaller_one_against_it(
+    score: float | None, spoken_for: str, spoken_against: str
+) -> None:
+    """By chance alone one of 44 gains is larger than two standard errors, one of 740 than three."""
+    card = card_of("car", candidate(score), 0.5, None, {})
+    gained = [line for line in card.speaks_for if "standard errors" in line]
+    doubted = [line for line in card.speaks_against if "unseen stretches" in line]
+    assert (len(gained), len(doubted)) == (bool(spoken_for), bool(spoken_against))
+    assert all(line.endswith(spoken_for) for line in gained)
+    assert all(line.startswith(spoken_against) for line in doubted)
+
+
+@pytest.mark.parametrize(
+    ("error", "spoken_for", "spoken_against"),
+    [
+        (0.25, "0.5 → 0.25 (−50 %)", ""),
+        (0.499, "", "hardly changes"),
+        (0.501, "", "hardly changes"),
+        (0.6, "", "rises 0.5 → 0.6"),
+        (None, "", "too little to be tried"),
+    ],
+)
+def test_a_falling_error_speaks_for_a_candidate_and_any_other_against_it(
+    error: float | None, spoken_for: str, spoken_against: str
+) -> None:
+    card = card_of("car", candidate(4.0, error), 0.5, None, {})
+    fell = [line for line in card.speaks_for if "→" in line]
+    stayed = [line for line in card.speaks_against if "error on data" in line or "tried" in line]
+    assert (len(fell), len(stayed)) == (bool(spoken_for), bool(spoken_against))
+    assert all(spoken_for in line for line in fell)
+    assert all(spoken_against in line for line in stayed)
+
+
+@pytest.mark.parametrize(
+    ("std", "known", "rough"), [(0.05, "10 %", ""), (0.1, "", ""), (0.2, "", "40 %"), (None, "", "999 %")]
+)
+def test_a_parameter_is_well_known_or_roughly(std: float | None, known: str, rough: str) -> None:
+    """Of 0.5: 0.05 are a tenth, 0.2 two fifths; one without a deviation is not known at all."""
+    card = card_of("car", candidate(4.0, 0.2, std), 0.5, None, {})
+    assert [line.partition("known to ")[2] for line in card.speaks_for if "known to" in line] == [known] * bool(known)
+    said = [line.partition("only to ")[2] for line in card.speaks_against if "known only" in line]
+    assert said == [rough] * bool(rough)

@@ -1,0 +1,181 @@
+"""The live page without a browser: answers, consequences, decisions, and what pops up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nicegui")
+from nicegui import ui
+from tests.services.messages import finding_of, state_of, verdict_of
+from tests.workbench.tab import Tab
+
+from safedpa.bus import Answer
+from safedpa_services.web.shelf import Shelf
+from safedpa_services.workbench import page
+from safedpa_services.workbench.bench import Bench
+from safedpa_services.workbench.live_book import RobotBook
+from safedpa_services.workbench.live_link import Told
+from safedpa_services.workbench.live_page import LivePage
+from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.rerun_view import RerunDoor
+
+FORESEEN = ("the margin goes from 1 to 2",)
+STATUS = Answer(ok=True, sentence="change 1 begins", candidates=("drag", "wind"), foreseen=FORESEEN, earlier=1)
+REFUSED = Answer(ok=False, sentence="refused: nobody is there")
+BACK = "back to the model before the last change"
+LONGEST_COVERED = 10_000
+"""ms for which words may cover a part of the page."""
+LETTERS_A_SECOND = 15.0
+
+
+class Link:
+    """A drive of one robot that is played; ``answers`` in turn, of which the last one stays."""
+
+    title, ended = "fleet f", False
+
+    def __init__(self, *answers: Told) -> None:
+        self.answers, self.asked, self.untold = list(answers), list[Any](), set[object]()
+        book = RobotBook("r1")
+        book.take(state_of(tick=20, robot_time=1.0), 1.0)
+        book.take(verdict_of("passed", h_now=0.4, margin=0.03), 1.0)
+        book.take(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
+        self.book = SimpleNamespace(robots={"r1": book}, last_refusal="")
+
+    async def ask(self, robot: str, request: Any) -> Told:
+        self.asked.append((robot, request))
+        return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+
+
+def told(answer: Answer) -> Told:
+    return Told(answer, answer.sentence)
+
+
+@pytest.fixture
+def shown(finished: Any) -> Any:
+    """shown(link, do): what ``do(page, tab)`` returns of a live page that shows the robot and knows its candidates."""
+
+    def run(link: Link, do: Any) -> Any:
+        async def story() -> Any:
+            with Tab() as tab:
+                made: Any = link
+                page = LivePage(made)
+                page.show()
+                await page.ask_status()
+                page.show()
+                return await do(page, tab)
+
+        return finished(story())
+
+    return run
+
+
+def can_be_read(notice: dict[str, Any]) -> bool:
+    """Whether it stays long enough, and goes by itself."""
+    return bool(1000.0 * len(notice["message"]) / LETTERS_A_SECOND <= notice["timeout"] <= LONGEST_COVERED)
+
+
+@pytest.mark.parametrize(
+    ("button", "do", "answer", "words", "kind"),
+    [
+        ("accept drag", "accept", told(STATUS), "Accepted: change 1 begins.", "positive"),
+        ("reject drag", "reject", told(STATUS), "Rejected: change 1 begins.", "positive"),
+        (BACK, "roll_back", told(STATUS), "Rolled back: change 1 begins.", "positive"),
+        ("accept drag", "accept", told(REFUSED), "Refused because nobody is there.", "negative"),
+        ("accept drag", "accept", Told(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
+    ],
+)
+def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(
+    shown: Any, button: str, do: str, answer: Told, words: str, kind: str
+) -> None:
+    link = Link(told(STATUS), answer, told(STATUS))
+
+    async def decide(_: Any, tab: Tab) -> list[dict[str, Any]]:
+        tab.all(ui.input)[0].value = "ann"
+        await tab.click(button)
+        return tab.popped_up
+
+    (notice,) = shown(link, decide)
+    robot, request = link.asked[1]
+    assert (robot, request.do, request.model, request.finding, request.who) == ("r1", do, "a" * 8, 7, "ann")
+    assert request.effect == ("" if do == "roll_back" else "drag")
+    assert (notice["message"], notice["type"]) == (words, kind)
+    assert can_be_read(notice)
+    assert [request.do for _, request in link.asked] == ["status", do, "status"]
+
+
+def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_of_now(shown: Any) -> None:
+    async def look(page: Any, tab: Tab) -> list[str]:
+        await page.ask_status()
+        first = [line for line in tab.lines if line.startswith("If you accept: ")]
+        (wind,) = [element for element in tab.all(ui.html) if element.content == "wind"]
+        await tab.trigger(wind.parent_slot.parent, "click")
+        return first + [line for line in tab.lines if line.startswith("If you accept: ")]
+
+    drag, wind = shown(Link(told(STATUS)), look)
+    assert drag.startswith("If you accept: the margin goes from 1 to 2. Now h is 0.40, the margin 0.030.")
+    assert "is being computed" in wind
+
+
+def test_the_end_of_a_change_pops_up_once(shown: Any) -> None:
+    pending = replace(STATUS, pending="change 1")
+    over = replace(STATUS, sentence="change 1 was refused: the filter cannot have it")
+
+    async def wait(page: Any, tab: Tab) -> list[dict[str, Any]]:
+        assert any(line.endswith("(change 1 …)") for line in tab.lines)
+        for _ in range(3):
+            await page.ask_status()
+        return tab.popped_up
+
+    (notice,) = shown(Link(told(pending), told(over)), wait)
+    assert notice["message"] == "Change 1 was refused: the filter cannot have it"
+    assert can_be_read(notice)
+
+
+def test_without_an_earlier_model_there_is_no_way_back(shown: Any) -> None:
+    async def look(_: Any, tab: Tab) -> bool:
+        return bool(tab.button(BACK).visible)
+
+    assert not shown(Link(told(replace(STATUS, earlier=0))), look)
+    assert shown(Link(told(STATUS)), look)
+
+
+def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_seconds(shown: Any) -> None:
+    async def look(_: Any, tab: Tab) -> list[float]:
+        return [timer.interval for timer in tab.all(ui.timer)]
+
+    picture, status = shown(Link(told(STATUS)), look)
+    assert 0.2 <= picture <= 1.0
+    assert 0.5 <= status <= 3.0
+
+
+def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(
+    finished: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def light() -> bool:
+        return False
+
+    class Troubled(Bench):
+        def listen(self, tab: object, heard: Any) -> None:
+            super().listen(tab, heard)
+            heards.append(heard)
+
+    heards: list[Any] = []
+    monkeypatch.setattr(page, "wishes_dark", light)
+    bench = Troubled(Choice(), tmp_path)
+    bench.trouble = "the worker was ended: start it again"
+
+    async def story() -> list[dict[str, Any]]:
+        with Tab() as tab:
+            await page.Page(bench, RerunDoor(), Shelf.of((), ())).begin()
+            opened: Any = object()
+            bench.session = opened
+            heards[0]("trouble")
+            return tab.popped_up
+
+    (notice,) = finished(story())
+    assert (notice["message"], notice["type"]) == (bench.trouble, "negative")
+    assert can_be_read(notice)
