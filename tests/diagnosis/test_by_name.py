@@ -1,4 +1,4 @@
-"""An effect that says what a formula says is named, and nothing is told that is below two of its own deviations."""
+"""An effect that says what a formula says is named; a function within two of its deviations is not."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ NEVER = 1e9
 
 @pytest.fixture
 def refusing(monkeypatch):
-    """Every named effect is refused, as it is where the blocks are too few for it."""
-    for place in ("judgement.SURE", "judgement.VERY_SURE", "judgement.LIKELY", "where_none_passes._SURE"):
-        monkeypatch.setattr(f"safedpa.diagnosis.search.{place}", NEVER)
+    """Every named effect is refused, as it is where there are too few blocks."""
+    for name in ("SURE", "VERY_SURE", "LIKELY"):
+        monkeypatch.setattr(f"safedpa.diagnosis.search.judgement.{name}", NEVER)
+    monkeypatch.setattr("safedpa.diagnosis.search.search.passing_elsewhere", lambda *_: None)
     names = ("viscous_drag", "understeer")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 

@@ -1,4 +1,4 @@
-"""Where a diagnosis holds: what of each range was driven, and what hardly."""
+"""Where a diagnosis is valid: which part of each range was driven, and which hardly."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.coverage import _covered, coverage_of, inside
+from safedpa.diagnosis.coverage import coverage_of, inside
 from safedpa.diagnosis.document import Covered, Gap
 from safedpa.dynamics import load_model
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
 from safedpa.records.quality import run_of_rows
+from safedpa.records.run import Run, Stretch
 from safedpa.report.diagnosis_story import gaps_clause
 from safedpa_lab.experiments.real_logs_targets import targets_of
 
 
 def driven(throttle, steer=None):
-    """A recording at 20 Hz of a car that does nothing but be told a throttle; its speed is three times that."""
+    """A recording at 20 Hz of a car with a throttle; its speed is three times that."""
     system = load_model("dart_car").system
     throttle = np.asarray(throttle)
     t = 0.05 * np.arange(len(throttle))
@@ -59,52 +60,50 @@ def test_what_was_driven_evenly_has_no_gap_and_few_data_say_nothing():
     assert "throttle" not in by_name([driven(np.full(4800, 0.3))])
 
 
-def by_parts(*counts, level=0.0, period=0.0625):
-    """The range of one action with so many rows at 0.5, 1.5 and so on."""
-    table = np.concatenate([np.full(count, part + 0.5) for part, count in enumerate(counts)])
-    variable = load_model("dart_car").system.action[0]
-    return _covered(variable, level + table, np.full(len(table), period), 6.25)
+FULL = 400
 
 
-def ends(found):
-    return (found.low, found.high, [(gap.low, gap.high, gap.seconds) for gap in found.gaps])
+def by_parts(*counts, level=0.0, rows=4000, period=0.0625):
+    """The range of a throttle with so many rows at 0.5, 1.5 and so on; the seventh part is filled up to ``rows``.
+
+    4000 rows in 250 s: a block is a fortieth, 100 rows.
+    """
+    counts = list(counts)
+    counts[6] += rows - sum(counts)
+    throttle = level + np.concatenate([np.full(count, part + 0.5) for part, count in enumerate(counts)])
+    system, t = load_model("dart_car").system, period * np.arange(rows)
+    actions = np.column_stack([throttle, 0.0 * t])
+    return by_name([Run("one", system, t, np.zeros((rows, 4)), actions, (Stretch(0, rows),))]).get("throttle")
 
 
-def test_parts_gaps_and_ends_by_hand():
-    """A block is 6.25 s, 100 rows; values at 0.5, 1.5 to 9.5: ten parts of 0.9."""
-    full = 400
-    whole = by_parts(*[full] * 10)
-    assert (whole.seconds, ends(whole)) == (pytest.approx(250.0), (0.5, pytest.approx(9.5), []))
-    held = by_parts(full, full, 0, full, full, full, full, full, full, full)
-    assert ends(held)[2] == [], "what lies between two that are held is told by both sides"
-    gap = by_parts(full, full, 60, 39, full, full, full, full, full, full)
-    assert ends(gap)[2] == [(pytest.approx(2.3), pytest.approx(4.1), pytest.approx(99 * 0.0625))]
-    enough = by_parts(full, full, 100, 39, full, full, full, full, full, full)
-    assert ends(enough)[2] == [], "a block is enough"
-    less = by_parts(full, full, 99, 99, full, full, full, full, full, full)
-    assert len(ends(less)[2]) == 1
-    long = by_parts(full, full, 0, 0, 0, 30, full, full, 0, full)
-    assert ends(long)[2] == [(pytest.approx(2.3), pytest.approx(5.9), pytest.approx(30 * 0.0625))]
+@pytest.mark.parametrize(
+    ("counts", "gaps"),
+    [
+        ([FULL] * 10, []),
+        ([FULL, FULL, 0, *[FULL] * 7], []),  # both sides say what lies in a single part
+        ([FULL, FULL, 60, 39, *[FULL] * 6], [(2.3, 4.1, 99)]), ([FULL, FULL, 99, 99, *[FULL] * 6], [(2.3, 4.1, 198)]),
+        ([FULL, FULL, 100, 39, *[FULL] * 6], []),  # a block is enough
+        ([FULL, FULL, 0, 0, 0, 30, FULL, FULL, 0, FULL], [(2.3, 5.9, 30)]),
+    ],
+)  # fmt: skip
+def test_a_gap_is_two_parts_of_ten_or_more_with_less_than_a_block_each(counts, gaps):
+    found = by_parts(*counts)
+    assert (found.seconds, found.low, found.high) == (pytest.approx(250.0), 0.5, pytest.approx(9.5))
+    edges = [(gap.low, gap.high, gap.seconds) for gap in found.gaps]
+    assert edges == [pytest.approx((low, high, 0.0625 * rows)) for low, high, rows in gaps]
 
 
-def test_ends_that_hold_less_than_a_block_are_not_held():
-    """Half a block beyond is left out of the range; a last part of less than a block ends it."""
-    full = 400
-    few = by_parts(49, full, full, full, full, full, full, full, full, 49)
-    assert ends(few)[:2] == (1.5, pytest.approx(8.5)), "less than 50 rows lie there"
-    some = by_parts(60, full, full, full, full, full, full, full, full, 60)
-    assert ends(some)[:2] == (pytest.approx(1.4), pytest.approx(8.6)), "a tenth of 0.5 to 9.5 that holds 60 rows"
-    block = by_parts(100, full, full, full, full, full, full, full, full, 100)
-    assert ends(block)[:2] == (0.5, pytest.approx(9.5))
+@pytest.mark.parametrize(("end", "low", "high"), [(49, 1.5, 8.5), (60, 1.4, 8.6), (100, 0.5, 9.5)])
+def test_the_ends_of_a_range_hold_half_a_block_and_its_last_parts_a_block(end, low, high):
+    found = by_parts(end, *[FULL] * 8, end)
+    assert (found.low, found.high) == (pytest.approx(low), pytest.approx(high))
 
 
-def test_of_less_than_twenty_blocks_nothing_is_said():
-    """125 s."""
-    assert by_parts(*[200] * 10) is not None
-    assert by_parts(*[200] * 9, 199) is None
-    assert by_parts(*[0] * 3, 4000) is None, "it does not change"
-    assert by_parts(*[300] * 10, period=0.03125) is None
-    assert by_parts(*[300] * 10, level=-30.0).low == pytest.approx(-29.5), "of any sign"
+def test_a_minute_is_needed_and_a_throttle_that_changes():
+    assert by_parts(*[96] * 10, rows=976) is not None, "61 s"
+    assert by_parts(*[94] * 10, rows=944) is None, "59 s"
+    assert by_parts(0, 0, 0, 0, 0, 0, 4000) is None
+    assert by_parts(*[FULL] * 10, level=-30.0).low == pytest.approx(-29.5), "of any sign"
 
 
 def test_a_range_holds_both_its_ends_and_a_gap_its_lower_one():

@@ -1,4 +1,4 @@
-"""The deviation that a number is told with: from blocks and runs, one-sided at bounds, and never carried off."""
+"""The deviation that a number is stated with: from blocks and runs, one-sided at bounds, and never too large."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given as drawn
+from hypothesis import settings
+from hypothesis import strategies as st
 
 from safedpa.diagnosis.fit.evidence import evidence_at
-from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.least_squares import Fit, fit, moved
 from safedpa.diagnosis.fit.refinement import Refined
 from safedpa.diagnosis.search import final_numbers
 from safedpa.diagnosis.search.final_numbers import with_final_numbers
-from safedpa.dynamics import load_model
+from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa_lab.hidden import Case, write_case
@@ -28,8 +31,6 @@ def given(tmp_path_factory):
 
 def fitted(given, name, **values):
     model, runs = given
-    from safedpa.dynamics import Setting
-
     item = effect("car", name)
     model = model.with_effect(item, {key: Setting(value) for key, value in values.items()})
     evidence = evidence_at(runs, 1.0)
@@ -40,8 +41,6 @@ def fitted(given, name, **values):
 
 def lost(found, values):
     """A filter that ended elsewhere."""
-    from safedpa.diagnosis.fit.least_squares import moved
-
     model = moved(found.model, dict(zip(found.paths, values, strict=True)))
     return lambda *_: Refined(model, found.paths, np.full(len(values), 0.1), None)
 
@@ -59,16 +58,42 @@ def test_a_lost_filter_does_not_blow_up_a_deviation(away, given, monkeypatch):
     assert own <= stated < 4.0 * own
 
 
-def test_at_a_bound_the_deviation_is_one_sided(given):
-    """A drag that would have to push stands at 0; the distance that the data still allow is told."""
-    found, shooting, _ = fitted(given, "viscous_drag", coefficient=0.0)
-    if found.free[0]:  # noise may ask for a little drag: then it is no bound
-        found = replace(found, free=np.array([False]))
-    spread = found.deviations(shooting)[0]
-    assert np.isfinite(spread)
-    columns, residual = found.columns[..., 0], found.residual
-    grown = ((residual + spread * columns * np.sign((columns * residual).sum())) ** 2).sum() - (residual**2).sum()
-    assert grown == pytest.approx(1.0, rel=1e-6)
+def at_a_bound(columns, residual):
+    """The deviation of a drag of 0, by slopes and residuals in units of the noise (windows,)."""
+    model = load_model("car").with_effect(effect("car", "viscous_drag"), {"coefficient": Setting(0.0)})
+    slopes, left = np.array(columns)[:, None, None], np.array(residual)[:, None]
+    nothing = (np.zeros((1, 1)), np.zeros(1))
+    paths, free = ("viscous_drag.coefficient",), np.array([False])
+    found = Fit(model, paths, 0.0, np.ones(1), left, slopes, slopes[..., None, :], free, nothing)
+    return float(found.deviations(None)[0])
+
+
+@pytest.mark.parametrize(
+    ("columns", "residual", "wanted"),
+    [
+        ([4.0], [3.0], (160**0.5 - 12.0) / 16.0),  # 2 x 12 d + 16 d^2 = 1
+        ([3.0, 4.0], [4.0, -3.0], 1.0 / 5.0),  # without a slope it is that of a line
+        ([0.0], [3.0], np.nan),  # the data say nothing
+    ],
+)
+def test_at_a_bound_the_deviation_is_one_sided(columns, residual, wanted):
+    assert at_a_bound(columns, residual) == pytest.approx(wanted, nan_ok=True)
+
+
+@settings(max_examples=30, deadline=None)
+@drawn(st.integers(0, 10_000))
+def test_over_the_deviation_at_a_bound_the_squares_grow_by_one(seed):
+    random = np.random.default_rng(seed)
+    columns, residual = random.normal(0.0, 5.0, 40), random.normal(0.0, 2.0, 40)
+    far = at_a_bound(columns, residual)
+    away = np.sign(columns @ residual) * columns  # into the side on which the squares grow
+    assert ((residual + far * away) ** 2).sum() - (residual**2).sum() == pytest.approx(1.0)
+
+
+def test_the_steeper_the_squares_rise_the_smaller_the_deviation_at_a_bound():
+    found = [at_a_bound([4.0, 1.0], [slope, 0.0]) for slope in (0.0, 0.5, 2.0, 8.0)]
+    assert found == sorted(found, reverse=True)
+    assert found[-1] < 0.1 * found[0]
 
 
 def test_runs_that_differ_say_so(given):

@@ -13,6 +13,7 @@ from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
+from safedpa.records.run import Run, Stretch
 from safedpa_lab.hidden import Case, write_case
 from safedpa_lab.hidden.sensor import NOISE
 from safedpa_services.command_line.group import safedpa
@@ -42,6 +43,14 @@ def given(log):
 
 def test_the_noise_of_the_logs_is_measured(given):
     np.testing.assert_allclose(measured_noise(given[1]), NOISE["car"], rtol=0.25)
+
+
+def test_noise_is_measured_during_any_steady_motion():
+    deviations, random = np.array([0.002, 0.05, 0.3, 1.0]), np.random.default_rng(4)
+    t = 0.05 * np.arange(4000.0)
+    states = np.array([1.0, -2.0, 0.3, 4.0]) * t[:, None] + random.normal(0.0, deviations, (4000, 4))
+    run = Run("steady", load_model("car").system, t, states, np.zeros((4000, 2)), (Stretch(0, 4000),))
+    assert measured_noise([run]) == pytest.approx(deviations, rel=0.1)
 
 
 def test_simulated_logs_have_the_commands_and_the_noise_of_the_given_ones(given):

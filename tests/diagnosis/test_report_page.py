@@ -257,7 +257,7 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     assert 500 <= sum(len(part) for run in many for part in run.stretches) <= 1200
     heading = heads([long], 13.52)[0]
     assert [(part.start, part.stop) for part in heading.stretches] == [(0, 250), (260, 271)]
-    monkeypatch.setattr("safedpa.report.diagnosis_page._MOST_ROWS", 600)
+    monkeypatch.setattr("safedpa.report.diagnosis_page.excerpt", lambda runs, _, horizon: excerpt(runs, 600, horizon))
     assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
 
 
