@@ -115,7 +115,7 @@ class Fleet:
                 for _ in range(self.deliver(answer)):
                     self.changes.hear(answer)
             for service in self.services.values():
-                self.changes.hear(self._health(service))
+                self.changes.hear(self.health_of(service))
             message = self.changes.step(state)
             if message is not None:
                 self.spoken.append(message)
@@ -124,7 +124,7 @@ class Fleet:
                         service.versions.hear("r", message)
 
     def restart_service(self, name: str) -> None:
-        """As after kill -9: a new process with the model of its options, which asks if anybody is there to answer."""
+        """As after kill -9: a new process with the model of its options, which asks what is in force."""
         self.services[name] = Service(name, self.broken.get(name, frozenset()))
         status = None if self.changes is None else self.changes.answer(Request(do="status", who=name))
         self.services[name].versions.welcome("r", status)
@@ -143,7 +143,8 @@ class Fleet:
     def models(self) -> set[str]:
         return {service.model for service in self.services.values()}
 
-    def _health(self, service: Service) -> HealthMessage:
+    def health_of(self, service: Service) -> HealthMessage:
+        """Its heartbeat now."""
         return HealthMessage(
             epoch=self.epoch,
             tick=self.tick,

@@ -118,8 +118,8 @@ def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(
 
 def test_the_filter_uses_the_margin_of_the_new_model_from_then_on(changed: tuple[Drive, OfferedEffect]) -> None:
     run, _ = changed
-    margin = run.services[2]._versions.of("r1").calibration
-    assert margin.date == "2026-01-01"
+    agreed = run.services[2].agreed("r1")
+    assert margin_from_text(agreed.margin).date == "2026-01-01"
 
 
 def test_the_new_latent_begins_where_the_file_and_the_last_seconds_put_it(changed: tuple[Drive, OfferedEffect]) -> None:

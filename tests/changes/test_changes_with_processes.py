@@ -1,4 +1,4 @@
-"""Real processes over real sessions: a model is changed, and somebody is killed in the middle of it."""
+"""Real processes over real sessions: a model is changed, and a process is killed in the middle of it."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def loop(tmp_path: Path, free_port: int) -> Iterator[Loop]:
         loop.close()
 
 
-def test_whoever_is_killed_amid_a_change_all_agree_in_the_end_and_the_car_is_safe(loop: Loop) -> None:
+def test_after_a_process_is_killed_amid_a_change_all_agree_and_the_car_is_safe(loop: Loop) -> None:
     """The worst moments: after the offer, when some have loaded it, and after the decision, before its tick."""
     kills = [("adaptation", "offer"), ("diagnosis", "offer"), ("policy", "take"), ("diagnosis", "take")]
     for name, moment in [*kills, ("safety_filter", "take")]:

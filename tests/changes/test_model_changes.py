@@ -1,4 +1,4 @@
-"""All services of a robot change their model at one tick, or none does, whatever is lost and whoever dies."""
+"""All services of a robot change their model at one tick, or none does, whatever is lost and whichever process dies."""
 
 from __future__ import annotations
 
@@ -37,15 +37,18 @@ def steps(fleet: Any) -> list[str]:
 
 
 def test_everyone_changes_at_the_named_tick(fleet: Any) -> None:
-    answer = fleet.ask("accept", "drag")
+    answer, in_force = fleet.ask("accept", "drag"), {}
     assert answer.ok
-    fleet.turn(30)
+    for _ in range(30):
+        fleet.turn()
+        in_force[fleet.tick] = fleet.ask("status").fingerprint
     assert steps(fleet) == ["offer", "take"]
     offer, take = fleet.spoken
     assert (offer.document, offer.margin, offer.replaces) == ("document drag", "margin drag", "first")
     assert (offer.who, offer.why) == ("alice", "accept drag of finding 1")
     changed = fleet.used.index(("print drag",) * 3) + 2  # turn n is tick n + 2 of the robot
     assert changed == take.from_tick
+    assert in_force == {tick: "first" if tick < take.from_tick else "print drag" for tick in in_force}
     assert set(fleet.used) == {("first",) * 3, ("print drag",) * 3}, "at no tick do two of them differ"
     assert [answer.state for answer in fleet.heard] == ["ready"] * 3 + ["taken"] * 3
     assert {answer.tick for answer in fleet.heard if answer.state == "taken"} == {take.from_tick}
@@ -67,7 +70,7 @@ def test_what_one_cannot_load_is_dropped_by_all(fleet_of: Any, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("silent", SERVICES)
-def test_who_does_not_answer_in_time_keeps_everyone_on_the_old_model(fleet: Any, silent: str) -> None:
+def test_a_service_that_does_not_answer_in_time_keeps_all_on_the_old_model(fleet: Any, silent: str) -> None:
     fleet.deliver = lambda message: int(getattr(message, "service", "") != silent)
     fleet.ask("accept", "drag")
     fleet.turn(200)
@@ -91,7 +94,7 @@ def test_an_answer_for_another_model_is_no_answer(fleet: Any) -> None:
     assert fleet.models == {"first"}
 
 
-def test_a_late_answer_to_a_change_that_was_dropped_does_not_count_for_the_next(fleet: Any) -> None:
+def test_a_late_answer_to_a_dropped_change_does_not_count_for_the_next(fleet: Any) -> None:
     late: list[TakeoverMessage] = []
 
     def away(message: Any) -> int:
@@ -128,7 +131,7 @@ def test_roll_back_returns_to_the_version_before_and_no_further(fleet: Any) -> N
     assert "none to go back to" in answer.sentence
 
 
-def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> None:
+def test_of_two_people_the_first_wins_and_the_second_gets_the_reason(fleet: Any) -> None:
     assert fleet.ask("accept", "drag", who="alice").ok
     for who in ("bob", "carol"):
         second = fleet.ask("accept", "wind", who=who)
@@ -163,7 +166,7 @@ def test_what_cannot_be_meant_is_refused_with_the_reason(fleet: Any, request_: R
     assert fleet.models == {"first"}
 
 
-def test_nothing_is_accepted_for_a_robot_that_nobody_heard(fleet_of: Any) -> None:
+def test_nothing_is_accepted_for_a_robot_that_was_not_heard(fleet_of: Any) -> None:
     fleet = fleet_of()
     fleet.propose("drag")
     assert "not heard yet" in fleet.ask("accept", "drag").sentence
@@ -236,7 +239,7 @@ def test_a_coordinator_killed_at_any_moment_leaves_one_model(
         assert fleet.models == {"print drag" if decided else "first"}, "what was decided stays decided"
 
 
-def test_an_offer_that_nobody_decided_is_dropped_after_a_restart(fleet: Any) -> None:
+def test_an_undecided_offer_is_dropped_after_a_restart(fleet: Any) -> None:
     fleet.ask("accept", "drag")
     fleet.turn(1)
     fleet.restart_coordinator()
@@ -247,7 +250,7 @@ def test_an_offer_that_nobody_decided_is_dropped_after_a_restart(fleet: Any) -> 
     assert fleet.ask("accept", "drag").change == 2, "numbers are not used twice"
 
 
-def test_a_service_that_nobody_told_is_repaired(fleet: Any) -> None:
+def test_a_service_that_missed_the_answer_to_its_question_is_repaired(fleet: Any) -> None:
     """It was killed, and the diagnosis was away when it asked."""
     fleet.ask("accept", "drag")
     fleet.turn(30)
@@ -262,8 +265,8 @@ def test_a_service_that_nobody_told_is_repaired(fleet: Any) -> None:
     assert [version.fingerprint for version in fleet.changes.versions] == ["first", "print drag"]
 
 
-def test_what_a_service_said_before_the_robot_started_anew_is_no_reason_to_repair(fleet: Any) -> None:
-    old = fleet._health(fleet.services["policy"])
+def test_health_from_before_a_restart_of_the_robot_is_no_reason_to_repair(fleet: Any) -> None:
+    old = fleet.health_of(fleet.services["policy"])
     fleet.turn(30)
     fleet.restart_robot()
     fleet.turn(20)
@@ -280,7 +283,7 @@ def test_what_a_service_said_before_the_robot_started_anew_is_no_reason_to_repai
 
 def test_a_repair_that_comes_to_nothing_is_tried_again_less_and_less_often(fleet: Any) -> None:
     fleet.deliver = lambda message: 0
-    stray = dataclasses.replace(fleet._health(fleet.services["policy"]), model="before")
+    stray = dataclasses.replace(fleet.health_of(fleet.services["policy"]), model="before")
     offers = []
     for _ in range(3000):
         state = fleet.state()
@@ -304,13 +307,14 @@ def test_when_a_restarted_service_cannot_use_the_new_model_everyone_goes_back(fl
     assert [version.fingerprint for version in fleet.changes.versions] == ["first"]
 
 
-def test_a_robot_that_starts_anew_amid_a_change_begins_with_the_new_model(fleet: Any) -> None:
+def test_a_robot_that_restarts_amid_a_change_begins_with_the_new_model(fleet: Any) -> None:
     fleet.ask("accept", "drag")
     fleet.turn(3)
     assert "take" in steps(fleet)
+    assert fleet.ask("status").fingerprint == "first"
     fleet.restart_robot()
     fleet.turn(1)
-    assert fleet.tick < fleet.spoken[-1].from_tick
+    assert fleet.tick < fleet.spoken[-1].from_tick, "that tick is of the drive before"
     assert fleet.models == {"print drag"} == {fleet.changes.fingerprint}
     fleet.turn(30)
     assert fleet.models == {"print drag"}
