@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import Bus, MemoryBroker, MemoryTransport, Message, StateMessage
-from safedpa.bus.transport import zenoh_transport
+from safedpa.bus import Bus, MemoryBroker, MemoryTransport, Message, StateMessage, ZenohSettings
 
 SAMPLES = Path(__file__).parent / "samples"
 
@@ -28,9 +27,10 @@ def _load_samples() -> dict[str, Message]:
 
 @pytest.fixture(autouse=True)
 def _links_outlive_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Signs of life may wait for longer than between robots: a link that is lost takes with it what is said once."""
-    for name in ("_LEASE_MILLISECONDS", "_LEASE_ON_ONE_MACHINE_MILLISECONDS"):
-        monkeypatch.setattr(zenoh_transport, name, 30_000)
+    """Signs of life may take longer than between robots: with a lost link the messages on it are lost."""
+    usual = ZenohSettings.configuration
+    longer = {"transport/link/tx/lease": 30_000}
+    monkeypatch.setattr(ZenohSettings, "configuration", lambda settings: usual(settings) | longer)
 
 
 @pytest.fixture(scope="session")

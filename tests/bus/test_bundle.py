@@ -29,6 +29,7 @@ from safedpa.bus import (
 )
 from safedpa.bus.security.access import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
 from safedpa.bus.transport.bundle import packed, parts, unbundled
+from safedpa.bus.transport.intake import Intake
 from safedpa.bus.wire.topics import BUNDLE
 from safedpa.errors import InputError, MessageError
 
@@ -65,6 +66,24 @@ def test_parts_hold_everything_in_order_and_each_fits(given_entries: list[tuple[
     assert [entry for part in found for entry in part] == given_entries
     assert all(part for part in found)
     assert all(len(packed(part)) <= STATE.largest_bytes for part in parts([("r", bytes(2000))] * 300))
+
+
+KIB = 1024
+
+
+@pytest.mark.parametrize(
+    ("sizes", "counts"),
+    [
+        ([], []),
+        ([10] * 600, [256, 256, 88]),
+        ([24 * KIB - 1] * 4, [2, 2]),  # and a letter of the name each: 48 KiB together
+        ([24 * KIB] * 4, [1, 1, 1, 1]),
+        ([10, 50 * KIB, 10, 10], [1, 1, 2]),  # a message that is too large travels alone
+    ],
+    ids=["none", "600", "48 KiB", "more", "large"],
+)
+def test_a_bundle_holds_at_most_256_messages_and_48_kib(sizes: list[int], counts: list[int]) -> None:
+    assert [len(part) for part in parts([("r", bytes(size)) for size in sizes])] == counts
 
 
 @given(some.binary(max_size=200))
@@ -175,7 +194,7 @@ def test_under_a_wildcard_no_bundle_is_opened(samples: dict[str, Message]) -> No
     wire = Wire()
     inbox = wire.bus().inbox((STATE, HEALTH))
     bundle = packed([("a", encode(samples["state"])), ("b", encode(samples["state"]))])
-    accept = wire.bus()._accepting(inbox, STATE, "*", all_of_them=False)
+    accept = Intake(inbox, STATE, "f", "*", None, all_of_them=False)
     for key in (f"safedpa/f/{BUNDLE}/*", f"safedpa/f/{BUNDLE}/**", "safedpa/f/*/state", f"safedpa/f/{BUNDLE}/state/x"):
         accept(key, bundle)
     assert all(isinstance(item, Refused) for item in inbox.take(0.0))

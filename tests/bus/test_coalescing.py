@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from safedpa.bus import (
     ACTION,
+    MODEL,
     VERDICT,
     AbstractTransport,
     Bus,
@@ -54,9 +55,14 @@ def test_batches_begin_with_eight_robots_and_end_below_four() -> None:
     assert [size for size in sizes if quantum_for([0.05] * size, coalescing=True)] == list(range(4, 12))
 
 
-def test_no_batches_while_one_robot_stands_and_waits() -> None:
-    assert quantum_for([0.05] * 20, coalescing=True) > 0.0
-    assert quantum_for([0.05] * 20 + [0.0], coalescing=True) == 0.0
+@pytest.mark.parametrize(
+    ("period", "quantum"),
+    [(0.1, 0.003), (0.05, 0.0015), (0.03, 0.0), (0.0, 0.0)],
+    ids=["slow", "usual", "fast", "waits"],
+)
+def test_a_batch_takes_a_thirtieth_of_the_shortest_period_or_is_not_worth_it(period: float, quantum: float) -> None:
+    """Sleeping for less than a millisecond costs more than it saves; a robot in lockstep (0) stands while it waits."""
+    assert quantum_for([0.1] * 20 + [period], coalescing=True) == pytest.approx(quantum)
 
 
 class Kept(Subscription):
@@ -107,7 +113,7 @@ def test_a_batch_is_not_taken_before_its_quantum_is_over(
     kept = Kept(inbox)
     inbox.fill_from(kept)
     slept: list[float] = []
-    monkeypatch.setattr("safedpa.bus.transport.inbox.time.sleep", slept.append)
+    monkeypatch.setattr("time.sleep", slept.append)
     inbox.coalesce(0.05)
     inbox.take(0.0)
     assert slept == [], "it waited although it should not"
@@ -120,9 +126,14 @@ def test_a_batch_is_not_taken_before_its_quantum_is_over(
 def test_what_is_held_goes_out_in_order_at_the_flush(samples: dict[str, Message]) -> None:
     broker = MemoryBroker()
     bus, inbox = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f").inbox((ACTION, VERDICT))
+    models = bus.inbox((MODEL,))
     bus.hold()
     bus.publish(VERDICT, "b", samples["verdict"])
     bus.publish(ACTION, "a", samples["action"])
+    bus.publish(MODEL, "m", samples["model"])
+    assert [item.robot for item in models.take(0.0)] == ["m"], "it never travels in a bundle, so it does not wait"
+    bus.publish(ACTION, "alone", samples["action"], alone=True)
+    assert [item.robot for item in inbox.take(0.0)] == ["alone"]
     bus.hold()  # what is held already stays
     assert inbox.take(0.0) == []
     bus.flush()

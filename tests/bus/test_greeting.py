@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -17,11 +18,14 @@ from safedpa.bus import (
     AbstractNode,
     Answer,
     Bus,
+    Inbox,
     Inputs,
     LatentMessage,
+    MemoryTransport,
     Message,
     ModelMessage,
     Outputs,
+    Received,
     Request,
     ServiceLoop,
     StateMessage,
@@ -29,6 +33,8 @@ from safedpa.bus import (
     Topic,
     WishMessage,
 )
+from safedpa.bus.loop.greeting import Greeting
+from safedpa.bus.transport.inbox import Answered
 from safedpa.errors import InputError
 
 
@@ -145,9 +151,6 @@ def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samp
 def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
     broker: Any, clock: Clock, state_at: Any, samples: Any
 ) -> None:
-    from safedpa.bus import MemoryTransport
-    from safedpa.bus.transport.inbox import Answered
-
     node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
     loop, robot = ServiceLoop(node, bus, clock=clock), Bus(MemoryTransport(broker), "test")
     for tick in range(2):
@@ -162,22 +165,54 @@ def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
     assert node.told == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
 
 
-def test_its_patience_ends_even_if_no_answer_ever_comes(broker: Any, clock: Clock, state_at: Any) -> None:
-    from safedpa.bus import MemoryTransport
+class Asked:
+    """In place of a bus: the robots about which it was asked, and how long the answer may take."""
 
-    node = Curious()
-    loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
-    robot = Bus(MemoryTransport(broker), "test")
-    robot.publish(STATE, "r", state_at(0, lockstep=False))
-    loop.turn(0.0)
-    assert node.told == []
-    clock.now = 0.91
-    loop.turn(0.0)
-    loop.turn(0.0)
-    assert node.told[0] == ("r", None)
-    clock.now = 1.0
-    loop.turn(0.0)
-    assert node.told[1] == ("r", 0, False)
+    def __init__(self) -> None:
+        self.about: list[tuple[str, float]] = []
+
+    def answer_agreed(self, _: object) -> None:
+        pass
+
+    def ask_model(self, _: Inbox, robot: str, __: str, timeout: float) -> None:
+        self.about.append((robot, timeout))
+
+
+def received(topic: Topic, message: Any, robot: str = "r") -> Received:
+    return Received(topic, robot, message, b"", f"safedpa/f/{robot}/{topic.name}", 0.0)
+
+
+@pytest.mark.parametrize(("answered_at", "served_at"), [(0.0, 0.0), (0.5, 0.5), (None, 0.9)])
+def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
+    answered_at: float | None, served_at: float, state_at: Any, samples: Any, clock: Clock
+) -> None:
+    """The newest message of each topic waits, the state first; later messages do not wait, until the robot leaves."""
+    node, bus, inbox = Curious(), Asked(), Inbox()
+    greeting = Greeting(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
+    latent = received(LATENT, latent_of(samples, state_at(2)))
+    assert greeting.deadline() == float("inf")
+    assert not greeting.holds(latent), "a robot is met by its state"
+    older, newer, other = (received(STATE, state_at(tick), robot) for tick, robot in ((1, "r"), (2, "r"), (1, "q")))
+    assert all(greeting.holds(item) for item in (older, newer, latent, other))
+    assert [robot for robot, _ in bus.about] == ["r", "q"]
+    assert all(0.1 <= timeout <= 0.5 for _, timeout in bus.about)
+    assert greeting.deadline() == pytest.approx(0.9)
+    served: list[Received] = []
+    while not served and clock.now < 5.0:
+        if answered_at is not None and clock.now >= answered_at:
+            inbox.keep_answer(Answered("r", Answer(ok=True, sentence="", fingerprint="a")))
+        served = greeting.ready()
+        clock.now += 0.0 if served else 0.05
+    assert served == ([newer, latent] if answered_at is not None else [newer, latent, other])
+    assert clock.now == pytest.approx(served_at, abs=0.051)
+    assert node.told[0] == ("r", None if answered_at is None else "a")
+    assert not greeting.holds(received(STATE, state_at(3)))
+    assert not greeting.holds(latent)
+    assert greeting.ready() == []
+    assert greeting.holds(other) is (answered_at is not None), "an answer about one robot is none about another"
+    greeting.forget("r")
+    assert greeting.holds(received(STATE, state_at(4)))
+    assert [robot for robot, _ in bus.about] == ["r", "q", "r"]
 
 
 def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_at: Any, samples: Any) -> None:
@@ -193,8 +228,6 @@ def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_
 
 
 def test_a_node_that_holds_no_model_asks_nobody(broker: Any, clock: Clock, state_at: Any, samples: Any) -> None:
-    from safedpa.bus import MemoryTransport
-
     node = Indifferent()
     loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
     robot = Bus(MemoryTransport(broker), "test")
@@ -207,8 +240,6 @@ def test_a_node_that_holds_no_model_asks_nobody(broker: Any, clock: Clock, state
 def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(
     service: Any, memory_bus: Any, state_at: Any, samples: Any
 ) -> None:
-    import dataclasses
-
     node, loop, robot = service
     for change in (1, 13, 2):
         robot.publish(MODEL, "r", dataclasses.replace(samples["model"], change=change, tick=0))

@@ -49,8 +49,9 @@ def test_who_speaks_as_a_service_that_lives_here_is_not_heard() -> None:
 
 
 def test_what_comes_under_odd_keys_does_no_harm() -> None:
-    heard = Heard()
-    hand_on = JointTransport(MemoryTransport(MemoryBroker()), INSIDE)._to_all([heard])
+    heard, broker = Heard(), MemoryBroker()
+    JointTransport(MemoryTransport(broker), INSIDE).subscribe("safedpa/f/*/state", heard)
+    ((_, _, hand_on),) = broker.subscribers
     for key in ("safedpa/**", "**", ""):  # Zenoh lets a sender use wildcards, and a subscriber sees them as they came
         hand_on(key, b"x")
     assert [key for key, _ in heard.samples] == ["safedpa/**", "**", ""]

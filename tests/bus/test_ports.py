@@ -1,4 +1,4 @@
-"""Ports for processes about to start: free, nobody's else, and never twice."""
+"""Ports for processes about to start: free, and never handed out twice."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus.transport import ports
 from safedpa.bus.transport.ports import free_port
 from safedpa.errors import InputError
 
@@ -37,32 +36,34 @@ def test_no_port_is_handed_out_twice_and_each_can_be_listened_on() -> None:
         listening.listen()
 
 
-def test_no_outgoing_connection_can_take_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = tmp_path / "range"
-    table.write_text("25000\t60999\n")
-    monkeypatch.setattr(ports, "_RANGE", table)
+def system_says(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The operating system's range of ports for outgoing connections, as its file says it."""
+    monkeypatch.setattr(Path, "read_text", lambda self, **_: text)
+
+
+def test_no_outgoing_connection_can_take_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    system_says("25000\t60999\n", monkeypatch)
     assert all(20000 <= free_port() < 25000 for _ in range(50))
 
 
 @pytest.mark.parametrize("text", ["1024 65535", "", "none"])
-def test_a_system_that_says_nothing_useful_still_gets_ports(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
-) -> None:
-    table = tmp_path / "range"
-    table.write_text(text)
-    monkeypatch.setattr(ports, "_RANGE", table)
+def test_a_system_that_says_nothing_useful_still_gets_ports(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    system_says(text, monkeypatch)
     assert 20000 <= free_port() < 32768
 
 
 def test_two_processes_look_in_different_places(monkeypatch: pytest.MonkeyPatch) -> None:
     given = {}
     for process in (1000, 1001):
-        monkeypatch.setattr(ports.os, "getpid", lambda process=process: process)
+        monkeypatch.setattr("os.getpid", lambda process=process: process)
         given[process] = {free_port() for _ in range(50)}
     assert not given[1000] & given[1001]
 
 
-def test_that_there_is_none_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ports, "_is_free", lambda port: False)
+def test_an_error_says_that_there_is_no_free_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    def taken(self: socket.socket, address: object) -> None:
+        raise OSError("address already in use")
+
+    monkeypatch.setattr(socket.socket, "bind", taken)
     with pytest.raises(InputError, match="got none from the operating system"):
         free_port([8080])

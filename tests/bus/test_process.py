@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -13,24 +14,38 @@ from contextlib import contextmanager
 import pytest
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+from safedpa.bus.loop.process import Stop, lifetime
 
 pytestmark = pytest.mark.processes
 
 PROGRAM = """
 import argparse, sys, threading, time
-from safedpa.bus import STATE
-from safedpa.bus.loop.process import add_bus_options, bus_from, run_process
-from safedpa.errors import InputError
+from safedpa.bus import Bus, ZenohTransport
+from safedpa.bus.loop.process import add_bus_options, lifetime, run_process, settings_from
+from safedpa.errors import InputError, JoinError
 
 def work(options, stop):
     if options.fault == "input":
         raise InputError("scene: got none,\\nwanted one")
-    with bus_from(options) as bus:
+    if options.fault == "router":
+        raise JoinError("no router")
+    if options.fault in ("code", "word"):
+        if options.fault == "word":
+            stop.await_word()
+        print("the last word", stop())
+        sys.stderr.write("a warning")
+        return 3
+    transport = ZenohTransport(settings_from(options))
+    with Bus(transport, options.fleet) as bus, lifetime("test", stop):
         bus.announce("r", "service", "x")
         if options.fault == "callback":
             def crash(key, payload):
                 raise RuntimeError("planted in a callback")
-            bus._transport.subscribe("safedpa/" + options.fleet + "/r/state", crash)
+            transport.subscribe("safedpa/" + options.fleet + "/r/state", crash)
+        if options.fault == "answer":
+            def mute(key, payload):
+                raise RuntimeError("planted in an answer")
+            transport.answer("safedpa/" + options.fleet + "/r/request", mute)
         print("ready", flush=True)
         if options.fault == "main":
             sys.stdin.readline()
@@ -40,7 +55,7 @@ def work(options, stop):
                 sys.stdin.readline()
                 raise RuntimeError("planted in a thread")
             threading.Thread(target=crash_later).start()
-        while not stop():
+        while not stop() or options.fault == "stays":
             time.sleep(0.02)
     print(stop.reason, flush=True)
     return 0
@@ -86,22 +101,18 @@ def within(seconds: float, condition: Callable[[], bool]) -> bool:
     return True
 
 
-@contextmanager
-def watcher(port: int) -> Iterator[Bus]:
-    with Bus(ZenohTransport(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",))), "crash-test") as bus:
-        yield bus
-
-
-@pytest.mark.parametrize("fault", ["main", "thread", "callback"])
+@pytest.mark.parametrize("fault", ["main", "thread", "callback", "answer"])
 def test_an_uncaught_error_ends_the_process_and_its_sign_of_life(fault: str, free_port: int) -> None:
     options = ("--fleet", "crash-test", "--connect", f"tcp/127.0.0.1:{free_port}", "--fault", fault)
-    with watcher(free_port) as bus, started(*options) as process:
+    transport = ZenohTransport(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
+    with Bus(transport, "crash-test") as bus, started(*options) as process:
         ready(process)
         assert within(30.0, lambda: bus.instances("r", "service") == ["x"])
-        if fault == "callback":
+        if fault in ("callback", "answer"):
 
             def sent() -> bool:
-                bus._transport.put("safedpa/crash-test/r/state", b"x", never_drop=True)
+                transport.put("safedpa/crash-test/r/state", b"x", never_drop=True)
+                transport.ask("safedpa/crash-test/r/request", b"x", 0.1)
                 return process.poll() is not None
 
             assert within(30.0, sent)
@@ -122,7 +133,57 @@ def test_a_signal_ends_it_in_good_order(number: signal.Signals, free_port: int) 
         ready(process)
         process.send_signal(number)
         output, errors = process.communicate(timeout=30)
-        assert (process.returncode, output, errors) == (0, f"{number.name}\n", "")
+        assert (process.returncode, output) == (0, f"{number.name}\n")
+        kinds = [json.loads(line) for line in errors.splitlines()]
+        assert [line["kind"] for line in kinds] == ["process.started", "process.ended"]
+        assert kinds[1]["sentence"] == f"test ends in order: {number.name}"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_second_signal_ends_it_at_once(number: signal.Signals, free_port: int) -> None:
+    """130, as of a shell: whatever was not finished stays undone."""
+    with started("--listen", f"tcp/127.0.0.1:{free_port}", "--fault", "stays") as process:
+        ready(process)
+        process.send_signal(number)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(timeout=0.5)
+        process.send_signal(number)
+        assert process.wait(timeout=30) == 130
+
+
+@pytest.mark.parametrize("reason", ["SIGTERM", ""])
+def test_the_log_says_why_a_service_ends_and_the_first_reason_counts(
+    reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stop = Stop()
+    with lifetime("policy", stop):
+        for why in (reason, "a later one") if reason else ():
+            stop.set(why)
+    started, ended = map(json.loads, capsys.readouterr().err.splitlines())
+    assert (started["kind"], ended["kind"]) == ("process.started", "process.ended")
+    assert ended["sentence"] == f"policy ends in order: {reason or 'its work is done'}"
+
+
+def test_it_ends_with_the_code_of_its_work_and_everything_it_wrote_is_out() -> None:
+    with started("--fault", "code") as process:
+        output, errors = process.communicate(timeout=60)
+    assert (process.returncode, output, errors) == (3, "the last word False\n", "a warning")
+
+
+@pytest.mark.parametrize(("word", "ended"), [("begin\n", False), ("", True)])
+def test_a_supervised_process_waits_for_the_word_to_begin_or_for_the_end(word: str, ended: bool) -> None:
+    with started("--fault", "word", "--supervised") as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(timeout=0.5)
+        assert process.stdin is not None
+        if ended:
+            output, _ = process.communicate(timeout=30)
+        else:
+            process.stdin.write(word)
+            process.stdin.flush()
+            assert process.stdout is not None
+            output = process.stdout.readline()
+    assert output == f"the last word {ended}\n"
 
 
 def test_a_supervised_process_ends_with_its_supervisor(free_port: int) -> None:
@@ -154,17 +215,20 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
 
 
 @pytest.mark.parametrize(
-    ("options", "sentence"),
+    ("options", "sentence", "code"),
     [
-        (("--listen", "garbage"), "wanted endpoints such as"),
-        (("--listen", "tcp/127.0.0.1:99999"), "check the endpoints"),
-        (("--fault", "input"), "scene: got none, wanted one"),
+        (("--listen", "garbage"), "wanted endpoints such as", 2),
+        (("--listen", "tcp/127.0.0.1:99999"), "check the endpoints", 2),
+        (("--fault", "input"), "scene: got none, wanted one", 2),
+        (("--fault", "router"), "no router", 75),
     ],
 )
-def test_bad_input_is_told_in_one_line(options: tuple[str, ...], sentence: str) -> None:
+def test_bad_input_is_reported_in_one_line_and_a_failed_join_may_be_tried_again(
+    options: tuple[str, ...], sentence: str, code: int
+) -> None:
     with started(*options) as process:
         output, errors = process.communicate(timeout=60)
-        assert process.returncode == 2
+        assert process.returncode == code
         assert output == ""
         assert errors.startswith("safedpa-test: ")
         assert sentence in errors

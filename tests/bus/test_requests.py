@@ -1,17 +1,19 @@
-"""What a question and its answer mean where they say little, and what is told of them on the bus."""
+"""Requests and answers: their defaults, their keys, which are answered, and what is published of them."""
 
 from __future__ import annotations
 
 import time
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import msgpack
 import pytest
 
-from safedpa.bus import Answer, Request, decode
+from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, decode, encode
 from safedpa.bus.wire import version as of_the_software
-from safedpa.bus.wire.requests import asked_message, request_key
+from safedpa.bus.wire.requests import asked_message, request_key, robot_of_request
 from safedpa.bus.wire.version import software_version
+from safedpa.errors import InputError
 
 
 def test_what_a_short_question_leaves_out_is_nothing() -> None:
@@ -28,7 +30,7 @@ def test_what_a_short_answer_leaves_out_is_nothing() -> None:
     assert (given.candidates, given.foreseen) == ((), ())
 
 
-def test_what_was_asked_and_answered_is_told_in_one_message() -> None:
+def test_a_request_and_its_answer_are_published_in_one_message() -> None:
     request = Request(do="accept", effect="towed_load", model="0123456789ab", finding=2, who="engineer")
     before = time.time()
     told = asked_message(request, Answer(ok=False, sentence="not now", change=3))
@@ -40,16 +42,50 @@ def test_what_was_asked_and_answered_is_told_in_one_message() -> None:
     assert (told.epoch, told.tick, told.robot_time) == (0, 0, 0.0), "it belongs to no tick"
 
 
-def test_of_what_was_no_question_the_answer_alone_is_told() -> None:
+def test_of_a_payload_that_is_no_request_only_the_answer_is_published() -> None:
     told = asked_message(None, Answer(ok=True, sentence="no msgpack", change=4))
     assert (told.do, told.effect, told.model, told.finding, told.who) == ("", "", "", 0, "")
     assert (told.ok, told.sentence, told.change) == (True, "no msgpack", 4)
     assert (told.epoch, told.tick, told.robot_time) == (0, 0, 0.0)
 
 
-def test_a_question_is_asked_beside_the_topics_of_its_robot() -> None:
+KINDS = ("request", "status", "order", "sense", "agreed")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_key_of_a_request_names_one_robot(kind: str) -> None:
     assert request_key("f", "r1") == "safedpa/f/r1/request"
-    assert request_key("f", "*", "agreed") == "safedpa/f/*/agreed"
+    assert request_key("f", "*", kind) == f"safedpa/f/*/{kind}"
+    assert robot_of_request(request_key("f", "r1", kind)) == "r1"
+    for key in (request_key("f", "*", kind), f"safedpa/f/r1/{kind}/x", f"safedpa/r1/{kind}", f"safedpa/**/{kind}",
+                f"safedpa/f/r*/{kind}", "safedpa/f/r1/state", "safedpa/f/r1/", ""):  # fmt: skip
+        with pytest.raises(InputError, match="wanted safedpa/FLEET/ROBOT/request"):
+            robot_of_request(key)
+
+
+@pytest.mark.parametrize(
+    ("kind", "do", "ok"),
+    [
+        ("request", "accept", True),
+        ("request", "status", True),
+        ("status", "status", True),
+        ("status", "accept", False),
+        ("status", "stop", False),
+    ],
+)
+def test_under_the_key_for_status_nothing_else_is_answered(kind: str, do: str, ok: bool) -> None:
+    transport, reported, asked = MemoryTransport(MemoryBroker()), list[Any](), list[str]()
+
+    def answer(robot: str, request: Request) -> Answer:
+        asked.append(f"{robot} {request.do}")
+        return Answer(ok=True, sentence="yes")
+
+    Bus(transport, "f").answer_requests(answer, tell=lambda *one: reported.append((one[0], one[1], one[2].ok)))
+    given = transport.ask(request_key("f", "r", kind), encode(Request(do=do)), 1.0)
+    assert given is not None
+    assert decode(Answer, given).ok is ok
+    assert asked == ([f"r {do}"] if ok else [])
+    assert reported == [("r", Request(do=do), ok)]
 
 
 def test_a_heartbeat_names_the_installed_version_or_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import pytest
+from tests.bus.fleet import EPOCH, Clock, Fleet, StateAt, Wisher, stamp
 
 from safedpa.bus import (
-    HEALTH,
+    ACTION,
+    FINDING,
     LATENT,
     SETUP,
     STATE,
-    WISH,
-    AbstractNode,
+    VERDICT,
+    ActionMessage,
     Bus,
-    HealthMessage,
-    Inbox,
     Inputs,
     LatentMessage,
     MemoryBroker,
@@ -26,93 +27,21 @@ from safedpa.bus import (
     ServiceLoop,
     Stale,
     StateMessage,
+    Topic,
     WishMessage,
     encode,
 )
-from safedpa.bus.loop.slot import Slot
+from safedpa.bus.loop.journal import Journal
 from safedpa.bus.wire.setup import setup_message
-from safedpa.errors import MessageError
-
-EPOCH = 8731
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-class Wisher(AbstractNode):
-    """Wishes for the tick as target speed, and remembers what it was asked."""
-
-    name = "policy"
-    inputs = (LATENT,)
-    outputs = (WISH,)
-    share = 0.2
-
-    def __init__(self) -> None:
-        self.steps: list[tuple[str, int, Message | Stale]] = []
-        self.forgotten: list[str] = []
-        self.refuse = ""
-
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        if robot == self.refuse:
-            raise MessageError("goal: got 3 numbers, wanted 2")
-        self.steps.append((robot, state.tick, inputs[LATENT]))
-        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
-        return {WISH: WishMessage(**stamp, values=(float(state.tick), 0.0), controller="test")}
-
-    def forget(self, robot: str) -> None:
-        self.forgotten.append(robot)
-
-
-class Fleet:
-    """A node in its loop, and a robot's end of the bus."""
-
-    def __init__(self, state_at: Callable[..., StateMessage], lockstep: bool) -> None:
-        broker = MemoryBroker()
-        self.clock, self.node = Clock(), Wisher()
-        self.transport = MemoryTransport(broker)
-        self.bus = Bus(self.transport, "test")
-        self.loop = ServiceLoop(self.node, Bus(MemoryTransport(broker), "test"), clock=self.clock)
-        self.wishes: Inbox = self.bus.inbox((WISH,), keep_all=True)
-        self.healths: Inbox = self.bus.inbox((HEALTH,), keep_all=True)
-        self._state_at, self._lockstep = state_at, lockstep
-
-    def state(self, tick: int, robot: str = "r", epoch: int = EPOCH, period: float = 0.05) -> None:
-        message = self._state_at(tick, epoch=epoch, lockstep=self._lockstep, period=period)
-        self.bus.publish(STATE, robot, message)
-        self.loop.turn(0.0)
-
-    def latent(self, tick: int, robot: str = "r", epoch: int = EPOCH) -> None:
-        stamp = {"epoch": epoch, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
-        self.bus.publish(LATENT, robot, LatentMessage(**stamp, model="m", values=(0.1,), deviations=(0.1,)))
-        self.loop.turn(0.0)
-
-    def wait(self, seconds: float) -> None:
-        self.clock.now += seconds
-        self.loop.turn(0.0)
-
-    def wished(self) -> list[tuple[str, int]]:
-        return [(item.robot, item.message.tick) for item in self.wishes.take(0.0) if isinstance(item, Received)]
-
-    def health(self) -> dict[str, HealthMessage]:
-        """The next heartbeat, by robot."""
-        self.healths.take(0.0)
-        self.wait(0.26)
-        items = [item for item in self.healths.take(0.0) if isinstance(item, Received)]
-        return {item.robot: item.message for item in items if isinstance(item.message, HealthMessage)}
 
 
 @pytest.fixture
-def lockstep(state_at: Callable[..., StateMessage]) -> Fleet:
+def lockstep(state_at: StateAt) -> Fleet:
     return Fleet(state_at, lockstep=True)
 
 
 @pytest.fixture
-def real_time(state_at: Callable[..., StateMessage]) -> Fleet:
+def real_time(state_at: StateAt) -> Fleet:
     return Fleet(state_at, lockstep=False)
 
 
@@ -171,43 +100,27 @@ def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
     real_time.state(5 + age)
     real_time.wait(0.02)
     assert real_time.node.steps[-1] == ("r", 5 + age, Stale(LATENT, age))
-    assert real_time.health()["r"].stale == 1
+    health = real_time.health()["r"]
+    assert (health.stale, health.detail) == (1, f"the latent is {age} ticks old")
 
 
-@pytest.mark.parametrize("age", [1, 2])
-def test_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
-    real_time: Fleet, monkeypatch: pytest.MonkeyPatch, age: int
+@pytest.mark.parametrize(("lockstep", "age", "stepped"), [(False, 1, True), (False, 2, False), (True, 1, False)])
+def test_only_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
+    lockstep: bool, age: int, stepped: bool, state_at: StateAt
 ) -> None:
-    monkeypatch.setattr(Wisher, "slack", {LATENT: 1})
-    real_time.state(5)
-    real_time.latent(5)
-    real_time.state(5 + age)
-    assert real_time.wished() == [("r", 5), *([("r", 6)] if age == 1 else [])]
-    real_time.wait(0.02)
-    robot, tick, latent = real_time.node.steps[-1]
-    assert (robot, tick) == ("r", 5 + age)
-    assert latent == Stale(LATENT, 2) if age == 2 else isinstance(latent, LatentMessage)
+    class Patient(Wisher):
+        slack: ClassVar = {LATENT: 1}
 
-
-def test_slack_is_for_the_topics_that_are_named(state_at: Callable[..., StateMessage]) -> None:
-    stamp = {"epoch": EPOCH, "robot_time": 0.0, "publish_time": 0.0}
-    slot = Slot(state_at(6, epoch=EPOCH, lockstep=False), 0.0, 0.0, 0.0)
-    slot.keep(LATENT, LatentMessage(**stamp, tick=5, model="m", values=(0.1,), deviations=(0.1,)))
-    slot.keep(WISH, WishMessage(**stamp, tick=5, values=(0.0, 0.0), controller="test"))
-    assert not slot.is_complete((LATENT, WISH), {LATENT: 1})
-    slot.keep(WISH, WishMessage(**stamp, tick=6, values=(0.0, 0.0), controller="test"))
-    assert slot.is_complete((LATENT, WISH), {LATENT: 1})
-    assert not slot.is_complete((LATENT, WISH), {})
-
-
-def test_in_lockstep_nobody_has_slack(lockstep: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Wisher, "slack", {LATENT: 1})
-    lockstep.state(0)
-    lockstep.latent(0)
-    lockstep.state(1)
-    assert lockstep.wished() == [("r", 0)]
-    lockstep.latent(1)
-    assert lockstep.wished() == [("r", 1)]
+    fleet = Fleet(state_at, lockstep=lockstep, node=Patient())
+    fleet.state(5)
+    fleet.latent(5)
+    fleet.state(5 + age)
+    assert fleet.wished() == [("r", 5), *([("r", 5 + age)] if stepped else [])]
+    if stepped:
+        assert isinstance(fleet.node.steps[-1][2], LatentMessage)
+    elif not lockstep:
+        fleet.wait(0.02)
+        assert fleet.node.steps[-1] == ("r", 5 + age, Stale(LATENT, age))
 
 
 def test_repetitions_do_not_push_the_deadline(real_time: Fleet) -> None:
@@ -236,27 +149,21 @@ def test_late_and_foreign_inputs_change_nothing(real_time: Fleet) -> None:
     assert real_time.wished() == [("r", 7)]
 
 
-def test_an_old_state_is_refused(real_time: Fleet) -> None:
-    real_time.state(7)
-    real_time.latent(7)
-    real_time.state(6)
-    assert real_time.wished() == [("r", 7)]
-    assert real_time.health()["r"].refused == 1
-
-
-def test_a_second_robot_of_the_same_name_is_refused(lockstep: Fleet) -> None:
-    lockstep.state(3)
-    lockstep.latent(3)
-    lockstep.state(0, epoch=EPOCH + 1)
-    lockstep.latent(0, epoch=EPOCH + 1)
+@pytest.mark.parametrize(("epoch", "tick"), [(EPOCH, 4), (EPOCH + 1, 9), (EPOCH - 1, 9)])
+def test_neither_an_older_state_nor_one_of_a_second_robot_replaces_the_newest(
+    epoch: int, tick: int, lockstep: Fleet
+) -> None:
+    lockstep.state(5)
+    lockstep.state(tick, epoch=epoch)
+    lockstep.latent(tick, epoch=epoch)
+    lockstep.latent(5)
+    assert lockstep.wished() == [("r", 5)]
     health = lockstep.health()["r"]
-    assert (health.refused, health.epoch, health.tick) == (1, EPOCH, 3)
-    assert "second robot" in health.detail
-    assert lockstep.wished() == [("r", 3)]
+    assert (health.refused, health.epoch, health.tick) == (1, EPOCH, 5)
 
 
 def test_a_robot_that_waits_is_not_replaced(lockstep: Fleet) -> None:
-    """It repeats its state because an input is missing: it speaks, so nobody takes its name, however long it waits."""
+    """It repeats its state because an input is missing: it speaks, so its name stays taken, however long it waits."""
     lockstep.state(0)
     for _ in range(10):
         lockstep.clock.now += 0.1
@@ -265,27 +172,30 @@ def test_a_robot_that_waits_is_not_replaced(lockstep: Fleet) -> None:
     assert lockstep.health()["r"].epoch == EPOCH
 
 
-def test_a_robot_that_starts_anew_after_silence_is_served_anew(lockstep: Fleet) -> None:
-    lockstep.state(900)
+@pytest.mark.parametrize(
+    ("period", "silence", "again"),
+    [(0.05, 0.3, False), (0.05, 0.31, True), (0.5, 1.5, False), (0.5, 1.51, True), (0.1, 0.29, False)],
+)
+def test_a_robot_may_restart_under_its_name_after_a_silence_of_a_third_of_a_second_or_three_periods(
+    period: float, silence: float, again: bool, lockstep: Fleet
+) -> None:
+    lockstep.state(900, period=period)
     lockstep.latent(900)
-    lockstep.wait(0.31)
-    lockstep.state(0, epoch=EPOCH + 1)
+    lockstep.clock.now = 100.0 + silence
+    lockstep.state(0, epoch=EPOCH + 1, period=period)
     lockstep.latent(0, epoch=EPOCH + 1)
-    assert lockstep.wished() == [("r", 900), ("r", 0)]
-    assert lockstep.node.forgotten == ["r", "r"]
-
-
-def test_silence_is_measured_in_periods_of_slow_robots(lockstep: Fleet) -> None:
-    lockstep.state(0, period=1.0)
-    lockstep.wait(2.0)
-    lockstep.state(0, epoch=EPOCH + 1)
-    assert lockstep.health()["r"].epoch == EPOCH
-    lockstep.wait(1.0)
-    lockstep.state(0, epoch=EPOCH + 1)
-    assert lockstep.health()["r"].epoch == EPOCH + 1
+    assert lockstep.wished() == [("r", 900), *([("r", 0)] if again else [])]
+    assert lockstep.node.forgotten == ["r"] * (2 if again else 1)
+    health = lockstep.health()["r"]
+    assert health.refused == (0 if again else 1)
+    assert ("a second robot speaks as 'r'" in health.detail) is not again
 
 
 def test_garbage_is_counted_and_does_no_harm(lockstep: Fleet) -> None:
+    lockstep.transport.put("safedpa/test/x/state", b"\xff garbage", never_drop=False)
+    ready = lockstep.health()["-"]
+    assert (ready.state, ready.refused) == ("ready", 1)
+    assert ready.detail.startswith("refused: StateMessage")
     lockstep.state(0)
     for key in ("safedpa/test/r/state", "safedpa/test/r/latent", "safedpa/test/x/state"):
         lockstep.transport.put(key, b"\xff garbage", never_drop=False)
@@ -293,21 +203,20 @@ def test_garbage_is_counted_and_does_no_harm(lockstep: Fleet) -> None:
     lockstep.latent(0)
     assert lockstep.wished() == [("r", 0)]
     health = lockstep.health()
-    assert health["r"].refused == 3
     assert set(health) == {"r"}
+    assert (health["r"].state, health["r"].refused) == ("running", 4), "its own and those of robots not served"
 
 
-def test_whoever_speaks_for_every_robot_is_refused(lockstep: Fleet, state_at: Callable[..., StateMessage]) -> None:
+def test_a_message_for_every_robot_is_refused(lockstep: Fleet) -> None:
     lockstep.state(0)
-    payload = encode(state_at(99))
+    payload = encode(lockstep.state_at(99))
     for key in ("safedpa/test/*/state", "safedpa/*/r/state"):
-        for subscriber in (entry[2] for entry in tuple(lockstep.transport._broker.subscribers)):
-            subscriber(key, payload)  # as Zenoh delivers what was put under a wildcard
+        for _, _, receive in tuple(lockstep.broker.subscribers):
+            receive(key, payload)  # as Zenoh delivers what was put under a wildcard
     lockstep.loop.turn(0.0)
     health = lockstep.health()
     assert set(health) == {"r"}
-    assert health["r"].tick == 0
-    assert health["r"].refused == 2
+    assert (health["r"].tick, health["r"].refused) == (0, 2)
 
 
 def test_several_robots_are_served_side_by_side(lockstep: Fleet) -> None:
@@ -321,7 +230,7 @@ def test_several_robots_are_served_side_by_side(lockstep: Fleet) -> None:
     assert set(lockstep.health()) == {"a", "b", "c"}
 
 
-def test_what_one_robot_gets_wrong_does_not_end_the_service_of_the_others(lockstep: Fleet) -> None:
+def test_an_error_about_one_robot_does_not_end_the_service_of_the_others(lockstep: Fleet) -> None:
     lockstep.node.refuse = "bad"
     for robot in ("bad", "good"):
         lockstep.state(0, robot)
@@ -338,15 +247,42 @@ def test_what_one_robot_gets_wrong_does_not_end_the_service_of_the_others(lockst
     assert "wanted 2" in failing.detail
 
 
-def test_a_silent_robot_is_forgotten(lockstep: Fleet) -> None:
+@pytest.mark.parametrize(("silence", "known"), [(29.7, True), (30.5, False)])
+def test_a_robot_that_is_silent_for_thirty_seconds_is_forgotten(silence: float, known: bool, lockstep: Fleet) -> None:
     lockstep.state(0)
-    lockstep.wait(29.0)
-    assert set(lockstep.health()) == {"r"}
-    lockstep.wait(1.0)
-    assert lockstep.node.forgotten == ["r", "r"]
+    lockstep.wait(silence)
+    assert lockstep.node.forgotten == ["r"] * (1 if known else 2)
+    assert set(lockstep.health()) == ({"r"} if known else {"-"})
+
+
+def test_a_deadline_of_a_robot_that_has_left_starts_no_step(real_time: Fleet) -> None:
+    """Its period is so long that its share would end after it is forgotten."""
+    real_time.state(0, period=200.0)
+    real_time.wait(31.0)
+    assert set(real_time.health()) == {"-"}
+    assert 0.0 < real_time.loop.patience(60.0) <= 0.25
+    real_time.wait(20.0)
+    assert real_time.wished() == []
+
+
+def test_a_thousand_robots_are_served_and_further_names_are_refused(lockstep: Fleet) -> None:
+    """A name of which only a latent was heard has its room, too."""
+    lockstep.latent(0, "spoken of")
+    names = [f"r{number}" for number in range(999)]
+    lockstep.at_one_moment(names, period=0.05)
+    lockstep.loop.turn(0.0)
+    assert len(lockstep.wished()) == 999
+    lockstep.state(0, "too many")
+    lockstep.latent(0, "too many")
+    assert lockstep.wished() == []
     health = lockstep.health()
-    assert set(health) == {"-"}
-    assert health["-"].state == "ready"
+    assert set(health) == {*names}
+    assert health["r0"].refused == 2
+    lockstep.state(1, "r0")
+    lockstep.latent(1, "r0")
+    lockstep.state(0, "spoken of")
+    lockstep.latent(0, "spoken of")
+    assert lockstep.wished() == [("r0", 1), ("spoken of", 0)]
 
 
 def test_the_heart_beats_four_times_a_second(lockstep: Fleet) -> None:
@@ -357,15 +293,30 @@ def test_the_heart_beats_four_times_a_second(lockstep: Fleet) -> None:
     assert 3 <= len(lockstep.healths.take(0.0)) <= 4
 
 
-def test_run_ends_when_told() -> None:
+def test_it_runs_until_it_is_stopped() -> None:
     stops = iter([False, False, True])
     loop = ServiceLoop(Wisher(), Bus(MemoryTransport(MemoryBroker()), "test"), clock=Clock())
     loop.run(lambda: next(stops))
     assert list(stops) == []
 
 
+@pytest.mark.parametrize(("rests", "silence", "needed"), [(False, 0.3, True), (False, 0.31, False), (True, 0.0, False)])
+def test_at_the_end_a_loop_is_needed_for_robots_that_speak_and_are_not_at_rest(
+    rests: bool, silence: float, needed: bool, state_at: StateAt
+) -> None:
+    class Driving(Wisher):
+        def at_rest(self, robot: str) -> bool:
+            return rests
+
+    fleet = Fleet(state_at, lockstep=True, node=Driving())
+    assert not fleet.loop.is_needed
+    fleet.state(5)
+    fleet.clock.now = 100.0 + silence
+    assert fleet.loop.is_needed is needed
+
+
 class Lingering(Wisher):
-    """Says when it does what nobody waits for, and that it did."""
+    """Records when it does the work that can wait, and how many actions were on the bus by then."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
@@ -376,63 +327,219 @@ class Lingering(Wisher):
         return {}
 
 
-@pytest.mark.parametrize(("waiting", "at"), [(0, 0.005), (3, 0.025)])
+class Listening(Lingering):
+    """Also listens to findings, of which a few are taken in each turn."""
+
+    listens: ClassVar = (FINDING,)
+
+
+@pytest.mark.parametrize(("waiting", "at"), [(0, 0.005), (1000, 0.025)])
 @pytest.mark.parametrize("period", [0.05, 0.02])
-def test_what_nobody_waits_for_comes_after_a_tenth_of_the_period_and_gives_way_until_half_of_it(
-    state_at: Callable[..., StateMessage], monkeypatch: pytest.MonkeyPatch, waiting: int, at: float, period: float
+def test_work_that_can_wait_comes_after_a_tenth_of_the_period_and_gives_way_until_half_of_it(
+    state_at: StateAt, samples: dict[str, Message], waiting: int, at: float, period: float
 ) -> None:
-    """The action is then on its way; what others wait for comes first, and not for ever."""
-    fleet = Fleet(state_at, lockstep=False)
-    node = fleet.loop._node = Lingering(fleet.clock)
-    monkeypatch.setattr(Inbox, "waiting", property(lambda _: waiting))
+    """The action is on the bus then; messages that arrive come first, but not for ever."""
+    clock = Clock()
+    node = Listening(clock)
+    fleet = Fleet(state_at, lockstep=False, node=node, clock=clock)
     fleet.state(0, period=period)
+    for _ in range(waiting):
+        fleet.bus.publish(FINDING, "r", samples["finding"])
     fleet.latent(0)
     assert fleet.wished() == [("r", 0)]
     assert node.after == []
-    while fleet.clock.now < 100.0 + period:
-        fleet.wait(0.0001)
-    assert node.after == [pytest.approx(100.0 + at * period / 0.05, abs=1.5e-4)]
+    while clock.now < 100.0 + period:
+        fleet.wait(0.0005)
+    assert node.after == [pytest.approx(100.0 + at * period / 0.05, abs=6e-4)]
 
 
-def test_what_nobody_waits_for_is_done_before_the_next_tick_however_busy_it_is(
-    state_at: Callable[..., StateMessage], monkeypatch: pytest.MonkeyPatch
+def test_work_that_can_wait_is_done_before_the_next_tick_however_busy_the_bus_is(
+    state_at: StateAt, samples: dict[str, Message]
 ) -> None:
-    fleet = Fleet(state_at, lockstep=False)
-    node = fleet.loop._node = Lingering(fleet.clock)
-    monkeypatch.setattr(Inbox, "waiting", property(lambda _: 9))
+    clock = Clock()
+    node = Listening(clock)
+    fleet = Fleet(state_at, lockstep=False, node=node, clock=clock)
+    for _ in range(200):
+        fleet.bus.publish(FINDING, "r", samples["finding"])
     for tick in range(3):
         fleet.state(tick)
         fleet.latent(tick)
-        fleet.clock.now += 0.02
+        clock.now += 0.02
     assert node.after == pytest.approx([100.02, 100.04])
 
 
-def test_whatever_is_said_in_a_turn_is_on_the_bus_when_it_ends(state_at: Callable[..., StateMessage]) -> None:
-    """While batches are made, what travels together waits for the others of this turn, and for nothing else."""
-    fleet = Fleet(state_at, lockstep=False)
+def test_work_that_can_wait_follows_its_step_and_comes_once(state_at: StateAt) -> None:
+    class Prompt(Lingering):
+        lingers: ClassVar = False
+
+    clock = Clock()
+    fleet = Fleet(state_at, lockstep=False, node=Prompt(clock), clock=clock)
+    fleet.state(0)
+    assert fleet.node.after == []
+    fleet.latent(0)
+    fleet.wait(0.02)
+    assert fleet.node.after == [100.0]
+
+
+def test_a_loop_sleeps_until_the_next_moment_at_which_it_has_work(state_at: StateAt) -> None:
+    """At a period of 0.05 s it waits for a missing latent until 0.01 s; here it comes at once, and all is done."""
+    clock = Clock()
+    fleet = Fleet(state_at, lockstep=False, node=Lingering(clock), clock=clock)
+    fleet.state(0)
+    assert fleet.loop.patience(1.0) == pytest.approx(0.01)
+    fleet.latent(0)
+    assert fleet.loop.patience(1.0) == pytest.approx(0.005), "for the work that can wait"
+    fleet.wait(0.006)
+    assert fleet.node.after == [pytest.approx(100.006)]
+    assert fleet.loop.patience(1.0) > 0.1, "until the next heartbeat"
+
+
+class Taking(Wisher):
+    """Steps that take ``seconds`` each; records how many actions were on the bus when it began one, and afterwards."""
+
+    lingers: ClassVar = False
+
+    def __init__(self, seconds: float, clock: Clock) -> None:
+        super().__init__()
+        self.seconds, self.clock = seconds, clock
+        self.wished: Callable[[], list[tuple[str, int]]] = list
+        self.out, self.before, self.after = 0, list[int](), list[int]()
+
+    def on_the_bus(self) -> int:
+        self.out += len(self.wished())
+        return self.out
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        self.before.append(self.on_the_bus())
+        self.clock.now += self.seconds
+        return super().step(robot, state, inputs)
+
+    def afterwards(self, robot: str) -> Outputs:
+        self.after.append(self.on_the_bus())
+        return {}
+
+
+@pytest.mark.parametrize(("seconds", "together"), [(0.0, 6), (0.002, 3), (0.006, 1)])
+def test_an_action_waits_for_those_of_other_robots_five_milliseconds_at_most(
+    state_at: StateAt, seconds: float, together: int
+) -> None:
+    """Of six robots that speak at one moment; the work that can wait comes when all actions are on the bus."""
+    clock = Clock()
+    node = Taking(seconds, clock)
+    fleet = Fleet(state_at, lockstep=False, node=node, clock=clock)
+    node.wished = fleet.wished
+    fleet.loop.quantum = 0.005
+    fleet.at_one_moment(f"r{number}" for number in range(6))
+    fleet.loop.serve(0.0)
+    assert node.before == [together * (number // together) for number in range(6)]
+    clock.now += 0.06
+    fleet.loop.serve(0.0)
+    assert node.after == [6] * 6
+
+
+def test_everything_published_in_a_turn_is_on_the_bus_when_it_ends(real_time: Fleet) -> None:
+    """While batches are made, messages wait for the others of this turn, and for nothing else."""
     names = [f"r{number}" for number in range(9)]
     for tick in range(3):
-        fleet.loop.quantum = 0.005
-        fleet.clock.now += 0.3
-        for name in names:
-            fleet.bus.publish(STATE, name, state_at(tick, epoch=EPOCH, lockstep=False, period=0.05))
-            stamp = {"epoch": EPOCH, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
-            fleet.bus.publish(LATENT, name, LatentMessage(**stamp, model="m", values=(0.1,), deviations=(0.1,)))
-        fleet.loop.serve(0.0)
-        assert sorted(fleet.wished()) == [(name, tick) for name in names]
-        heard = {item.robot for item in fleet.healths.take(0.0) if isinstance(item, Received)}
-        assert heard == set(names)
+        real_time.loop.quantum = 0.005
+        real_time.clock.now += 0.3
+        real_time.at_one_moment(names, tick, period=0.05)
+        real_time.loop.serve(0.0)
+        assert sorted(real_time.wished()) == [(name, tick) for name in names]
+        assert {item.robot for item in real_time.healths.take(0.0)} == set(names)
+    real_time.clock.now += 0.3  # they fall silent
+    real_time.loop.turn(0.0)
+    real_time.healths.take(0.0)
+    real_time.clock.now += 0.3
+    real_time.loop.turn(0.0)
+    assert {item.robot for item in real_time.healths.take(0.0)} == set(names)
+
+
+@pytest.mark.parametrize(("bundled", "keys"), [(False, {"r1", "r2"}), (True, {"+"})])
+def test_an_action_travels_alone_unless_the_state_came_in_a_bundle(
+    bundled: bool, keys: set[str], state_at: StateAt, samples: dict[str, Message]
+) -> None:
+    """A robot that may not read what is sent to others never gets a bundle; who shows verdicts may."""
+
+    class Deciding(Wisher):
+        inputs: ClassVar[tuple[Topic, ...]] = ()
+        outputs: ClassVar = (ACTION, VERDICT)
+
+        def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+            action = ActionMessage(**stamp(state.tick, state.epoch), values=(0.0, 0.0))
+            return {ACTION: action, VERDICT: samples["verdict"]}
+
+    fleet = Fleet(state_at, lockstep=False, node=Deciding())
+    seen: dict[str, set[str]] = {"action": set(), "verdict": set()}
+    for topic, robots in seen.items():
+        fleet.transport.subscribe(f"safedpa/test/*/{topic}", lambda key, _, into=robots: into.add(key.split("/")[2]))
+    fleet.loop.quantum = 0.005
+    if bundled:
+        fleet.bus.hold()
+    for robot in ("r1", "r2"):
+        fleet.bus.publish(STATE, robot, state_at(0, epoch=EPOCH, lockstep=False, period=0.05))
+    fleet.bus.flush()
+    fleet.loop.serve(0.0)
+    assert seen == {"action": keys, "verdict": {"+"}}
+
+
+@pytest.mark.parametrize(("apart", "lockstep", "all_taken"), [
+    (0.05, False, True), (0.04, False, True), (0.005, False, False), (0.0, False, False), (0.0, True, True),
+])  # fmt: skip
+def test_states_that_come_far_faster_than_their_period_are_refused_except_in_lockstep(
+    apart: float, lockstep: bool, all_taken: bool, state_at: StateAt
+) -> None:
+    """Sixty at a period of 0.05 s: of those that come ten times as fast a few are taken."""
+    fleet = Fleet(state_at, lockstep=lockstep)
+    for tick in range(60):
+        fleet.clock.now += apart
+        fleet.state(tick)
+        fleet.latent(tick)
+    steps, health = len(fleet.node.steps), fleet.health()["r"]
+    assert health.refused == 60 - steps
+    assert (steps == 60) is all_taken
+    assert all_taken or 10 <= steps < 40
+    assert all_taken or "far faster than their period" in health.detail
+
+
+def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lockstep: Fleet) -> None:
+    """A state whose input never came is shown to the node; the next one that is stepped names its tick."""
+    lockstep.state(5)
+    lockstep.state(6)
+    lockstep.latent(6)
+    lockstep.latent(7)
+    lockstep.state(7)
+    wishes = [item.message for item in lockstep.wishes.take(0.0) if isinstance(item, Received)]
+    assert all(isinstance(wish, WishMessage) for wish in wishes)
+    assert [(wish.step, wish.skipped, wish.consumed) for wish in wishes] == [
+        (1, (5.0,), ((0.0, 0.0),)),
+        (2, (), ((0.0, 0.0),)),
+    ]
+
+
+def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(state_at: StateAt) -> None:
+    events = list[tuple[str, str]]()
+    journal = Journal("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
+    fleet = Fleet(state_at, lockstep=True, journal=journal)
+    fleet.state(5)
+    fleet.state(4)
+    fleet.state(0, epoch=EPOCH + 1)
+    fleet.clock.now += 1.0
+    fleet.state(0, epoch=EPOCH + 1)
+    fleet.wait(31.0)
+    assert events == [(kind, "r") for kind in (
+        "robot.met", "message.refused", "robot.second_refused", "robot.began_anew", "robot.forgotten",
+    )]  # fmt: skip
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_the_setup_is_told_at_once_and_every_five_seconds_by_whoever_has_one(known: bool) -> None:
-    broker, clock = MemoryBroker(), Clock()
-    heard = Bus(MemoryTransport(broker), "test").inbox((SETUP,), keep_all=True)
+def test_the_setup_is_published_at_once_and_every_five_seconds(known: bool, state_at: StateAt) -> None:
     setup = setup_message("policy", {}) if known else None
-    loop = ServiceLoop(Wisher(), Bus(MemoryTransport(broker), "test"), clock=clock, setup=setup)
-    told = list[float]()
+    fleet = Fleet(state_at, lockstep=True, setup=setup)
+    heard = fleet.bus.inbox((SETUP,), keep_all=True)
+    published = list[float]()
     for quarter in range(48):
-        clock.now = 100.0 + 0.25 * quarter
-        loop.turn(0.0)
-        told += [clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, Received)]
-    assert told == ([0.0, 5.0, 10.0] if known else [])
+        fleet.clock.now = 100.0 + 0.25 * quarter
+        fleet.loop.turn(0.0)
+        published += [fleet.clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, Received)]
+    assert published == ([0.0, 5.0, 10.0] if known else [])

@@ -28,8 +28,11 @@ def nodes() -> list[type[AbstractNode]]:
 
 
 @given(names, names, some.sampled_from(list(TOPICS.values())), names)
-def test_keys_round_trip(fleet: str, robot: str, topic: Topic, service: str) -> None:
-    assert topic_of(key_of(fleet, robot, topic, service)) == (fleet, robot, topic)
+def test_a_key_names_a_fleet_a_robot_and_a_topic(fleet: str, robot: str, topic: Topic, service: str) -> None:
+    key = key_of(fleet, robot, topic, service)
+    assert topic_of(key) == (fleet, robot, topic)
+    assert key == f"safedpa/{fleet}/{robot}/{topic.name}" + (f"/{service}" if topic.per_service else "")
+    assert key_of(fleet, "*", HEALTH, "*") == f"safedpa/{fleet}/*/health/*"
 
 
 @pytest.mark.parametrize(
@@ -54,6 +57,13 @@ def test_a_name_has_a_hundred_and_twenty_eight_letters_at_most_of_whatever_scrip
         "safedpa/**",
         "safedpa/*/r/state",
         "safedpa/f/r/health/*",
+        "safedpa/f/r/health/",
+        "safedpa//r/state",
+        "safedpa/f/@r/state",
+        "safedpa/f/r$/state",
+        "safedpa/f/r\n/state",
+        f"safedpa/f/{'r' * 129}/state",
+        f"safedpa/f/r/health/{'r' * 129}",
         "safedpa/f/r",
         "safedpa/f/r/state/more",
         "safedpa/f/r/health",
@@ -132,7 +142,7 @@ def test_nodes_write_what_the_table_says() -> None:
     assert {topic.writer for topic in TOPICS.values() if topic not in written} <= {"robot", "diagnosis", "*"}
 
 
-def test_whoever_reads_an_output_runs_later_in_the_period() -> None:
+def test_a_node_that_reads_an_output_runs_later_in_the_period() -> None:
     for node in nodes():
         for topic in node.inputs:
             writer = next(other for other in nodes() if topic in other.outputs)

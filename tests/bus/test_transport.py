@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
 import threading
 import time
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -26,8 +28,8 @@ from safedpa.bus import (
     request_key,
 )
 from safedpa.bus import ZenohTransport as Zenoh
-from safedpa.bus.transport.session import _UNCLOSED
-from safedpa.errors import BusError, InputError
+from safedpa.bus.transport.session import close_in_peace
+from safedpa.errors import BusError, InputError, MessageError
 
 PATIENCE = 30.0
 
@@ -280,13 +282,9 @@ def test_what_is_no_endpoint_is_bad_input_and_not_tried_again(side: str) -> None
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.processes
-def test_a_session_that_does_not_close_is_told_and_kept(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """Zenoh gives up after 10 s where the machine has too much to do; who ends must not fail by it."""
+def test_a_session_that_does_not_close_is_reported_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    """Zenoh gives up after 10 s where the machine has too much to do; a process that ends must not fail by it."""
     import zenoh
-
-    transport = Zenoh(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
-    real = transport._session
 
     class Stuck:
         def is_closed(self) -> bool:
@@ -295,22 +293,24 @@ def test_a_session_that_does_not_close_is_told_and_kept(free_port: int, capsys: 
         def close(self) -> None:
             raise zenoh.ZError("close operation timed out! at /somewhere/close.rs:135.")
 
-    stuck = transport._session = Stuck()  # type: ignore[assignment]
-    transport.close()
-    told = capsys.readouterr().err
-    assert '"kind": "bus.unclosed"' in told
-    assert "close operation timed out!" in told
-    assert any(kept is stuck for kept in _UNCLOSED)
-    _UNCLOSED.remove(stuck)
-    real.close()
+    stuck: Any = Stuck()
+    close_in_peace(stuck)
+    error = capsys.readouterr().err
+    assert '"kind": "bus.unclosed"' in error
+    assert "close operation timed out!" in error
+    assert "close.rs" not in error
+    known = weakref.ref(stuck)
+    del stuck
+    gc.collect()
+    assert known() is not None, "letting go of a session would close it again, for as long"
 
 
 def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[str, Message]) -> None:
-    with (
-        Bus(MemoryTransport(MemoryBroker()), "f") as bus,
-        pytest.raises(Exception, match="state: got ActionMessage, wanted StateMessage"),
-    ):
-        bus.publish(STATE, "r", samples["action"])
+    with Bus(MemoryTransport(MemoryBroker()), "f") as bus:
+        ear = bus.inbox((STATE,), keep_all=True)
+        with pytest.raises(MessageError, match="state: got ActionMessage, wanted StateMessage"):
+            bus.publish(STATE, "r", samples["action"])
+        assert ear.take(0.0) == []
 
 
 @pytest.mark.processes
@@ -333,17 +333,3 @@ def test_links_are_opened_and_closed_by_more_than_one_thread(free_port: int) -> 
     command = [sys.executable, "-c", program]
     found = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60, check=False)
     assert found.stdout.strip() == "4", found.stderr
-
-
-@pytest.mark.parametrize(
-    ("settings", "one_of_two"),
-    [
-        (ZenohSettings(), True),
-        (ZenohSettings(connect=("tcp/127.0.0.1:7447",)), True),
-        (ZenohSettings(connect=("tcp/elsewhere:7447",)), False),
-        (ZenohSettings("client", connect=("tcp/127.0.0.1:7447",)), False),
-    ],
-)
-def test_of_two_peers_of_one_machine_one_connects(settings: ZenohSettings, one_of_two: bool) -> None:
-    """Over several machines one of them may be the only one that reaches the other."""
-    assert ("scouting/gossip/autoconnect_strategy" in settings.configuration()) == one_of_two

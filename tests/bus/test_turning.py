@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
 
 from safedpa.bus import (
     ACTION,
@@ -23,7 +29,7 @@ from safedpa.bus import (
     StateMessage,
     WishMessage,
 )
-from safedpa.bus.loop.turning import Turning
+from safedpa.bus.loop.turning import Agenda, Turning
 from safedpa.bus.transport.in_process import JointTransport
 
 PATIENCE = 30.0
@@ -105,7 +111,7 @@ def test_a_state_is_answered_on_the_thread_that_brought_it(state_at: Callable[..
     assert process.nodes[1].ends == 1
 
 
-def test_what_no_message_brings_the_main_thread_does(state_at: Callable[..., StateMessage]) -> None:
+def test_the_main_thread_does_what_no_message_brings(state_at: Callable[..., StateMessage]) -> None:
     with Process() as process:
         process.bus.publish(STATE, "r", state_at(7, lockstep=False))
         spoken = []
@@ -141,7 +147,7 @@ def test_messages_from_many_threads_at_once_are_each_answered_once(state_at: Cal
     assert sorted(heard) == sorted((robot, tick) for robot in robots for tick in range(ticks))
 
 
-def test_what_the_state_alone_allows_is_prepared_once_while_inputs_are_on_their_way(
+def test_a_node_prepares_once_while_its_inputs_are_missing(
     state_at: Callable[..., StateMessage],
 ) -> None:
     broker = MemoryBroker()
@@ -157,17 +163,128 @@ def test_what_the_state_alone_allows_is_prepared_once_while_inputs_are_on_their_
     assert node.prepared == [3]
 
 
-def test_what_is_due_is_asked_by_nobody_while_another_thread_turns() -> None:
-    process = Process()
-    turning, asked = Turning(process.loops), list[bool]()
-    for loop in process.loops:
+class Loop:
+    """In place of a service loop: its clock moves as it waits; it is needed until ``until`` [s]."""
 
-        def patience(longest_wait: float, ask: Callable[[float], float] = loop.patience) -> float:
-            asked.append(turning._turns.locked())
-            return ask(min(longest_wait, 0.001))
+    def __init__(self, now: list[float], until: float = 0.0, *, leads: bool = True, quantum: float = 0.0) -> None:
+        self.now, self.until, self.leads, self.quantum, self.wanted_quantum = now, until, leads, quantum, quantum
+        self.inbox = SimpleNamespace(lead=self.led, waiting=True)
+        self.came: Callable[[], None] | None = None
+        self.ended, self.served, self.waits = 0, 0, list[float]()
+        self.asked: Callable[[float], float] = lambda longest: longest
 
-        loop.patience = patience  # type: ignore[method-assign]
-    turns = iter([False] * 5 + [True])
-    turning.run(lambda: next(turns))
-    assert len(asked) >= 10
-    assert all(asked), "moments that nobody awaits are taken back meanwhile"
+    def led(self, came: Callable[[], None] | None) -> None:
+        self.came = came
+
+    def clock(self) -> float:
+        return self.now[0]
+
+    def patience(self, longest: float) -> float:
+        self.waits.append(longest)
+        return self.asked(longest)
+
+    def turn(self, _: float) -> None:
+        self.now[0] += self.waits[-1] if self.leads else 0.0
+
+    def serve(self, wait: float) -> None:
+        assert wait == 0.0, "a thread of the network never waits"
+        self.served += 1
+        self.inbox.waiting = self.served < 3
+
+    def coalesce(self, quantum: float) -> None:
+        self.quantum = quantum
+
+    def wind_up(self) -> None:
+        self.ended += 1
+
+    @property
+    def is_needed(self) -> bool:
+        return self.now[0] < self.until
+
+
+@pytest.mark.parametrize(
+    ("needed", "turned"),
+    [((0.0, 0.0), 0.0), ((1.0, 0.0), 1.0), ((0.0, 1.0), 1.0), ((9.0, 0.0), 5.0), ((9.0, 9.0), 5.0)],
+)
+def test_at_the_end_loops_are_turned_until_none_is_needed_and_five_seconds_at_most(
+    needed: tuple[float, float], turned: float
+) -> None:
+    """Until then it looks four times a second whether it shall end; at the end it turns twenty times a second."""
+    now, stops = [0.0], iter([False] * 4)
+    loops: Any = [Loop(now, 100.0 + until, leads=not number) for number, until in enumerate(needed)]
+
+    def stopped() -> bool:
+        if next(stops, True):
+            now[0] = 100.0
+        return now[0] >= 100.0
+
+    Turning(loops).run(stopped)
+    assert [loop.ended for loop in loops] == [1, 1]
+    assert now[0] - 100.0 == pytest.approx(turned, abs=0.051)
+    assert loops[0].waits[:4] == [0.25] * 4
+    assert all(wait <= 0.1 for wait in loops[0].waits[4:])
+    assert loops[0].came is None, "messages that come later turn nothing"
+
+
+@pytest.mark.parametrize(("quantum", "waiting", "served"), [(0.0, True, 3), (0.0, False, 0), (0.002, True, 0)])
+def test_a_thread_that_brings_a_message_serves_until_nothing_waits_unless_batches_are_made(
+    quantum: float, waiting: bool, served: int
+) -> None:
+    loop: Any = Loop([0.0], quantum=quantum)
+
+    def stopped() -> bool:
+        loop.inbox.waiting = waiting
+        loop.came()
+        return True
+
+    Turning([loop]).run(stopped)
+    assert loop.served == served
+
+
+def test_while_one_thread_turns_or_asks_for_the_next_moment_no_other_thread_does() -> None:
+    """Moments that are not needed any more are removed meanwhile."""
+    loop: Any = Loop([0.0])
+    loop.asked = lambda longest: loop.came() or longest
+    turns = iter([False] * 3 + [True])
+    Turning([loop]).run(lambda: next(turns))
+    assert (len(loop.waits), loop.served) == (3, 0)
+
+
+def test_a_message_that_another_thread_served_wakes_the_main_thread() -> None:
+    """What is due may be due earlier now; here the main thread would sleep for a minute."""
+    loop: Any = Loop([0.0])
+    loop.inbox.waiting = False
+
+    def asked(longest: float) -> float:
+        del longest
+        threading.Timer(0.05, loop.came).start()
+        return 60.0
+
+    loop.asked = asked
+    turns, began = iter([False, True]), time.monotonic()
+    Turning([loop]).run(lambda: next(turns))
+    assert time.monotonic() - began < PATIENCE
+
+
+def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_stay() -> None:
+    agenda = Agenda()
+    for when, robot in ((3.0, "c"), (1.0, "a"), (2.0, "b"), (1.5, "a"), (3.0, "d"), (math.inf, "e")):
+        agenda.at(when, robot)
+    assert agenda.due(0.9) == []
+    assert agenda.due(2.0) == ["a", "b"]
+    assert (agenda.next(), len(agenda)) == (3.0, 2)
+    assert agenda.due(2.9) == []
+    assert agenda.due(3.0) == ["c", "d"]
+    assert (agenda.due(9.0), len(agenda)) == ([], 0)
+
+
+@pytest.mark.parametrize(
+    ("awaited", "earliest", "left"),
+    [(None, 1.0, 4), ("ab", 1.0, 4), ("b", 1.0, 4), ("c", 2.0, 2), ("d", 3.0, 1), ("", math.inf, 0)],
+)
+def test_a_moment_for_which_no_robot_waits_any_more_is_removed(awaited: str | None, earliest: float, left: int) -> None:
+    agenda = Agenda()
+    for robot, when in (("a", 1.0), ("d", 3.0), ("b", 1.0), ("c", 2.0)):
+        agenda.at(when, robot)
+    assert agenda.next(None if awaited is None else awaited.__contains__) == earliest
+    assert len(agenda) == left

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
-from safedpa.bus.security.access import ROLES, access_control, rate_limits, roles_of, size_limits
+from safedpa.bus.security.access import ROLES, access_control, may_write, rate_limits, roles_of, size_limits
 from safedpa.bus.wire.stamp import STAMP_BYTES
 from safedpa.errors import InputError
 
@@ -65,6 +65,51 @@ def test_every_topic_has_its_writer_and_no_other() -> None:
         }
         only = {"robot.r" if topic.writer == "robot" else topic.writer}
         assert writers == (SEVERAL[topic.name] if topic.writer == "*" else only)
+
+
+@pytest.mark.parametrize(
+    ("role", "topic", "robots"),
+    [
+        ("policy", "wish", "r+"),
+        ("policy", "state", ""),
+        ("policy", "health", "r+-"),
+        ("policy", "takeover", "r-"),
+        ("diagnosis", "finding", "r"),
+        ("diagnosis", "model", "r"),
+        ("diagnosis", "takeover", ""),
+        ("diagnosis", "wish", ""),
+        ("diagnosis", "setup", "r-"),
+        ("robot", "state", "r+"),
+        ("robot", "wish", ""),
+        ("operator", "health", ""),
+    ],
+)
+def test_a_role_writes_its_own_topics_about_one_robot_many_or_none(role: str, topic: str, robots: str) -> None:
+    """``+`` stands for a bundle about many robots, ``-`` for a service of the whole fleet."""
+    assert "".join(robot for robot in "r+-" if may_write(ROLES[role], TOPICS[topic], robot)) == robots
+
+
+def test_the_router_takes_from_a_policy_these_keys_and_no_others() -> None:
+    assert keys_of(access_control("f", ["r"]), "policy", "put", "ingress") == {
+        "safedpa/f/r/wish", "safedpa/f/+/wish",
+        "safedpa/f/r/health/policy", "safedpa/f/+/health/policy", "safedpa/f/-/health/policy",
+        "safedpa/f/r/takeover/policy", "safedpa/f/-/takeover/policy",
+        "safedpa/f/r/setup/policy", "safedpa/f/-/setup/policy",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "robots", "refused"),
+    [("router.west", (), False), ("router.west", ("r1",), False), ("router", (), True), ("policy", (), True),
+     ("west", (), True), ("router.west", ("",), True), ("router.west", ("*",), True)],
+)  # fmt: skip
+def test_a_linked_router_has_a_name_of_its_own(name: str, robots: tuple[str, ...], refused: bool) -> None:
+    if refused:
+        with pytest.raises(InputError):
+            access_control("f", ["r1"], {name: robots})
+        return
+    subjects = [subject["id"] for subject in access_control("f", ["r1"], {name: robots})["subjects"]]
+    assert {name, "router"} <= set(subjects)
 
 
 def test_strangers_have_a_right_to_nothing() -> None:
@@ -134,6 +179,18 @@ def test_every_writer_hears_of_its_readers() -> None:
             if any(key.split("/")[3] == topic.name for key in keys_of(control, role, "declare_subscriber", "egress"))
         }
         assert heard == wanted, topic.name
+
+
+def test_messages_of_a_tick_are_limited_in_rate_and_those_that_must_not_be_lost_are_not() -> None:
+    """Each rule is about one topic of one robot or of bundles."""
+    assert rate_limits("f", []) == []
+    (limits,) = rate_limits("f", ["r1", "r2"])
+    keys = [rule["key_expr"].split("/") for rule in limits["rules"]]
+    ticking = {name for name, topic in TOPICS.items() if topic.delivery == "latest" and not topic.per_service}
+    bundled = {name for name in ticking if TOPICS[name].bundles}
+    for robot, topics in (("r1", ticking), ("r2", ticking), ("+", bundled)):
+        assert sorted(key[3] for key in keys if key[2] == robot and key[3] != "health") == sorted(topics)
+    assert {len(key) for key in keys if key[3] == "health"} == {5}, "a heartbeat is of its service alone"
 
 
 def test_a_member_may_beat_a_hundred_times_a_second_and_tick_eight_times_as_fast_as_the_fastest_robot() -> None:

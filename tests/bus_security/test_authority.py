@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from safedpa.bus.security.access import roles_of
@@ -101,6 +103,13 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "authority.pem").write_text("no certificate")
     with pytest.raises(InputError, match="no certificate and key of an authority"):
         Authority(tmp_path, "f")
+    Authority(tmp_path / "good", "f")
+    other = rsa.generate_private_key(65537, 2048).private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    (tmp_path / "good" / "authority.key.pem").write_bytes(other)
+    with pytest.raises(InputError, match="got another kind of key, wanted one on P-256"):
+        Authority(tmp_path / "good", "f")
 
 
 def test_missing_files_are_named_with_what_to_do(tmp_path: Path) -> None:

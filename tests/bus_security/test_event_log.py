@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -139,7 +141,10 @@ def test_names_from_an_attacker_cost_bounded_memory() -> None:
     bench = Bench()
     for number in range(5000):
         bench.say(robot=f"r{number}")
-    assert len(bench.log._windows) <= 512
+    before = len(bench.lines)
+    bench.say(robot="r4999")
+    bench.say(robot="r0")
+    assert len(bench.lines) == before + 1, "the newest names are remembered, and the oldest are forgotten"
     bench.say(robot="x" * 100_000)
     assert len(bench.lines[-1]) < 1000
 
@@ -152,6 +157,14 @@ def test_no_test_keeps_back_an_event_of_the_next_one_nor_tells_one_late(
     for _ in range(2):
         log_event("test.left_over", which)
     assert json.loads(capsys.readouterr().err)["sentence"] == which
+
+
+def test_a_line_is_out_when_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The log of a process that hangs or is killed ends with its last words."""
+    below = io.BytesIO()
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(io.BufferedWriter(below, 1 << 16), "utf-8"))  # type: ignore[arg-type]
+    log_event("test.last_words", "it hangs")
+    assert b"it hangs" in below.getvalue()
 
 
 def test_a_broken_standard_error_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,76 @@
+"""The inputs of one robot's step: which are kept, which complete a tick, and which are stale."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+from tests.bus.fleet import EPOCH, StateAt, latent_of, stamp
+
+from safedpa.bus import LATENT, WISH, Stale, StateMessage, WishMessage
+from safedpa.bus.loop.slot import Slot
+
+ticks = some.integers(0, 8)
+epochs = some.sampled_from([EPOCH, EPOCH - 1, EPOCH + 1])
+
+
+def slot_at(state: StateMessage) -> Slot:
+    return Slot(state, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def state_of(samples: dict[str, StateMessage]) -> StateAt:
+    return lambda lockstep: dataclasses.replace(samples["state"], tick=5, epoch=EPOCH, lockstep=lockstep)
+
+
+@given(heard=some.lists(some.tuples(ticks, epochs), max_size=6))
+def test_the_newest_input_of_the_epoch_is_kept(heard: list[tuple[int, int]], state_of: StateAt) -> None:
+    slot, newest = slot_at(state_of(lockstep=False)), -1
+    for tick, epoch in heard:
+        better = epoch == EPOCH and tick > newest
+        assert slot.keep(LATENT, latent_of(tick, epoch)) is better
+        newest = tick if better else newest
+        assert (slot.inputs[LATENT].tick if LATENT in slot.inputs else -1) == newest
+
+
+@given(tick=ticks, epoch=epochs, lockstep=some.booleans(), slack=some.integers(0, 3))
+def test_an_input_completes_its_tick_or_in_real_time_one_within_the_slack(
+    tick: int, epoch: int, lockstep: bool, slack: int, state_of: StateAt
+) -> None:
+    """An input that completes no tick is given as stale, with its age; the topic itself allows a latent no age."""
+    slot = slot_at(state_of(lockstep=lockstep))
+    assert slot.is_complete((), {})
+    assert not slot.is_complete((LATENT,), {LATENT: slack})
+    assert slot.given((LATENT,), {LATENT: slack}) == {LATENT: Stale(LATENT, None)}
+    slot.inputs[LATENT] = latent_of(tick, epoch)
+    usable = epoch == EPOCH and tick in range(5 - (0 if lockstep else slack), 6)
+    assert slot.is_complete((LATENT,), {LATENT: slack}) is usable
+    age = max(5 - tick, 0) if epoch == EPOCH else None
+    assert slot.given((LATENT,), {LATENT: slack})[LATENT] == (latent_of(tick) if usable else Stale(LATENT, age))
+
+
+def test_an_input_of_a_former_epoch_is_replaced_whatever_its_tick(state_of: StateAt) -> None:
+    slot = slot_at(state_of(lockstep=False))
+    slot.inputs[LATENT] = latent_of(90, EPOCH - 1)
+    assert slot.keep(LATENT, latent_of(1))
+    assert slot.inputs[LATENT].tick == 1
+
+
+def test_slack_is_for_the_topics_that_are_named(state_of: StateAt) -> None:
+    slot = slot_at(state_of(lockstep=False))
+    slot.keep(LATENT, latent_of(4))
+    slot.keep(WISH, WishMessage(**stamp(4), values=(0.0, 0.0), controller="test"))
+    assert not slot.is_complete((LATENT, WISH), {LATENT: 1})
+    slot.keep(WISH, WishMessage(**stamp(5), values=(0.0, 0.0), controller="test"))
+    assert slot.is_complete((LATENT, WISH), {LATENT: 1})
+    assert not slot.is_complete((LATENT, WISH), {})
+
+
+@pytest.mark.parametrize(
+    ("age", "sentence"),
+    [(None, "no latent has arrived"), (1, "the latent is 1 ticks old"), (3, "the latent is 3 ticks old")],
+)
+def test_a_stale_input_says_how_old_it_is(age: int | None, sentence: str) -> None:
+    assert Stale(LATENT, age).sentence == sentence
