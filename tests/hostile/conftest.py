@@ -1,4 +1,4 @@
-"""Offers of models by somebody who has a diagnosis' key."""
+"""Offers of models by a process that has the key of a diagnosis."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from safedpa.bus import ModelMessage
-from safedpa.bus.transport import zenoh_transport
+from safedpa.bus import ModelMessage, ZenohSettings
 
 
 @pytest.fixture
@@ -34,7 +33,9 @@ def offer_of() -> Callable[..., ModelMessage]:
 @pytest.fixture
 def links_outlive(monkeypatch: pytest.MonkeyPatch) -> None:
     """Signs of life of sessions in this process may wait for longer than between robots: a busy machine parts none."""
-    monkeypatch.setattr(zenoh_transport, "_LEASE_MILLISECONDS", 30_000)
+    usual = ZenohSettings.configuration
+    longer = {"transport/link/tx/lease": 30_000}
+    monkeypatch.setattr(ZenohSettings, "configuration", lambda settings: usual(settings) | longer)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zstandard
 
 from safedpa_lab.experiments.hostile.bombs import BOMBS, Bomb
 
@@ -102,3 +104,63 @@ def test_a_bomb_is_refused_soon_and_in_little_memory(
     assert len(refusal) < 1000
     assert seconds < SECONDS * max(1.0, reference / REFERENCE)
     assert megabytes < MEGABYTES
+
+
+def made(name: str) -> bytes:
+    (bomb,) = (bomb for bomb in BOMBS if bomb.name == name)
+    return bomb.make()
+
+
+def chunks_of(file: bytes) -> Iterator[tuple[int, bytes]]:
+    """Declared size and packed data of each chunk of an MCAP file: records are a kind, a length and a body."""
+    assert file[:8] == b"\x89MCAP0\r\n"
+    at = 8
+    while at < len(file):
+        kind, length = struct.unpack_from("<BQ", file, at)
+        at += 9
+        assert at + length <= len(file), "no record is cut off"
+        if kind == 6:
+            (declared,) = struct.unpack_from("<Q", file, at + 16)
+            (name,) = struct.unpack_from("<I", file, at + 28)
+            assert file[at + 32 : at + 32 + name] == b"zstd"
+            yield declared, file[at + 32 + name + 8 : at + length]
+        at += length
+
+
+def unpacked(packed: bytes, most: int) -> bytes:
+    with zstandard.ZstdDecompressor(max_window_size=2**31).stream_reader(packed) as stream:
+        return stream.read(most)
+
+
+@pytest.mark.parametrize(("name", "size"), [("a file of 200 MB", 200), ("one line of 50 MB", 50)])
+def test_a_large_bomb_is_as_large_as_its_name_says(name: str, size: int) -> None:
+    assert size * 2**20 <= len(made(name)) < 1.1 * size * 2**20
+
+
+@pytest.mark.parametrize(
+    ("name", "declared"), [("a chunk of 2 GB in 65 KB", 2**31), ("a chunk that says less than it holds", 1000)]
+)
+def test_a_packed_bomb_holds_two_gigabytes_whatever_it_declares(name: str, declared: int) -> None:
+    file = made(name)
+    ((size, packed),) = chunks_of(file)
+    assert size == declared
+    assert len(file) < 100_000
+    parameters = zstandard.get_frame_parameters(packed)
+    assert parameters.content_size == 2**31
+    assert len(unpacked(packed, 64 << 20)) == 64 << 20
+
+
+def test_each_of_400_chunks_is_allowed_and_holds_what_it_declares() -> None:
+    found = list(chunks_of(made("400 chunks of 8 MB")))
+    assert len(found) > 400
+    assert len(set(found)) == 1
+    declared, packed = found[0]
+    assert 0.99 * 8 * 2**20 < declared == len(unpacked(packed, 9 << 20)) <= 8 * 2**20
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a million empty records", 0), ("a million private records", 0x80)])
+def test_a_bomb_of_records_has_about_a_million_of_them(name: str, kind: int) -> None:
+    """Nine bytes each, the file packed as a whole."""
+    whole = unpacked(made(name), 1 << 30)
+    assert whole[8:17] == bytes([kind, *[0] * 8])
+    assert 700_000 <= (len(whole) - 8) / 9.0 <= 1_300_000

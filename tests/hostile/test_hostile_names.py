@@ -6,7 +6,8 @@ import io
 import json
 import re
 from pathlib import Path
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -18,10 +19,9 @@ from safedpa.bus.wire.topics import topic_of
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa_services.command_line.group import safedpa
-from safedpa_services.command_line.status_table import _table
 from safedpa_services.lines import say
 from safedpa_services.supervisor.warnings import readable as event_line
-from safedpa_services.terminal import Shown, terminal
+from safedpa_services.terminal import terminal
 
 HOSTILE = (
     "\x1b[2J\x1b[H",  # clears the screen
@@ -88,23 +88,18 @@ def test_a_terminal_shows_it_as_text(text: str, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("text", HOSTILE[:-2])
 def test_the_table_of_processes_shows_it_as_text(text: str) -> None:
     from safedpa_services.supervisor.child import Child
-    from safedpa_services.supervisor.view import _row
+    from safedpa_services.supervisor.view import view_of
 
     message = HealthMessage(
         epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service="policy", pid=1, state=text, detail=text
     )
-
-    class Watch:
-        health: ClassVar = {"policy": (message, 0.0)}
-
-        @staticmethod
-        def silent_for(name: str) -> float:
-            return 0.0
-
-    watch: Any = Watch
-    for cell in _row(watch, Child("policy", "", (), Path("log"))):
-        assert not CONTROL.search(drawn(Shown(cell)).replace("\n", ""))
-    assert _table((), [], 80) is not None
+    watch: Any = SimpleNamespace(
+        state=None, verdict=None, finding=None, health={"policy": (message, 0.0)}, silent_for=lambda _: 0.0
+    )
+    policy, robot = (Child(name, "", (), Path("log")) for name in ("policy", "robot"))
+    shown = drawn(view_of(watch, [policy], robot, [text], [text]))
+    assert "policy" in shown
+    assert not CONTROL.search(shown)
 
 
 @pytest.mark.parametrize("text", HOSTILE[:-2])

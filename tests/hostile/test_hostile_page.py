@@ -14,13 +14,11 @@ from typing import Any
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_lab.benchmarks.hostile import offered
-from safedpa_lab.benchmarks.hostile.floods import _longest
+from safedpa_lab.benchmarks.hostile import offered, silent
 from safedpa_lab.benchmarks.hostile.offering import FREEZES, costly_model
 from safedpa_lab.benchmarks.hostile.offers import account_of_offers
 from safedpa_lab.benchmarks.hostile.page import write_page
 from safedpa_lab.benchmarks.reference import held_up_seconds
-from safedpa_lab.commands.experiments import hostile
 from safedpa_services.command_line.group import safedpa
 
 ABOUT = {"held": True, "date": "2026-11-23 00:00", "cores": 2, "load_average": [1.0, 2.0]}
@@ -106,12 +104,6 @@ def test_what_counts_as_holding(
     assert offered.offers_benchmark(20.0)["held"] is held
 
 
-def test_the_longest_stretch_of_braking() -> None:
-    assert _longest([]) == 0.0
-    assert _longest([1.0]) == 0.05
-    assert _longest([1.0, 1.05, 1.10, 2.0, 2.05]) == 0.15
-
-
 def test_the_model_that_is_long_to_try_can_be_read() -> None:
     assert costly_model().count("[[effects]]") > 15
 
@@ -141,9 +133,8 @@ def test_an_attack_that_did_not_hold_ends_with_code_1(
         "exit_code": 1, "ticks": 3, "watchdog_ticks": 3, "restarts": 1, "joins": 0, "slowest_join_seconds": None,
         "collisions": 0,
     }  # fmt: skip
-    monkeypatch.setattr(
-        hostile, "_attacked", lambda *_: {**ABOUT, "held": False, "in_peace": drive, "under_attack": drive}
-    )
+    account = {**ABOUT, "held": False, "in_peace": drive, "under_attack": drive}
+    monkeypatch.setattr(silent, "silent_benchmark", lambda *_, **__: account)
     assert safedpa.run(["experiment", "hostile", "--attack", "silent"]) == 1
     said = capsys.readouterr()
     assert "under attack  exit code 1, 3 ticks" in said.out

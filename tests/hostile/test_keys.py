@@ -22,6 +22,7 @@ from safedpa.bus.security.access import access_control, roles_of
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Card, Certificates
 from safedpa.errors import BusError, InputError
+from safedpa_services.router import __main__ as router_process
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Revoked, Twins
 from safedpa_services.supervisor.private_folder import private_folder
@@ -225,68 +226,81 @@ def test_a_revoked_certificate_s_link_ends(fleet: tuple[ZenohTransport, str, Pat
             transport.close()
 
 
-def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path) -> None:
-    from safedpa_services.router.__main__ import REVOKED, _settings
+class StartedError(Exception):
+    """A router that would have opened its session with ``settings``."""
 
+    def __init__(self, settings: ZenohSettings) -> None:
+        super().__init__("started")
+        self.settings = settings
+
+
+@pytest.fixture
+def settings_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[argparse.Namespace], ZenohSettings]:
+    def opened(settings: ZenohSettings) -> None:
+        raise StartedError(settings)
+
+    def settings(options: argparse.Namespace) -> ZenohSettings:
+        with pytest.raises(StartedError) as started:
+            router_process.work(options, lambda: True)
+        return started.value.settings
+
+    monkeypatch.setattr(router_process, "ZenohTransport", opened)
+    monkeypatch.setattr(router_process, "capture_zenoh_log", lambda *_: None)
+    return settings
+
+
+Settings = Callable[[argparse.Namespace], ZenohSettings]
+
+
+def test_a_revoked_name_has_no_right_from_the_start(tmp_path: Path, settings_of: Settings) -> None:
     authority = Authority(tmp_path, "fleet")
     authority.issue("router", 1.0, HOSTS)
-    (tmp_path / REVOKED).write_text("robot.r1\n", encoding="utf-8")
-    options = argparse.Namespace(
-        fleet="fleet", listen=["tls/127.0.0.1:7447"], connect=[], certificates=tmp_path, role="router", robot=["r1"],
-        link=[], plain=False, card=None,
-    )  # fmt: skip
-    settings = _settings(options)
+    (tmp_path / router_process.REVOKED).write_text("robot.r1\n", encoding="utf-8")
+    settings = settings_of(_router_options(certificates=tmp_path))
     assert settings.access is not None
     with_rights = {subject for policy in settings.access["policies"] for subject in policy["subjects"]}
     assert "robot.r1" not in with_rights
     assert "policy" in with_rights
     assert Refusals().total == 0
-    assert os.path.exists(tmp_path / REVOKED)
+    assert os.path.exists(tmp_path / router_process.REVOKED)
 
 
 @pytest.mark.parametrize("known_by", ["certificates", "card", "both"])
 def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(
-    known_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    known_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings_of: Settings
 ) -> None:
     """By a folder of certificates, by a card, or by both: each is enough, and its rights are in force."""
-    from safedpa_services.router import __main__ as started
-
     shown = object()
-    monkeypatch.setattr(started, "identity_from", lambda options: shown)
+    monkeypatch.setattr(router_process, "identity_from", lambda options: shown)
     options = _router_options(
         certificates=tmp_path if known_by != "card" else None, card=3 if known_by != "certificates" else None
     )
-    settings = started._settings(options)
+    settings = settings_of(options)
     assert settings.certificates is shown
     assert settings.access is not None
     assert settings.limits
     assert settings.rates
 
 
-def test_a_router_without_any_proof_does_not_start() -> None:
-    from safedpa_services.router.__main__ import _settings
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({}, "--certificates: got none"),
+        ({"plain": True, "certificates": Path("certificates")}, "--plain: got it together with --certificates"),
+        ({"plain": True, "card": 3}, "--plain: got it together with --certificates"),
+        ({"plain": True, "listen": []}, "--listen: got none"),
+    ],
+)
+def test_a_router_is_reachable_and_either_plain_or_shows_who_it_is(options: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        router_process.work(_router_options(**options), lambda: True)
 
-    with pytest.raises(InputError, match="--certificates: got none"):
-        _settings(_router_options())
 
-
-@pytest.mark.parametrize("given", [{"certificates": Path("certificates")}, {"card": 3}])
-def test_a_router_is_plain_or_shows_who_it_is_and_never_both(given: dict[str, Any]) -> None:
-    from safedpa_services.router.__main__ import _settings
-
-    with pytest.raises(InputError, match="--plain: got it together with --certificates"):
-        _settings(_router_options(plain=True, **given))
-    settings = _settings(_router_options(plain=True))
+def test_a_plain_router_limits_sizes_and_rates_all_the_same(settings_of: Settings) -> None:
+    settings = settings_of(_router_options(plain=True))
     assert (settings.certificates, settings.access) == (None, None)
-    assert settings.limits, "sizes and rates are limited even where nobody is known"
+    assert settings.limits
     assert settings.rates
-
-
-def test_a_router_that_nobody_can_reach_does_not_start() -> None:
-    from safedpa_services.router.__main__ import _settings
-
-    with pytest.raises(InputError, match="--listen: got none"):
-        _settings(_router_options(listen=[], plain=True))
 
 
 def _router_options(**given: Any) -> argparse.Namespace:

@@ -21,7 +21,6 @@ from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
-from safedpa_services.serving import _hand_in
 from safedpa_services.trying import tried
 
 CAR = load_model("car")
@@ -75,6 +74,13 @@ def turn(node: AbstractNode, tick: int) -> Any:
     return outputs.get(TAKEOVER)
 
 
+def tried_by(apart: Apart, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractTicket]:
+    """Has offers to a node tried in the process apart, as a service does."""
+    return lambda robot, offer: apart.hand_in(
+        (node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot))
+    )
+
+
 def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
     apart: Apart, offer_of: Callable[..., ModelMessage]
 ) -> None:
@@ -85,7 +91,7 @@ def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
         parse_model(DOCUMENT)
         good = min(good, time.thread_time() - began)
     node = AdaptationNode(CAR)
-    node.try_apart(lambda robot, offer: _hand_in(apart, node, OPTIONS, robot, offer))
+    node.try_apart(tried_by(apart, node))
     turn(node, 0)
     ticks, longest = count(1), dict.fromkeys(BOMBS, math.inf)
     for change, name in enumerate([*BOMBS] * 3, 1):
@@ -106,7 +112,7 @@ def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
 
 def test_a_good_offer_is_taken_as_before(apart: Apart, offer_of: Callable[..., ModelMessage]) -> None:
     node = AdaptationNode(CAR)
-    node.try_apart(lambda robot, offer: _hand_in(apart, node, OPTIONS, robot, offer))
+    node.try_apart(tried_by(apart, node))
     turn(node, 0)
     node.hear("r1", offer_of(DOCUMENT, NEW))
     answer, ticks, until = None, count(1), time.monotonic() + _PATIENCE
@@ -183,7 +189,7 @@ def tells_its_niceness(work: object) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("function", "words"),
-    [("spins", "processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
+    [("spins", "more than 5 s of processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
 )
 def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, words: str, tmp_path: Path) -> None:
     apart = _apart(function, tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
@@ -286,8 +292,10 @@ def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monoto
     """With a function of this file, which the process finds as a module of its own."""
     source = Path(__file__).read_text(encoding="utf-8")
     begin, end = source.index("def spins"), source.index('@pytest.mark.parametrize(\n    ("function"')
-    head = "import os\nfrom pathlib import Path\nfrom typing import Any\n\nfrom safedpa.bus.loop import apart\n\n"
-    head += "apart._PROCESSOR_SECONDS = 1\n\n\n"
+    head = "import os\nimport resource\nfrom pathlib import Path\nfrom typing import Any\n\n"
+    head += "usual = resource.setrlimit\n"  # a fifth of the seconds of a processor
+    head += "fifth = lambda kind, most: (most[0] // 5,) * 2 if kind == resource.RLIMIT_CPU else most\n"
+    head += "resource.setrlimit = lambda kind, most: usual(kind, fifth(kind, most))\n\n\n"
     (folder / "works_apart.py").write_text(head + source[begin:end], encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
