@@ -25,7 +25,7 @@ from safedpa_lab.benchmarks.filter_decisions import (
 )
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with
 from safedpa_lab.benchmarks.python_source import of_source, without
-from safedpa_lab.benchmarks.results import Effort, Entry, Floor, Row, Target, missing
+from safedpa_lab.benchmarks.results import Curve, Effort, Floor, Row, Target
 from safedpa_lab.benchmarks.rows import filter as row
 from safedpa_lab.benchmarks.table import target_texts
 
@@ -91,24 +91,44 @@ def test_barriers_of_a_large_scene_are_those_of_a_small_one(eight: FilterProblem
     assert eight.barriers().values(state).tobytes() == told.tobytes()
 
 
-def _entries(*, peers: bool) -> tuple[list[Entry], list[Entry]]:
-    at = "8 obstacles"
-    ours = [
-        Entry(f"safedpa, {NETWORKS}", {"p50": 50.0, "p99": 90.0}, problem=at),
-        Entry(f"safedpa, {PHYSICS}", {"p50": 40.0, "p99": 91.0}, problem=at),
-        *(Entry(f"safedpa, {name}", {"p50": 1.0, "p99": 1.0}, problem=f"{at}, floor") for name in FLOORS),
-        Entry(f"safedpa, {once(NETWORKS)}", {"p50": 31.0, "p99": 44.0}, problem=f"{at}, floor"),
-        Entry(f"safedpa, {once(PHYSICS)}", {"p50": 29.0, "p99": 92.0}, problem=f"{at}, floor"),
-        Entry("safedpa, Python source", {"p50": 101.0, "p99": 200.0}, problem="8, Python source"),
-    ]
-    slow = Entry("cbfpy, qpax", {"p50": 80.0, "p99": 180.0}, problem=at)
-    quick = Entry("cbfpy, elastiqp", {"p50": 60.0, "p99": 400.0}, problem=at)
-    foreign = Entry("cvxpy, Clarabel", {"p50": 1.0, "p99": 1.0}, problem=at)
-    return ours, [quick, slow, foreign] if peers else [missing("cbfpy, qpax", "not installed", at), foreign]
+OURS = {NETWORKS: (50.0, 90.0), PHYSICS: (40.0, 91.0), once(NETWORKS): (31.0, 44.0), once(PHYSICS): (29.0, 92.0)}
+"""p50 and p99 of a decision, and of each part once."""
+PEERS = {("cbfpy", "qpax"): (80.0, 180.0), ("cbfpy", "elastiqp"): (60.0, 400.0), ("cvxpy", "CLARABEL"): (1.0, 1.0)}
 
 
-def test_targets_are_half_of_the_best_backend_of_the_same_run() -> None:
-    targets, notes = row._targets(*_entries(peers=True), (8,))
+def _measured(monkeypatch: pytest.MonkeyPatch, *, peers: bool) -> tuple[list[Target], tuple[str, ...]]:
+    """Targets that are not about 1 or 32 obstacles, and notes of the row with those times; nothing is timed."""
+
+    def times(p50: float, p99: float, **more: Any) -> dict[str, Any]:
+        return {"wall": {"p50": p50, "p99": p99}, "processor": {"p50": p50}, "calls": 9, **more}
+
+    def ask(_script: str, package: str, question: dict[str, Any], *_: Any) -> dict[str, Any]:
+        problems = question["problems"]
+        asked = package, problems[0]["backend"]
+        if asked not in PEERS or (package == "cbfpy" and not peers):
+            return {"missing": "not installed"}
+        actions = [[0.0, 0.0]] * len(problems[0]["states"])
+        answer = times(*PEERS[asked], version="1", actions=actions)
+        return {"answers": [*[answer] * (len(problems) - 1), {"says": "nothing"}]}
+
+    found = {name: times(*OURS.get(name, (1.0, 1.0))) for name in (*MODELS.values(), *FLOORS, *OURS)}
+    nothing = Curve("nothing", "x", "y", (), {})
+    for name, value in {
+        "with_floors": lambda *_: found,
+        "decisions": lambda *_, **__: times(1.0, 1.0),
+        "of_source": lambda *_: times(101.0, 200.0),
+        "ask_peer": ask,
+        "over_obstacles": lambda *_: nothing,
+        "over_effects": lambda *_: nothing,
+    }.items():
+        monkeypatch.setattr(row, name, value)
+    measured = row.measure(Effort(full=True))
+    targets = [one for one in measured.targets if not any(f", {n} obstacle" in one.what for n in (1, 32))]
+    return targets, measured.notes
+
+
+def test_targets_are_half_of_the_best_backend_of_the_same_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets, notes = _measured(monkeypatch, peers=True)
     assert [target.wanted for target in targets] == [30.0, 90.0, 30.0, 90.0, 90.0, 100.0]
     assert [target.got for target in targets] == [50.0, 90.0, 40.0, 91.0, 91.0, 101.0]
     assert [target.reached for target in targets] == [False, True, False, False, False, False]
@@ -116,14 +136,13 @@ def test_targets_are_half_of_the_best_backend_of_the_same_run() -> None:
     assert [target.forbidden for target in targets[:4]] == [True, False, False, True]
     assert "cbfpy, elastiqp" in targets[0].what
     assert "cbfpy, qpax" in targets[1].what
-    assert not notes
+    assert not any("no target" in note for note in notes)
 
 
-def test_without_the_peer_there_is_no_target_and_a_note_says_so() -> None:
-    targets, notes = row._targets(*_entries(peers=False), (8,))
+def test_without_the_peer_there_is_no_target_and_a_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets, notes = _measured(monkeypatch, peers=False)
     assert not any("half" in target.what for target in targets)
-    assert "8 obstacles" in notes[0]
-    assert "cbfpy" in notes[0]
+    assert any("no target with 8 obstacles" in note and "cbfpy" in note for note in notes)
 
 
 def test_what_is_missed_stands_beside_its_floor() -> None:
@@ -178,11 +197,10 @@ def test_a_peer_that_gives_up_is_not_asked_about_more(monkeypatch: pytest.Monkey
 
     nothing = {"wall": {"p50": 1.0}}
     monkeypatch.setattr(filter_growth, "ask_peer", ask)
-    monkeypatch.setattr(filter_growth, "_COUNTS", (1, 4, 16, 64))
     monkeypatch.setattr(filter_growth, "decisions", lambda *_: nothing)
     peers = [("there", "there", "", "script"), ("absent", "absent", "", "script")]
-    curve = filter_growth.over_obstacles(peers, Effort())
-    assert curve.series["there"] == (7.0, 7.0, None, None)
+    curve = filter_growth.over_obstacles(peers, Effort(quick=True))
+    assert curve.series["there"] == (7.0, None)
     assert "absent" not in curve.series
-    assert asked == [1, 4, 16, 1]
-    assert curve.x == (1.0, 4.0, 16.0, 64.0)
+    assert asked == [1, 8, 1]
+    assert curve.x == (1.0, 8.0)

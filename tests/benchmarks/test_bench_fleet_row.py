@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import pytest
@@ -40,8 +41,17 @@ def test_the_search_ends_at_what_holds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_one_that_breaks_down_takes_all_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(row, "fleet_benchmark", _fleet(0, 1))
-    assert not row._apart(FleetTrial(3, 1.0))["holds"]
+    """The third of four robots with services of their own breaks down."""
+    alone = itertools.count(1)
+
+    def drive(trial: FleetTrial) -> dict[str, Any]:
+        breaks = trial.robots == 1 and next(alone) == 3
+        found: dict[str, Any] = _fleet(1000, 1 if breaks else 2000)(trial)
+        return found
+
+    monkeypatch.setattr(row, "fleet_benchmark", drive)
+    first = row.measure(Effort()).peers[0].more["trials"][0]
+    assert (first["robots"], first["robot_ticks"], first["holds"]) == (4, 300, False)
 
 
 def test_the_asked_number_drives_for_ten_minutes_in_full(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -171,8 +172,8 @@ def test_a_simulated_robot_sees_its_own_key_alone(documents: list[Document], key
     assert (keys / "robot.robot-2.pem").exists()
 
 
-def test_a_robot_that_has_its_certificate_asks_nobody_for_one(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot_start, "_answer", lambda _: pytest.fail("asked"))
+def test_a_robot_that_has_its_certificate_does_not_ask_for_one(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "create_connection", lambda *_: pytest.fail("asked"))
     robot_start.enrol("robot.robot-1", keys)
 
 

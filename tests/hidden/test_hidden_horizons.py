@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -41,17 +42,11 @@ def test_every_horizon_says_the_same(tmp_path, capsys):
 
 
 def test_a_case_that_differs_is_told(monkeypatch, capsys):
-    said = {0.2: ("effect_missing", ["tip_mass"]), 1.0: ("undecided", [])}
-    monkeypatch.setattr(
-        experiment,
-        "_said",
-        lambda _log, horizon: {
-            "horizon": horizon,
-            "verdict": said[horizon][0],
-            "added": said[horizon][1],
-            "error": 0.1,
-        },
-    )
+    reports = {
+        horizon: SimpleNamespace(verdict=verdict, added=added, stages=[SimpleNamespace(heldout_error=0.1)])
+        for horizon, verdict, added in ((0.2, "effect_missing", ["tip_mass"]), (1.0, "undecided", []))
+    }
+    monkeypatch.setattr(experiment, "diagnose", lambda _model, _runs, horizon: reports[horizon])
     assert safedpa.run(["experiment", "hidden-effects", "--suite", "pendulum", "--horizons"]) == 0
     told = capsys.readouterr().out
     assert "in 0 of 2 cases" in told

@@ -23,16 +23,16 @@ from safedpa.safety.batch import BatchFilter
 from safedpa.safety.many_barriers import ManyEquations
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.experiments.pendulum import PendulumExperiment, pendulum_experiment
-from safedpa_lab.experiments.pendulum_episodes import DEVELOPMENT, Choice, Work, _account, best_penalty
+from safedpa_lab.experiments.pendulum_episodes import DEVELOPMENT, Choice, Work, accounts, best_penalty
 from safedpa_lab.experiments.pendulum_report import markdown_of, write_report
-from safedpa_lab.experiments.pendulum_sweeps import _UNCHANGED
 from safedpa_lab.experiments.seeds import SEEDS
 from safedpa_lab.pendulum.balancing import balanced, balanced_account, sensors_of
 from safedpa_lab.pendulum.crossing import crossed, crossed_account
 from safedpa_lab.pendulum.difficulty import AXES, Difficulty, Episodes
 from safedpa_lab.pendulum.margin import covered_share, measured_margins
-from safedpa_lab.pendulum.methods import BALANCING_METHODS, FILTERED, HAZARD_METHODS, Method, method_named
+from safedpa_lab.pendulum.methods import Method, method_named
 from safedpa_lab.pendulum.rollouts import Closed, swung
 from safedpa_services.command_line import safedpa
 from safedpa_sim.closed_loop import drive
@@ -71,8 +71,8 @@ class Small:
 def small() -> Small:
     """Both axes at the experiment's own number: a difficulty that axes have in common is run once.
 
-    Of the four filters of a fixed wind one: the others differ from it by that number alone. And what tables and sweeps
-    ask alike, the same method with the same margin on the same episodes, is driven once.
+    The four filters of a fixed wind count as one: they differ by that number alone. And what tables and sweeps ask
+    alike, the same method with the same margin on the same episodes, is driven once.
     """
     found, plain = Small(), Difficulty()
     own = [axis.values.index(getattr(plain, axis.name)) for axis in SWEPT]
@@ -82,36 +82,34 @@ def small() -> Small:
     )
     asked = PendulumExperiment(NOWHERE, directions=4, episodes=1, sweep_episodes=1, drives=50, seed=3, axes=axes)
 
-    def margins(*given: Any) -> dict[str, dict[str, Any]]:
+    def margins(filtered: tuple[Method, ...], *given: Any) -> dict[str, dict[str, Any]]:
         with noted(found.calibrated):
-            return measured_margins(*given)
+            measured = measured_margins(some(filtered), *given)
+        return {method.name: measured[method.name if method in some(filtered) else "fix_45"] for method in filtered}
 
     @cache
     def penalty(choice: Choice) -> dict[str, Any]:
         with noted(found.chosen):
             return best_penalty(choice)
 
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, Workers(1) as workers:
         patch.setattr("safedpa_lab.experiments.pendulum.measured_margins", margins)
-        patch.setattr("safedpa_lab.experiments.pendulum_episodes._account", each_once())
+        account = each_once(workers)
         for module in ("pendulum", "pendulum_sweeps"):
+            patch.setattr(f"safedpa_lab.experiments.{module}.accounts", lambda work, _: map(account, work))
             patch.setattr(f"safedpa_lab.experiments.{module}.best_penalty", penalty)
-        patch.setattr("safedpa_lab.experiments.pendulum.FILTERED", some(FILTERED))
-        patch.setattr(
-            "safedpa_lab.experiments.pendulum._METHODS", {1: some(BALANCING_METHODS), 2: some(HAZARD_METHODS)}
-        )
-        patch.setattr("safedpa_lab.experiments.pendulum_sweeps.FILTERED", some(FILTERED))
-        patch.setattr("safedpa_lab.experiments.pendulum_sweeps._UNCHANGED", some(_UNCHANGED))
         found.result = pendulum_experiment(asked, lambda done, every: found.told.append((done, every)))
     return found
 
 
-def each_once() -> Callable[[Work], dict[str, Any]]:
+def each_once(workers: Workers) -> Callable[[Work], dict[str, Any]]:
     """The account of a piece of work; of the same one again the same, but for the swings that tables alone show."""
-    computed = cache(lambda work: _account(replace(work, shown=True)))
+    computed = cache(lambda work: next(accounts([replace(work, shown=True)], workers)))
 
     def account(work: Work) -> dict[str, Any]:
-        told = deepcopy(computed(replace(work, shown=False)))
+        method = work.method if some((work.method,)) else replace(work.method, name="fix_45", filter="fix_45")
+        told = deepcopy(computed(replace(work, shown=False, method=replace(method, title="one"))))
+        told["title"] = work.method.title
         return told if work.shown else {name: value for name, value in told.items() if name != "shown"}
 
     return account
@@ -235,7 +233,8 @@ def test_what_is_asked_is_what_happens() -> None:
 @pytest.mark.slow
 def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
     told, result = small.told, small.result
-    assert told[-1][0] == told[-1][1]
+    whole = (8 + 15) + (7 + 8) + 7 + (7 + 4)  # with own margins, with the same one, and both questions of the sweeps
+    assert told == [(done + 1, whole) for done in range(whole)]
     assert "| SafeDPA | " in markdown_of(result)
     write_report(result, tmp_path)
     written = json.loads((tmp_path / "pendulum.json").read_text())

@@ -96,9 +96,7 @@ def test_of_a_single_drive_the_end_is_left_out_and_decides(circles):
 
 
 def test_a_model_without_any_error_stays_as_it_was(circles, monkeypatch):
-    monkeypatch.setattr(
-        online_tuning, "open_loop_errors", lambda _, __, starts, steps: torch.zeros(steps, len(starts), 4)
-    )
+    monkeypatch.setattr(online_tuning, "open_loop_errors", lambda *given: torch.zeros(given[3], len(given[2]), 4))
     _, taken = tuned_online(predictor(), circles, SCALE)
     assert taken.refused
     assert taken.before == (0.0, 0.0)

@@ -182,7 +182,7 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
 def test_development_drives_are_none_that_is_trained_on(
     small: Configuration, taught: tuple[Weights, dict[str, Any]], weights: Weights, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Other seeds: a training begins with its own, or again with that and the steps done, whole rollouts of all cars."""
+    """Other seeds: a training begins with its own, or with that and the steps done, whole rollouts of all cars."""
     made: list[tuple[Driving, int]] = []
 
     def driving(configuration: Configuration, with_: Weights, cars: int, seed: int, **named: Any) -> Driving:

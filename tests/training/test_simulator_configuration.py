@@ -13,11 +13,12 @@ PATH = configurations()["car"]
 TEXT = PATH.read_text(encoding="utf-8")
 
 
-FORCE = {"constant_force.ax", "constant_force.ay"}
+FORCE, WIND = {"constant_force.ax", "constant_force.ay"}, {"wind.speed", "wind.upward"}
+LOADED = {*FORCE, "towed_load.mass_ratio", "towed_load.deceleration"}
 RANDOMISED = {
-    **dict.fromkeys(("car", "car_small"), {*FORCE, "towed_load.mass_ratio", "towed_load.deceleration"}),
+    **dict.fromkeys(("car", "car_small"), LOADED),
     **dict.fromkeys(("car_paper", "car_paper_small", "point", "point_small"), FORCE),
-    **dict.fromkeys(("pendulum", "pendulum_small"), {"wind.speed", "wind.upward"}),
+    **dict.fromkeys(("pendulum", "pendulum_small"), WIND),
 }
 
 

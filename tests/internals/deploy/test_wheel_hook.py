@@ -12,7 +12,7 @@ import pytest
 
 from safedpa.compiled import MODULES, compiled_modules
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def source_of(file: str) -> Path:
