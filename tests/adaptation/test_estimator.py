@@ -86,8 +86,9 @@ class Drive:
     ],
 )
 def test_it_recovers_what_was_planted(model: str, planted: tuple[float, ...], seed: int) -> None:
-    estimator = Drive(model, seed=seed).run(20.0, planted).estimator
-    typical = np.array([estimator._model.parameters[path].typical for path in estimator._model.latent_names])
+    drive = Drive(model, seed=seed).run(20.0, planted)
+    estimator = drive.estimator
+    typical = np.array([drive.model.parameters[path].typical for path in drive.model.latent_names])
     assert np.all(np.abs(estimator.latent - planted) <= 3.0 * estimator.deviations)
     if model is not BOTH:  # mass and drag look alike at these speeds, and it must not claim to tell them apart
         assert np.all(estimator.deviations < 0.35 * typical), "and it says so with some confidence"

@@ -12,7 +12,7 @@ from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import CommandEffect, effect
 from safedpa.effects.effect import Named, Stage
 from safedpa.effects.parameter import Parameter
-from safedpa.operations import FLOATS, Operations
+from safedpa.operations import Operations
 from safedpa.safety.prediction import Prediction
 
 ROBOTS = ("car", "dart_car", "differential_drive", "pendulum", "point")
@@ -34,13 +34,11 @@ def drawn(model: PhysicsModel, generator: np.random.Generator) -> tuple[list[flo
 
 
 def reference(model: PhysicsModel, state: list[float], action: list[float], latent: list[float]) -> list[Any]:
-    """The same step by dictionaries, of actuators that settled at the action."""
-    values, names = model._with_free(latent), model.system.action_names
-    true = model._true(dict(zip(model.system.state_names, state, strict=True)), values)
-    named = dict(zip(names, action, strict=True))
-    for item in model._commands:
-        named = dict(item.transform(named, item.initial_memory(named), values[item.name], model.period, FLOATS)[0])
-    return model._integrated(true, named, values, model.period, 0.0, FLOATS)
+    """The same step by dictionaries, as a new model takes it, of actuators that settled at the action."""
+    new = PhysicsModel(model.base, model.effects, model.settings, model.period)
+    assert new.straight(new.period) is None
+    memory = new.initial_memory(np.array(action), np.array(latent))
+    return new.advance(np.array(state), np.array(action), memory, np.array(latent))[0].tolist()
 
 
 def test_every_robot_has_some() -> None:

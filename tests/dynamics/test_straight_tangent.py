@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -73,18 +74,18 @@ def test_on_a_bound_the_slope_is_that_of_the_bound(a: float, slope: float) -> No
     assert slopes.tolist() == reference.tolist() == [[slope, 0.0]]
 
 
-@pytest.mark.parametrize("name", ["car", "car_learned", "dart_car", "pendulum", "point", "point_wind", "point_learned"])
+@pytest.mark.parametrize("name", ["car", "car_learned", "pendulum", "point", "point_wind", "point_learned"])
 def test_the_same_bits_for_models_of_the_project(name: str) -> None:
     model, draw = load_model(name), np.random.default_rng(0)
-    made = model._recorded(model.period)
-    assert made is not None
-    _, complex_straight, tangent = made
+    slow = copy.deepcopy(model)  # takes the road of dictionaries for its first two hundred steps
+    model.write_straight()
+    tangent = model.straight_tangent()
+    assert tangent is not None
     for _ in range(100):
         state = draw.normal(size=len(model.system.state_names)).tolist()
         action = draw.uniform(-2.0, 2.0, len(model.system.action_names)).tolist()
-        latent = model.latent.tolist()
-        reference = complex_step(
-            lambda nudged, state=state, latent=latent: list(map(complex, complex_straight(state, nudged, latent, 0.0))),
-            action,
-        )[1]
-        assert tangent(state, action, latent, 0.0)[1] == reference.tolist()
+        reference = slow.slopes(np.array(state), model.latent, np.array(action), ())
+        # the reference's complex step leaves its square in a slope of zero, which the recorded tangent does not
+        np.testing.assert_allclose(
+            tangent(state, action, model.latent.tolist(), 0.0)[1], reference, rtol=0.0, atol=1e-60
+        )

@@ -149,11 +149,15 @@ def test_f_and_g_of_different_depth_are_refused(random_car_weights):
 
 
 @pytest.mark.parametrize("large", [1.0, 1e30, 1e39, float("inf"), float("nan")])
-def test_plain_numbers_in_and_out_are_those_of_arrays(large):
-    paired = LearnedNetworks(shipped("car_learned"))._increments
-    values = (0.1, -0.2, 0.3, large, 0.5, -large, 0.7)
+def test_plain_numbers_beyond_single_precision_are_taken_as_arrays_take_them(large):
+    networks, state, latent = LearnedNetworks(shipped("car_learned")), (0.1, -0.2, 0.3, 0.4), (large, 0.5, -large, 0.7)
     with np.errstate(all="ignore"):
-        expected = paired.one(values).tolist()
-        np.testing.assert_array_equal(paired.plain_of_one(values), expected)
+        expected = networks.increment(np.array([state]), np.array([latent]))
+        for plain, array in zip(networks.increment_of_one(state, latent), expected, strict=True):
+            if abs(large) < 1e38:
+                np.testing.assert_allclose(plain, array[0], rtol=1e-5, atol=1e-5 * large)
+            else:
+                assert not np.isfinite(plain).any()
+                assert not np.isfinite(array).any()
         with pytest.raises(ValueError, match="could not broadcast"):
-            paired.plain_of_one(values[:-2])
+            networks.increment_of_one(state, latent[:-2])

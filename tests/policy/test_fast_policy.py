@@ -55,7 +55,7 @@ def test_rays_at_the_rim_of_an_obstacle(bearing, gap, radius):
 @given(some.sampled_from(("car_learned", "pendulum_learned", "car_rma_p")), some.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_the_policy_agrees_with_torch(name, seed):
-    """In single precision: to 1e-6 of the action's range, for one and for many."""
+    """In single precision: to 1e-6 of the action's range."""
     pytest.importorskip("torch")
     from safedpa.networks.reference import reference_action
 
@@ -65,8 +65,21 @@ def test_the_policy_agrees_with_torch(name, seed):
     seen = middle + spread * draw.normal(size=(20, len(middle))) * draw.choice([0.3, 1.0, 5.0])
     expected, reach = reference_action(weights, seen), weights["action_scale"]
     assert (np.abs(policy.act(seen) - expected) / reach).max() < 1e-6
-    one = np.array([policy._act_once(row) for row in seen])
-    assert (np.abs(one - expected) / reach).max() < 1e-6
+
+
+@given(some.sampled_from(("car_learned", "car_simulated")), some.integers(0, 2**32 - 1), some.integers(0, 8))
+@settings(max_examples=60)
+def test_the_wish_of_one_car_is_what_the_policy_does_at_its_observation(name, seed, count):
+    weights, parts = shipped(name), scene(np.random.default_rng(seed), count)
+    state, applied, goal, obstacles, field, footprint, latent = (tuple(part.tolist()) for part in parts)
+    around = tuple(tuple(row) for row in obstacles)
+    told = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "period": 0.05, "lockstep": True}
+    told |= {"values": state, "applied": applied, "goal": goal, "obstacles": around, "field": field}
+    message = StateMessage(**told, applied_by="filter", footprint=footprint)
+    policy = LearnedPolicy(weights)
+    wish, _ = policy.wish(message, np.array(latent))
+    expected = policy.act(np.array(observe_one(state, applied, goal, around, field, footprint, latent)))
+    assert (np.abs(np.array(wish) - expected) / weights["action_scale"]).max() < 1e-6
 
 
 @pytest.mark.parametrize("place", ["values", "goal", "footprint", "obstacles"])

@@ -150,11 +150,11 @@ def test_after_so_much_room_it_passes_the_goal_by_further_and_on_both_sides() ->
             seeker.wish(time, (0.0, 0.0, 0.0, 0.0), (0.0, -0.9))
             time += PERIOD
         while seeker.mode == "make_room":  # the goal is straight ahead at once
-            seeker.wish(time, (0.0, 0.9, -math.pi / 2, 0.0), (0.0, -0.9))
+            _, steer = seeker.wish(time, (0.0, 0.9, -math.pi / 2, 0.0), (0.0, -0.9))
             time += PERIOD
         assert seeker.mode == "detour", attempt
         began = time
-        sides.append(seeker._side)
+        sides.append(math.copysign(1.0, steer))
         while seeker.mode == "detour":
             seeker.wish(time, (0.0, 0.9 - 1.2 * (time - began), -math.pi / 2, 0.0), (0.0, -0.9))
             time += PERIOD

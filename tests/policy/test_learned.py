@@ -54,9 +54,8 @@ def weights(seed: int = 0, hidden: int = 8) -> Weights:
     for name, (outputs, inputs) in shapes.items():
         tensors[f"{name}.weight"] = random.normal(0.0, 0.4, (outputs, inputs))
         tensors[f"{name}.bias"] = random.normal(0.0, 0.1, outputs)
-    ones = {"feature": 3, "action": 2, "environment": 1}
-    tensors |= {f"{name}_middle": np.zeros(count) for name, count in ones.items()}
-    tensors |= {f"{name}_scale": np.ones(count) for name, count in ones.items()}
+    tensors |= {"feature_middle": np.zeros(3), "feature_scale": np.ones(3)}
+    tensors |= {"environment_middle": np.zeros(1), "environment_scale": np.ones(1)}
     tensors |= {"increment_scale": np.full(4, 0.1), "latent_nominal": np.array([0.1, -0.2])}
     tensors |= {"latent_low": -np.ones(LATENTS), "latent_high": np.ones(LATENTS)}
     tensors |= {"action_middle": np.array([0.7, 0.0]), "action_scale": np.array([1.3, 0.34])}

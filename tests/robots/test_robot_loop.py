@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -39,7 +41,16 @@ def action(state: StateMessage, values: tuple[float, ...] = (1.0, 0.1), **other:
 class Fleet:
     """A robot, and a filter that answers each state at once with whatever ``answer`` says."""
 
-    def __init__(self, answer: Answer, *, lockstep: bool = True, period: float = 0.05, patience: float = 60.0) -> None:
+    def __init__(
+        self,
+        answer: Answer,
+        *,
+        lockstep: bool = True,
+        period: float = 0.05,
+        patience: float = 60.0,
+        clock: Callable[[], float] = time.monotonic,
+        bus: type[Bus] = Bus,
+    ) -> None:
         broker = MemoryBroker()
         self.states: list[StateMessage] = []
         self.health: list[HealthMessage] = []
@@ -52,22 +63,27 @@ class Fleet:
         )
         self.sender = Bus(self.filter, "test")
         self.robot = CarRobot(Scene.random(1), period, lockstep, epoch=9)
-        self.loop = RobotLoop(self.robot, Bus(MemoryTransport(broker), "test"), "r1", patience=patience)
+        self.loop = RobotLoop(self.robot, bus(MemoryTransport(broker), "test"), "r1", clock, patience)
 
     @classmethod
     def by_its_own_clock(cls, answer: Answer, period: float) -> Fleet:
         """In real time by a clock that stands still but while the loop waits: no other process holds this one up."""
-        fleet = cls(answer, lockstep=False, period=period)
-        loop, take, now = fleet.loop, fleet.loop._inbox.take, [0.0]
+        now = [0.0]
 
-        def taken(longest_wait: float) -> list[Received | Refused]:
-            found = take(0.0)
-            now[0] += 0.0 if found else longest_wait
-            return found
+        class Waiting(Bus):
+            """Its clock goes on by as long as its inboxes wait, and they do not wait."""
 
-        loop._inbox.take = taken  # type: ignore[method-assign]
-        loop._clock, loop._next_heartbeat = lambda: now[0], 0.0
-        return fleet
+            def inbox(self, *given: Any, **named: Any) -> Any:
+                inbox = super().inbox(*given, **named)
+
+                def take(longest_wait: float) -> list[Received | Refused]:
+                    found = inbox.take(0.0)
+                    now[0] += 0.0 if found else longest_wait
+                    return found
+
+                return SimpleNamespace(take=take)
+
+        return cls(answer, lockstep=False, period=period, clock=lambda: now[0], bus=Waiting)
 
     def on_state(self, _: str, payload: bytes) -> None:
         state = decode(STATE.message, payload)
@@ -172,8 +188,7 @@ def test_heartbeats_come_from_the_turning_loop():
 
 def test_a_loop_that_was_held_up_counts_it_and_does_not_hurry():
     now = itertools.count(0.0, 0.02)  # every look at the clock takes two periods
-    fleet = Fleet(action, lockstep=False, period=0.01)
-    fleet.loop._clock = lambda: next(now)
+    fleet = Fleet(action, lockstep=False, period=0.01, clock=lambda: next(now))
     fleet.loop.run(never, 5)
     assert fleet.loop.overruns == 5
     assert fleet.robot.tick == 5

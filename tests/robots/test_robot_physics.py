@@ -150,11 +150,10 @@ def test_the_frame_of_the_field_does_not_matter():
 
 
 def test_without_tyres_and_floor_momentum_is_conserved(monkeypatch):
-    world = open_world("chair")
+    slippery = replace(CAR_PARAMETERS, friction=0.0, rolling=0.0, drag=0.0)
+    world = CarWorld((0.0, 0.0, 0.0), OPEN_FIELD, (), LOADS["chair"], slippery)
     towed = world.towed
     assert towed is not None
-    slippery = replace(CAR_PARAMETERS, friction=0.0, rolling=0.0, drag=0.0)
-    monkeypatch.setattr(world, "_ground", GroundForces(slippery))
     monkeypatch.setattr(type(towed), "apply_runners", lambda _: None)
     for joint in tuple(towed.body.constraints):
         if joint.b is world.space.static_body:

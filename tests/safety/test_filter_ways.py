@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.safety.test_batch_search_one_by_one import TWO, Problems
+from tests.internals.safety.test_batch_search import TWO, Problems
 
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
