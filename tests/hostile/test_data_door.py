@@ -130,7 +130,7 @@ def test_no_head_passes_under_a_foreign_name(found: bytes) -> None:
         assert passed is None or b"127.0.0.1" in passed or b"localhost" in passed or b"::1" in passed
 
 
-def test_rerun_s_own_server_stands_where_no_page_looks(tmp_path: Path) -> None:
+def test_rerun_s_own_server_is_where_no_page_looks(tmp_path: Path) -> None:
     addresses = {own_loopback() for _ in range(20)}
     assert len(addresses) > 15
     assert all(ipaddress.ip_address(address).is_loopback for address in addresses)

@@ -74,7 +74,7 @@ def test_the_same_chance_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.long
-def test_the_command_tells_every_target(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_every_target(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "hostile", "--seconds", "0.5", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     names = {row["target"] for row in document["targets"]}

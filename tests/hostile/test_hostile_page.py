@@ -54,7 +54,7 @@ def test_late_ticks_are_counted_where_they_belong(tmp_path: Path) -> None:
     assert found["answers"][FREEZES]["after_state_ms"]["p50"] == 4.0
 
 
-def test_what_the_machine_did_is_told_apart(tmp_path: Path) -> None:
+def test_delays_of_the_machine_are_reported_separately(tmp_path: Path) -> None:
     """A core without its reference loop for half the period of a late tick; 20 ms of 50 are not enough."""
     found = _account(tmp_path)
     assert [one["machine_held_up_ms"] for one in found["late"]] == [0.0, 20.0, 40.0]

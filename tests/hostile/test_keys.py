@@ -77,7 +77,7 @@ def test_what_a_killed_machine_left_behind_goes_with_the_next_run(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["safedpa-run-of-somebody-else"]
 
 
-def test_no_argument_of_any_process_tells_a_key_or_a_token(tmp_path: Path) -> None:
+def test_no_argument_of_any_process_contains_a_key_or_a_token(tmp_path: Path) -> None:
     """Arguments are everybody's to read; the environment and the files are this user's."""
     from safedpa_services.supervisor.plan import Plan
 
@@ -93,7 +93,7 @@ def test_no_argument_of_any_process_tells_a_key_or_a_token(tmp_path: Path) -> No
     assert plan.page_token not in repr(plan)
 
 
-def test_a_process_reads_its_card_once_and_nothing_that_is_told_holds_it() -> None:
+def test_a_process_reads_its_card_once_and_publishes_nothing_of_it() -> None:
     with throw_away_certificates("f", "r1") as wallet:
         card = wallet.cards["workbench"]
     parser = argparse.ArgumentParser()
@@ -252,7 +252,7 @@ def settings_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[argparse.Namespace
 Settings = Callable[[argparse.Namespace], ZenohSettings]
 
 
-def test_a_revoked_name_has_no_right_from_the_start(tmp_path: Path, settings_of: Settings) -> None:
+def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path, settings_of: Settings) -> None:
     authority = Authority(tmp_path, "fleet")
     authority.issue("router", 1.0, HOSTS)
     (tmp_path / router_process.REVOKED).write_text("robot.r1\n", encoding="utf-8")

@@ -225,7 +225,7 @@ def test_each_answer_comes_while_the_process_waits_for_more_work(
         apart.close()
 
 
-def test_handing_in_waits_two_milliseconds_at_most_even_where_nobody_reads(
+def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slept: list[float] = []
@@ -242,7 +242,7 @@ def test_handing_in_waits_two_milliseconds_at_most_even_where_nobody_reads(
         apart.close()
 
 
-def test_giving_up_waits_for_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_giving_up_waits_for_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine a process at the lowest priority takes tens of milliseconds to die, with much memory more."""
     now = [0.0]
     apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
@@ -260,7 +260,7 @@ def test_giving_up_waits_for_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     apart.close()
 
 
-def test_who_waits_behind_a_work_that_takes_too_long_is_told_at_once_and_ends_nobody_elses(tmp_path: Path) -> None:
+def test_works_behind_one_that_takes_too_long_fail_at_once_and_end_no_other(tmp_path: Path) -> None:
     now = [0.0]
     apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
     try:
@@ -327,7 +327,7 @@ def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMess
         now[0] += 0.0141
 
 
-def test_in_lockstep_nobody_waits_for_a_moment(offer_of: Callable[..., ModelMessage]) -> None:
+def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., ModelMessage]) -> None:
     """What a robot in lockstep is answered depends on no clock."""
     versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, lambda *_: "new", clock=time.monotonic)
 

@@ -62,7 +62,7 @@ def test_a_field_of_a_later_version_may_hold_anything(messages: Messages, tmp_pa
 
 
 @pytest.mark.parametrize("rows", [[[0.0, 1.0]], [[0.0]] * 2, [[]] * 2, [[0.0, 1.0, 2.0]] * 2, [[0.0, 1.0]] * 40])
-def test_a_trace_of_another_shape_is_left_out_and_told(messages: Messages, tmp_path: Path, rows: list[Any]) -> None:
+def test_a_trace_of_another_shape_is_left_out_and_reported(messages: Messages, tmp_path: Path, rows: list[Any]) -> None:
     path = changed(messages, "verdict", lambda table: table.update(consumed=rows), tmp_path / "run.mcap")
     replayed(path)
     assert any(finding.kind == "unreadable_trace" for finding in read_tape([path]).findings)

@@ -19,7 +19,7 @@ def test_lines_come_whole_and_in_order() -> None:
     os.close(file.descriptor)
 
 
-def test_a_flood_that_nobody_reads_is_never_waited_for_and_given_back() -> None:
+def test_an_unread_flood_never_blocks_the_writer_and_is_given_back() -> None:
     file, line = LogFile(most_unread=1 << 20), b"x" * 1023 + b"\n"
     assert stat.S_ISREG(os.fstat(file.descriptor).st_mode), "who writes to a full pipe or socket waits"
     for _ in range(20_000):
@@ -32,7 +32,7 @@ def test_a_flood_that_nobody_reads_is_never_waited_for_and_given_back() -> None:
     os.close(file.descriptor)
 
 
-def test_a_line_without_an_end_is_kept_only_so_far() -> None:
+def test_a_line_without_an_end_is_cut_at_its_longest_length() -> None:
     file = LogFile()
     for _ in range(3):
         os.write(file.descriptor, b"x" * 60_000)

@@ -313,7 +313,7 @@ def test_a_flight_log_that_ends_within_its_descriptions_is_refused_at_once(tmp_p
     assert "is a damaged PX4 flight log; fetch it from the vehicle's card once more" in one_line(path)
 
 
-def test_names_that_are_no_text_or_hold_ends_of_lines_are_told_in_one_line(tmp_path: Path) -> None:
+def test_names_that_are_no_text_or_have_line_ends_are_shown_on_one_line(tmp_path: Path) -> None:
     path = next(bag(tmp_path / "drive", "db3", 50).glob("*.db3"))
     with sqlite3.connect(path) as base:
         base.execute("UPDATE topics SET type = 'a/msg/B' || char(10) || 'C' WHERE name = '/drive'")

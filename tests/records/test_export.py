@@ -73,7 +73,7 @@ def test_an_exported_drive_is_read_back_equal(tmp_path: Path, kind: str, capsys:
     assert [entry.name for entry in out.parent.iterdir()] == [out.name]
 
 
-def test_the_verdicts_stand_beside_their_ticks(tmp_path: Path) -> None:
+def test_the_verdicts_are_in_the_rows_of_their_ticks(tmp_path: Path) -> None:
     record(tmp_path / "drive.mcap")
     out = tmp_path / "drive.parquet"
     assert safedpa.run(["export", str(tmp_path / "drive.mcap"), "--format", "parquet", "--out", str(out)]) == 0

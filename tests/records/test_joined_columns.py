@@ -56,7 +56,7 @@ def test_wheels_make_one_way_and_its_slope_a_speed(tmp_path):
         ("difference", "mm", lambda t, way: -0.2 * way - 0.08 * t),
     ],
 )
-def test_each_join_is_what_it_says(tmp_path, join, unit, wanted):
+def test_each_join_computes_what_its_name_says(tmp_path, join, unit, wanted):
     path, t, way, _ = log(tmp_path)
     text = f'way = {{ from = ["left", "right"], join = "{join}", unit = "{unit}" }}\nspeed = "far"\nthrottle = "u1"\n'
     part = read(path, text).parts()
@@ -64,7 +64,7 @@ def test_each_join_is_what_it_says(tmp_path, join, unit, wanted):
         np.testing.assert_allclose(states[:, 0], wanted(own, np.interp(own, t, way)), atol=1e-6)
 
 
-def test_the_first_that_is_there_stands_in_for_gaps(tmp_path):
+def test_the_first_available_column_fills_gaps(tmp_path):
     path, t, way, _ = log(tmp_path)
     text = 'way = { from = ["near", "far"], join = "first" }\nspeed = { derive = "slope", of = "way", window = 0.1 }\n'
     run = read(path, text + 'throttle = "u1"\n')

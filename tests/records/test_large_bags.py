@@ -71,7 +71,7 @@ def test_a_line_of_blanks_costs_as_much_as_one_of_letters(form: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("form", FORMS)
-def test_pictures_that_nobody_asked_for_take_no_memory(form: str, tmp_path: Path) -> None:
+def test_pictures_that_are_not_requested_take_no_memory(form: str, tmp_path: Path) -> None:
     """Of a bag what is kept is what the map names; the rest passes by, a chunk at a time."""
     columns = load_column_map("f1tenth_bag")
     peaks = []

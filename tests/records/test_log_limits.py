@@ -49,20 +49,22 @@ def refused_below(monkeypatch: pytest.MonkeyPatch, name: str, size: int, read: A
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_bag_has_so_many_bytes(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_of_a_bag_is_limited(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = bag_file(tmp_path, form)
     refused_below(monkeypatch, "bag_bytes", path.stat().st_size, lambda: topic_log(path).topics())
 
 
 @pytest.mark.parametrize("form", ["db3", "bag"])
-def test_a_bag_has_so_many_topics(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_topics_of_a_bag_is_limited(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Odometry and commands."""
     path = bag_file(tmp_path, form)
     refused_below(monkeypatch, "bag_topics", 2, lambda: topic_log(path).topics())
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_so_many_messages_of_a_bag_are_kept(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_messages_read_from_a_bag_is_limited(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = bag_file(tmp_path, form)
     count = topic_log(path).topics()["/odom"].count
     wanted = {"/odom": ("pose.pose.position.x",)}
@@ -71,7 +73,7 @@ def test_so_many_messages_of_a_bag_are_kept(form: str, tmp_path: Path, monkeypat
 
 @pytest.mark.parametrize(("made", "read"), [(csv_file, read_csv_table), (parquet_file, read_parquet_table)])
 @pytest.mark.parametrize("name", ["table_bytes", "columns"])
-def test_a_table_has_so_many_bytes_and_columns(
+def test_bytes_and_columns_of_a_table_are_limited(
     made: Any, read: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = made(tmp_path)

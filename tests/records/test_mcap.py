@@ -115,7 +115,7 @@ def test_a_robot_without_any_action_is_refused(tmp_path: Path) -> None:
         read_run_from_mcap(path, CAR)
 
 
-def test_a_robot_that_starts_anew_begins_a_new_stretch(tmp_path: Path) -> None:
+def test_a_restarted_robot_begins_a_new_stretch(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     key = key_of("fleet", "car1", STATE)
     with McapRecorder(path) as recorder:
@@ -139,7 +139,7 @@ def test_repeated_ticks_count_once_and_a_missing_tick_cuts(tmp_path: Path) -> No
     assert [finding.kind for finding in run.findings] == ["gap"]
 
 
-def test_several_robots_must_be_told_apart(tmp_path: Path) -> None:
+def test_of_several_robots_one_must_be_named(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     with McapRecorder(path) as recorder:
         for tick in range(10):
@@ -249,7 +249,7 @@ def test_messages_that_are_none_are_left_out_and_counted(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("content", [b"hello, this is text", b"\x89MC"])
-def test_what_is_no_mcap_file_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_no_mcap_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "drive.mcap"
     path.write_bytes(content)
     with pytest.raises(RunError, match="is no MCAP file"):
@@ -285,7 +285,7 @@ def test_a_kill_loses_less_than_the_last_second(tmp_path: Path) -> None:
     assert (2000 - len(ticks)) * PERIOD < 1.0
 
 
-def test_a_full_device_says_so_in_one_sentence() -> None:
+def test_a_full_device_is_reported_in_one_sentence() -> None:
     with pytest.raises(
         RecordingError, match=r"/dev/full: the recording stopped after 0 bytes \(No space left on device\)"
     ):

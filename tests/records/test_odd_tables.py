@@ -51,7 +51,7 @@ def test_a_quotation_mark_that_is_never_closed_loses_no_rows_in_silence(tmp_path
     assert "remove the line" in text
 
 
-def test_a_stray_quotation_mark_at_the_beginning_of_a_line_is_told(tmp_path: Path) -> None:
+def test_a_stray_quotation_mark_at_the_beginning_of_a_line_is_reported(tmp_path: Path) -> None:
     text = error_of(written(tmp_path / "drive.csv", [HEADER, *LINES[:40], f'"{LINES[40]}', *LINES[41:]]))
     assert "line 42: a quotation mark opens there" in text
 
@@ -63,7 +63,7 @@ def test_notes_with_quotation_marks_are_let_by(tmp_path: Path, note: str) -> Non
 
 
 @pytest.mark.parametrize("at", [30, 90])
-def test_a_note_of_windows_is_read_wherever_it_stands(tmp_path: Path, at: int) -> None:
+def test_a_note_in_a_windows_encoding_is_read_in_any_line(tmp_path: Path, at: int) -> None:
     lines = [f"{line},{'90°' if number == at else 'on'}".encode("cp1252") for number, line in enumerate(LINES)]
     assert len(load_run(written(tmp_path / "drive.csv", [f"{HEADER},note [°]".encode("cp1252"), *lines]), CAR).t) == 100
 
@@ -102,13 +102,13 @@ def test_among_decimal_commas_a_point_is_no_decimal_point(tmp_path: Path, cell: 
     )
 
 
-def test_a_date_beside_decimal_commas_does_not_hide_them(tmp_path: Path) -> None:
+def test_a_column_of_dates_does_not_hide_decimal_commas(tmp_path: Path) -> None:
     lines = ["date;" + HEADER.replace(",", ";"), *(f"27.11.2026 10:00:00;{line}" for line in GERMAN)]
     run = load_run(written(tmp_path / "drive.csv", lines), CAR)
     np.testing.assert_allclose(run.states[:, 0], [values[1] for values in ROWS], atol=0)
 
 
-def test_a_date_for_a_time_is_told_what_to_do(tmp_path: Path) -> None:
+def test_a_date_in_place_of_a_time_is_refused_with_advice(tmp_path: Path) -> None:
     lines = [f"2026-11-27T10:00:{number / 20:06.3f},{line.split(',', 1)[1]}" for number, line in enumerate(LINES)]
     assert "wanted a number; write it as seconds" in error_of(written(tmp_path / "drive.csv", [HEADER, *lines, ""]))
 

@@ -199,7 +199,7 @@ def test_a_time_that_is_none_is_cut_out() -> None:
     assert [len(part) for part in run.stretches] == [200, 198, 199]
 
 
-def test_irregular_sampling_is_said_and_nothing_is_cut_for_it() -> None:
+def test_irregular_sampling_is_reported_and_nothing_is_cut_for_it() -> None:
     rows = car_rows(period=0.01)
     kept = np.flatnonzero(np.random.default_rng(3).random(600) < 0.5)
     run = judge(rows.taken(kept))
@@ -216,7 +216,7 @@ def test_an_input_without_excitation_is_named(index: int, name: str) -> None:
     assert run.findings[0].message.startswith(f"{name} is always 0.2")
 
 
-def test_a_parked_robot_is_said() -> None:
+def test_a_parked_robot_is_reported() -> None:
     rows = car_rows()
     run = judge(replace(rows, states=np.tile(rows.states[0], (600, 1))))
     assert kinds(run) == ["no_motion"]

@@ -35,7 +35,7 @@ def test_they_are_there_and_small() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_whoever_recorded_one_anew_said_why_and_what_differs(name: str) -> None:
+def test_each_golden_run_that_was_recorded_again_has_a_reason_and_its_differences(name: str) -> None:
     """Beside the recordings stands the sum of each, with the reason and the fields in which the former one differed."""
     changes = json.loads((GOLDEN / "changes.json").read_text(encoding="utf-8"))
     assert changes.keys() == set(NAMES)

@@ -69,7 +69,7 @@ def test_the_mcap_library_reads_it_and_the_schemas_explain_it(fleet_of: Any, tmp
     assert {"safedpa.StateMessage", "safedpa.SetupMessage", "safedpa.VerdictMessage"} <= kinds
 
 
-def test_a_refused_request_is_told_with_its_reason() -> None:
+def test_a_refused_request_is_recorded_with_its_reason() -> None:
     broker = MemoryBroker()
     diagnosis, person, recorder = (Bus(MemoryTransport(broker), "test") for _ in range(3))
     inbox = recorder.inbox((ASKED,), keep_all=True)

@@ -34,7 +34,7 @@ def test_the_document_of_a_replay_has_all_that_the_lines_say(capsys: pytest.Capt
     }  # fmt: skip
 
 
-def test_the_document_of_a_what_if_has_what_was_recorded_beside_what_would_have_been(
+def test_the_document_of_a_what_if_has_recorded_and_hypothetical_decisions(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     document = document_of(capsys, "--eta", "0.1")

@@ -141,7 +141,7 @@ def test_a_gap_makes_the_memory_unknown_until_it_agrees_again(fleet_of: Any, tmp
     assert found.agrees
 
 
-def test_a_recording_that_begins_on_the_way_says_so(fleet_of: Any, tmp_path: Path) -> None:
+def test_a_recording_that_begins_mid_drive_is_reported_as_such(fleet_of: Any, tmp_path: Path) -> None:
     fleet = driven(fleet_of(), 40)
     _, found = replayed(
         fleet.record(tmp_path / "drive.mcap", lambda item: item.topic.name == "setup" or item.message.tick >= 10)

@@ -101,7 +101,9 @@ def test_whatever_befalls_the_services(fleet_of: Any, tmp_path: Path, events: li
     assert found.agrees or of_perception(found).spans
 
 
-def test_orders_hold_in_the_replay_from_their_tick_on_and_the_recording_says_whose(fleet: Any, tmp_path: Path) -> None:
+def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_their_author(
+    fleet: Any, tmp_path: Path
+) -> None:
     driven(fleet, 20)
     fleet.order("source front=off", "zone wet=on", who="Ada")
     driven(fleet, 20)
@@ -131,7 +133,9 @@ def test_orders_hold_in_the_replay_from_their_tick_on_and_the_recording_says_who
 
 
 @pytest.mark.long
-def test_a_scan_that_was_not_recorded_is_said_and_holds_nothing_against_perception(fleet: Any, tmp_path: Path) -> None:
+def test_a_scan_that_was_not_recorded_is_reported_and_is_no_difference_of_perception(
+    fleet: Any, tmp_path: Path
+) -> None:
     def keep(item: Received) -> bool:
         scan = item.topic is SCAN and decode(ScanMessage, item.payload)
         return not (isinstance(scan, ScanMessage) and scan.source == "front" and scan.number == 12)
@@ -158,7 +162,7 @@ def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None
     assert [entry.message for entry in saved.computed["perception"]] == told(tape)
 
 
-def test_without_a_setup_perception_is_believed_and_that_is_said(fleet: Any, tmp_path: Path) -> None:
+def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any, tmp_path: Path) -> None:
     tape = read_tape([driven(fleet, 30).record(tmp_path / "seen.mcap")])
     assert complete_setups(tape) == []
     del tape.setups["perception"]
@@ -188,7 +192,7 @@ def test_what_was_replayed_with_scans_can_be_replayed(fleet: Any, tmp_path: Path
     assert counted_events() == before, "what was switched then is no news"
 
 
-def test_as_many_borders_are_told_as_fit_into_a_message() -> None:
+def test_as_many_borders_are_sent_as_fit_into_a_message() -> None:
     from safedpa.perception.zones import InForce, Zone
 
     ring = tuple((0.1 * number, float(number % 2)) for number in range(0, 40))

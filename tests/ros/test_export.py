@@ -44,7 +44,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(out.glob("*/recording.mcap"))
 
 
-def test_others_read_the_bag_and_it_says_what_was_recorded(drive: Path, tmp_path: Path) -> None:
+def test_another_library_reads_the_recorded_drive_from_the_bag(drive: Path, tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
     out = tmp_path / "bag"
@@ -91,7 +91,7 @@ def test_rerun_reads_the_bag(drive: Path, tmp_path: Path) -> None:
     assert (tmp_path / "bag.rrd").stat().st_size > 10_000
 
 
-def test_the_command_says_what_it_wrote_and_replaces_nothing(
+def test_the_command_reports_the_bag_and_replaces_nothing(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "bag"
@@ -102,7 +102,7 @@ def test_the_command_says_what_it_wrote_and_replaces_nothing(
     assert "is there already; name a new folder" in capsys.readouterr().err
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text("t,x\n0,0\n")
     with pytest.raises(RunError):
@@ -156,7 +156,9 @@ def test_a_robot_without_a_setup_is_known_by_its_numbers_and_by_whether_it_drive
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(("robot", "model"), [("car", "dart_car"), ("differential_drive", "differential_drive")])
-def test_what_another_robot_was_told_is_a_speed_in_the_bag(tmp_path: Path, robot: str, model: str) -> None:
+def test_the_command_of_a_throttle_or_a_differential_drive_is_a_speed_in_the_bag(
+    tmp_path: Path, robot: str, model: str
+) -> None:
     from rosbags.highlevel import AnyReader
 
     words = ["up", "--robot", robot, "--model", model, "--headless", "--lockstep", "--seconds", "3", "--seed", "3"]

@@ -102,7 +102,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
 
 
 @pytest.mark.long
-def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path) -> None:
+def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_path: Path) -> None:
     car = side.car(_LONG, 11)
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -126,7 +126,7 @@ def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path)
 
 @pytest.mark.long
 @pytest.mark.parametrize("option", ["--freeze-after", "--policy-ends"])
-def test_without_news_of_the_robot_or_a_wish_it_stands(side: Side, tmp_path: Path, option: str) -> None:
+def test_without_odometry_or_a_wish_the_robot_stops(side: Side, tmp_path: Path, option: str) -> None:
     car = side.car(5.5, 11, option, "3.0")
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -198,9 +198,7 @@ def test_serve_starts_what_is_needed_and_ends_in_order(side: Side, tmp_path: Pat
     assert run.duration > 5.0
 
 
-def test_a_robot_that_speaks_the_bus_itself_needs_a_name_for_who_wishes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_robot_of_the_bus_needs_a_policy_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "robot.toml"
     path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
     assert safedpa.run(["serve", str(path), "--headless"]) == 2
@@ -255,7 +253,7 @@ def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> Non
         assert found["collisions"] == 0
 
 
-def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_whoever_shows_no_token_is_braked(
+def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publisher_without_a_token(
     side: Side, tmp_path: Path
 ) -> None:
     folder = str(tmp_path / "certificates")

@@ -39,7 +39,7 @@ def scan_of(ranges: list[float], **changes: Any) -> bytes:
     return encode(SCAN_TYPE, {**fields, **changes})
 
 
-def test_what_a_ray_says_is_kept_and_what_it_does_not_say_is_not_made_up() -> None:
+def test_rays_of_a_scan_are_taken_as_measured_and_missing_ones_stay_missing() -> None:
     scanner = Scanner("laser", clock=lambda: 7.0)
     scanner.take(scan_of([2.0, INFINITE, -INFINITE, NONE, 0.0, 0.05, 13.0]))
     (turn,) = scanner.taken()
@@ -176,7 +176,7 @@ def _head(nanoseconds: int) -> dict[str, Any]:
     return {"stamp": {"sec": 1, "nanosec": nanoseconds}, "frame_id": "laser"}
 
 
-def test_who_speaks_of_other_frames_is_no_second_voice_and_what_is_repeated_grows_old() -> None:
+def test_transforms_of_other_frames_are_no_second_publisher_and_repeated_ones_age() -> None:
     now = [5.0]
     localised = Localised("map", "odom", lambda: now[0])
     head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "odom"}
@@ -211,7 +211,7 @@ class Markers:
         self.said.append(values)
 
 
-def test_a_path_of_another_model_is_not_drawn_and_ends_no_drive() -> None:
+def test_a_path_of_another_model_is_ignored() -> None:
     markers: Any = Markers()
     now = [7.0]
     voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])

@@ -61,7 +61,7 @@ def test_the_path_that_a_verdict_foresees_is_drawn_in_the_frame_of_the_surroundi
 
 
 @pytest.mark.parametrize("predicted", [(), ((1.0,),), ((1.0, 2.0, 0.5, 0.1), ())])
-def test_without_a_path_or_with_one_of_another_model_only_the_verdict_is_told(
+def test_without_a_path_of_its_own_model_only_the_verdict_is_published(
     predicted: tuple[tuple[float, ...], ...],
 ) -> None:
     told = Told()
@@ -77,7 +77,7 @@ def test_a_verdict_without_a_path_takes_no_turn_from_the_next_one() -> None:
     assert len(told.paths) == 1
 
 
-def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_told() -> None:
+def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_published() -> None:
     """At fifty verdicts a second, of two seconds; the clock is read as the verdicts come, not as they were due."""
     told = Told()
     drawn = []
@@ -92,7 +92,7 @@ def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_told() -> None:
 
 @pytest.mark.parametrize("diagnostics", [True, False])
 @pytest.mark.parametrize("markers", [True, False])
-def test_what_the_file_does_not_name_is_not_told(diagnostics: bool, markers: bool) -> None:
+def test_topics_that_the_file_does_not_name_are_not_published(diagnostics: bool, markers: bool) -> None:
     told = Told(diagnostics, markers)
     told.hears(STATES)
     told.voice.gateway("", {"tick": "3"})
@@ -103,7 +103,7 @@ def test_what_the_file_does_not_name_is_not_told(diagnostics: bool, markers: boo
 
 
 @pytest.mark.parametrize("nanoseconds", [1_700_000_000_123_456_789, 1])
-def test_a_header_is_of_the_moment_that_is_told(nanoseconds: int) -> None:
+def test_a_header_has_the_given_time(nanoseconds: int) -> None:
     stamp = Told().voice.head(nanoseconds)["stamp"]
     assert (stamp["sec"], stamp["nanosec"]) == divmod(nanoseconds, 10**9)
     assert Told().voice.head()["stamp"]["sec"] > 1_700_000_000

@@ -18,7 +18,7 @@ from safedpa_services.command_line.group import safedpa
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
-def test_the_page_is_made_of_the_figures_that_are_kept() -> None:
+def test_the_page_is_generated_from_the_stored_figures() -> None:
     result = json.loads((RESULTS / "ros.json").read_text(encoding="utf-8"))
     assert page_of(result) == (RESULTS / "ros.md").read_text(encoding="utf-8")
     assert result["with_filter"]["drives"] == 100
@@ -26,7 +26,7 @@ def test_the_page_is_made_of_the_figures_that_are_kept() -> None:
     assert all(one["held"] for one in result["faults"])
 
 
-def test_what_cannot_be_asked_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words, said in (
         (["--fault", "filter kiled"], "did you mean 'filter killed'"),
         (["--drives", "0"], "--drives: got 0"),

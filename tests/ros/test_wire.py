@@ -95,7 +95,7 @@ def test_a_stamp_is_decoded_to_whole_nanoseconds(seconds: int, nanoseconds: int)
     assert isinstance(found[0], int)
 
 
-def test_what_is_foreign_or_no_number_is_refused_and_a_stamp_that_stands_still_is_no_news() -> None:
+def test_foreign_messages_and_non_numbers_are_refused_and_a_repeated_stamp_is_not_new() -> None:
     now = [0.0]
     newest = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock=lambda: now[0])
 
@@ -150,7 +150,7 @@ def test_a_robot_file_says_what_is_wrong_with_it(tmp_path: Path) -> None:
     assert "unknown key; did you mean 'odometry'" in refused(whole + "[odometri]\n")
 
 
-def test_a_throttle_is_told_as_a_speed_and_braked_by_standing() -> None:
+def test_a_throttle_is_sent_as_a_speed_and_brakes_with_speed_zero() -> None:
     face = ThrottleCarFace(drive_gain=4.0)
     stamped, state = "ackermann_msgs/msg/AckermannDriveStamped", (0.0, 0.0, 0.0, 1.5)
     told = face.message(stamped, (0.5, 0.1), state)["drive"]

@@ -71,7 +71,7 @@ def hidden(things: Things, places: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("dropped", [2, 3])
-def test_between_rays_that_are_dropped_nobody_hides_while_others_pass(dropped: int) -> None:
+def test_between_dropped_rays_no_person_hides_while_others_pass(dropped: int) -> None:
     """Every other ray measures nothing: a body of 0.4 m would have stood in one of those that do."""
     ranges = np.full(360, 3.0)
     ranges[::dropped] = -1.0
@@ -81,14 +81,14 @@ def test_between_rays_that_are_dropped_nobody_hides_while_others_pass(dropped: i
     assert not hidden(looked(sweep(ranges)), places).any()
 
 
-def test_where_a_whole_sector_is_dropped_somebody_hides() -> None:
+def test_a_person_may_hide_where_a_whole_sector_is_dropped() -> None:
     ranges = np.full(360, 3.0)
     ranges[170:191] = -1.0
     assert hidden(looked(sweep(ranges)), np.array([[2.0, 0.0]])).all()
 
 
 @pytest.mark.parametrize("rays", [90, 360, 1080])
-def test_whoever_no_ray_hits_is_reckoned_with(rays: int) -> None:
+def test_a_person_whom_no_ray_hits_is_accounted_for(rays: int) -> None:
     """Places for a body of 0.2 m among pillars and a box, drawn at random."""
     draw = np.random.default_rng(rays)
     outline = Outline(
@@ -110,7 +110,7 @@ def test_whoever_no_ray_hits_is_reckoned_with(rays: int) -> None:
         assert hidden(things, places[hit]).mean() < 0.1
 
 
-def test_one_ray_past_the_middle_of_a_cell_rules_out_whoever_stands_anywhere_in_it() -> None:
+def test_one_ray_past_the_middle_of_a_cell_rules_out_a_person_anywhere_in_it() -> None:
     width = Hiding(11, SLIMMEST, 1.5).width
     grid = Grid(5.0, 0.0, 0.0)
     x, y = (part[3, 4] for part in grid.middles)
@@ -137,7 +137,7 @@ def test_the_farthest_past_a_place_is_the_most_of_the_rays_that_pass_it() -> Non
 
 
 @pytest.mark.parametrize("slimmest", [0.1, 0.15, 0.2])
-def test_beside_the_robot_nobody_hides_only_where_he_would_stand_in_it(slimmest: float) -> None:
+def test_next_to_the_robot_a_person_may_hide_unless_they_would_stand_in_it(slimmest: float) -> None:
     hiding, grid, draw = Hiding(21, slimmest, 1.5), Grid(1.0, 0.0, 0.0), np.random.default_rng(6)
     nothing, own = np.zeros((21, 21), dtype=bool), np.zeros((21, 21), dtype=bool)
     own[8:12, 9:12] = True
@@ -150,7 +150,7 @@ def test_beside_the_robot_nobody_hides_only_where_he_would_stand_in_it(slimmest:
 
 
 @pytest.mark.parametrize("slimmest", [0.1, 0.2])
-def test_in_an_empty_room_nobody_hides_however_slim_he_may_be(slimmest: float) -> None:
+def test_in_an_empty_room_no_person_hides_however_slim(slimmest: float) -> None:
     things = Things(PerceptionSettings(slimmest=slimmest), 0.0, 0.0)
     things.take(sweep(np.full(360, 4.5)), np.zeros((things.grid.size, things.grid.size), dtype=bool))
     assert not things.hiding.present[np.hypot(*things.grid.middles) < 2.0].any()

@@ -52,7 +52,7 @@ def test_what_closes_and_which_sources_count_is_known_to_the_next_process(tmp_pa
     assert after.in_force("r2", ("laser", "sonar"), 0).off == frozenset(), "another robot's are its own"
 
 
-def test_what_opens_a_zone_ends_with_the_process_and_the_answer_says_so(tmp_path: Path) -> None:
+def test_an_order_that_opens_a_zone_ends_with_the_process_as_the_answer_announces(tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
     first = switches(path, dock="false", wet="true")
     said = order(first, "source sonar=off", "zone dock=on", "zone wet=off")
@@ -63,14 +63,14 @@ def test_what_opens_a_zone_ends_with_the_process_and_the_answer_says_so(tmp_path
     )
 
 
-def test_an_order_that_is_taken_back_is_kept_no_more(tmp_path: Path) -> None:
+def test_a_revoked_order_is_not_stored_any_longer(tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
     order(switches(path), "zone wet=on", "source sonar=off")
     order(switches(path), "zone wet=off", "source sonar=on")
     assert counted(switches(path)) == "source laser on, source sonar on, zone dock on, zone wet off"
 
 
-def test_a_zone_of_a_new_file_that_now_means_the_contrary_is_not_opened_by_what_was_kept(tmp_path: Path) -> None:
+def test_a_stored_order_does_not_open_a_zone_whose_meaning_changed_in_a_new_file(tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
     order(switches(path), "zone wet=on")
     other = switches(path, dock="false", wet="false", text=ZONES.replace("closed", "ignored"))
@@ -91,9 +91,7 @@ def test_a_zone_of_a_new_file_that_now_means_the_contrary_is_not_opened_by_what_
         "\ud800",
     ],
 )
-def test_a_file_that_cannot_be_read_makes_every_robot_brake_until_a_person_says_which_source_counts(
-    text: str, tmp_path: Path
-) -> None:
+def test_an_unreadable_file_brakes_every_robot_until_an_order_names_the_sources(text: str, tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     found = switches(path)
@@ -108,7 +106,7 @@ def test_a_file_that_cannot_be_read_makes_every_robot_brake_until_a_person_says_
     assert again.in_force("r2", ("laser",), 1).off == {"laser"}, "of the others still nobody said anything"
 
 
-def test_a_disk_that_refuses_is_told(tmp_path: Path) -> None:
+def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
     (tmp_path / "senses.json").mkdir()
     found = Switches(parse_perception(""), tmp_path / "missing" / "senses.json")
     found.in_force("r1", ("laser",), 0)

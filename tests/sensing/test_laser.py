@@ -70,7 +70,7 @@ def test_what_is_measured_lies_on_the_things() -> None:
         assert abs(room_to(outline, x + reach * cos(angle), y + reach * sin(angle))) < 1e-9
 
 
-def test_upside_down_the_same_things_are_told_the_other_way_round() -> None:
+def test_an_upside_down_scanner_reports_the_same_objects_in_reverse_order() -> None:
     _, upright = driven(Laser(EXACT), 4)
     _, hanging = driven(Laser(LaserSettings(noise=0.0, drop_outs=0.0, clockwise=True)), 4)
     one, other = upright[1][0], hanging[1][0]
@@ -132,14 +132,14 @@ def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
     assert walked > 4 * 30.0 * 0.3
 
 
-def test_somebody_steps_out_when_the_robot_is_near() -> None:
+def test_a_person_steps_out_when_the_robot_is_near() -> None:
     far, near = StepsOut((3.5, 2.5), (3.5, -2.5), 1.5, 0.5), StepsOut((-2.0, 2.0), (-2.0, -2.0), 1.5, 10.0)
     driven(Laser(EXACT), 20, (far, near))
     assert far.place == (3.5, 2.5)
     assert near.place[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
 
 
-def test_a_collision_tells_how_fast_the_car_was() -> None:
+def test_a_collision_has_the_speed_of_the_car() -> None:
     scene = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0))
     robot = CarRobot(scene, senses=Senses((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),)))
     for _ in range(60):

@@ -87,7 +87,7 @@ def region(load: str, way: float) -> np.ndarray:
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("way", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("speed", [-0.5, 0.4, 1.2])
-def test_whoever_heads_straight_for_car_or_load_is_not_there_before_it_stands(
+def test_a_person_heading_straight_for_car_or_load_arrives_after_it_stopped(
     load: str, way: float, speed: float
 ) -> None:
     """From every place whose h is 0 or more, at 1.5 m/s, for the nearest point; the car brakes as promised."""
@@ -142,7 +142,7 @@ def test_without_the_own_radius_the_body_is_the_footprint_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("load", ["none", *LOADS])
-def test_a_car_may_creep_towards_what_nobody_sees_and_no_faster_than_it_stands(load: str) -> None:
+def test_a_car_may_creep_towards_unseen_room_only_as_fast_as_it_can_stop(load: str) -> None:
     """h of a hidden place is 0 or more exactly where it is far enough or the car is slower than ``STANDS``."""
     places = [(0.6, 0.1, 0.27, 1.5), (0.2, -0.5, 0.27, 1.5)]
     if load == "none":
@@ -171,7 +171,7 @@ def around(load: str, speed: float, **seen: object) -> tuple[Sensed, StateMessag
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.06, -0.06])
-def test_who_is_seen_holds_a_car_that_creeps(speed: float) -> None:
+def test_a_person_in_sight_stops_a_creeping_car(speed: float) -> None:
     """As soon as he comes out he is a mover: creeping is for what nobody sees."""
     place = (0.75, 0.0, 0.25)
     unseen, state = around("none", speed, hidden=((*place, 1.5),))
@@ -187,7 +187,7 @@ def test_a_hidden_place_that_holds_a_car_only_once_it_drives_is_looked_at() -> N
     assert "hidden 0" in [name for part in unseen.barriers.parts for name in part.names]
 
 
-def test_a_car_that_stands_tells_of_no_delay() -> None:
+def test_a_stationary_car_reports_no_delay() -> None:
     """A load that sticks to the floor does not move for a while, as if commands acted late."""
     commands = (((1.0, 0.0), None), ((0.0, 0.0), None))
     assert Passed((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.05), commands).stood((3,))
@@ -195,7 +195,7 @@ def test_a_car_that_stands_tells_of_no_delay() -> None:
     assert not Passed((0.0, 0.0), (0.0, 0.0), commands).stood(())
 
 
-def test_whose_settings_say_nothing_of_creeping_stands() -> None:
+def test_a_car_without_settings_for_creeping_stops() -> None:
     """Going on towards what nobody sees is asked for, never taken for granted."""
     assert FilterSettings().barrier("creeping") == 0.0
     state = np.array([0.0, 0.0, 0.0, 0.0])

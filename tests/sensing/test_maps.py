@@ -93,7 +93,7 @@ def test_a_pixel_that_ends_at_a_cells_border_closes_that_cell_alone(tmp_path: Pa
     assert cells.flags.tolist() == [[True]]
 
 
-def test_darkness_is_what_the_documentation_says(tmp_path: Path) -> None:
+def test_darkness_is_computed_as_documented(tmp_path: Path) -> None:
     pixels = np.array([[0, 89, 90, 205, 254, 255]])
     path = written(tmp_path, pixels, 0.1)
     assert read_map(path).flags.sum() == 2, "0.65 of 255 is 165.75: darker than 89.25"
@@ -101,7 +101,7 @@ def test_darkness_is_what_the_documentation_says(tmp_path: Path) -> None:
     assert read_map(path).flags.sum() == 3
 
 
-def test_a_file_with_a_map_is_whole_without_it_and_perception_tells_its_walls(tmp_path: Path, car_state: None) -> None:
+def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path: Path, car_state: None) -> None:
     from safedpa_sim.robots.core import CarRobot
     from safedpa_sim.robots.scene import Scene
     from safedpa_sim.sensing import Laser, LaserSettings
@@ -186,7 +186,7 @@ def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("image", ["none.pgm", ".", "a\0b"])
-def test_a_picture_that_cannot_be_read_is_told_by_its_name(tmp_path: Path, image: str) -> None:
+def test_a_picture_that_cannot_be_read_is_named(tmp_path: Path, image: str) -> None:
     path = written(tmp_path, np.array([[0]]))
     path.write_text(path.read_text(encoding="utf-8").replace("room.pgm", image), encoding="utf-8")
     (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
@@ -195,7 +195,7 @@ def test_a_picture_that_cannot_be_read_is_told_by_its_name(tmp_path: Path, image
     assert f"room.yaml: its image '{image}' cannot be read" in str(raised.value)
 
 
-def test_a_map_that_is_not_there_is_told_by_its_name(tmp_path: Path) -> None:
+def test_a_missing_map_is_named(tmp_path: Path) -> None:
     (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
     with pytest.raises(InputError, match=r"room\.yaml: it cannot be read \(No such file"):
         load_perception(tmp_path / "perception.toml")
@@ -225,7 +225,7 @@ def test_a_large_picture_that_is_occupied_all_over_takes_no_more_memory_than_som
         ("0 0 100 100 eJxjAAAAAQAB", "wanted 1250 of 100 x 100"),
     ],
 )
-def test_cells_that_nobody_packed_are_refused(packed: str, said: str) -> None:
+def test_cells_that_were_not_packed_by_us_are_refused(packed: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         Cells(packed)
 

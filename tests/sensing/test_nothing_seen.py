@@ -76,7 +76,7 @@ def test_a_late_laser_is_looked_at_all_the_same(latency: float) -> None:
 
 
 @pytest.mark.parametrize("latency", [0.05, 0.3])
-def test_perception_that_begins_anew_mid_drive_says_that_it_has_not_looked_yet(latency: float) -> None:
+def test_perception_that_restarts_mid_drive_reports_that_it_has_not_looked_yet(latency: float) -> None:
     robot, node = car(latency), PerceptionNode()
     for tick in range(60):
         if tick == 21:
@@ -123,7 +123,7 @@ def test_surroundings_that_cannot_be_of_this_moment_brake_the_robot(wrong: dict[
 
 @pytest.mark.parametrize("until_action", [0.0, 0.1])
 @pytest.mark.parametrize("wrong", [{"movers": ((0.9, 0, 1, 0, 0, -9.0),)}, {"hidden": ((0.9, 0, 1, -9.0),)}])
-def test_who_is_told_to_be_slower_than_at_rest_brakes_the_robot(wrong: dict[str, object], until_action: float) -> None:
+def test_a_mover_slower_than_at_rest_brakes_the_robot(wrong: dict[str, object], until_action: float) -> None:
     """Such a speed takes away from the radius: whoever stands before the car would be far from it."""
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
     verdict = asked(SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), state, surroundings(state, **wrong))
@@ -149,7 +149,7 @@ def test_a_speed_that_stays_whatever_is_done_does_not_drive_the_car_backwards() 
 
 @pytest.mark.parametrize("until_action", [0.0, 0.05])
 @pytest.mark.parametrize("wrong", [{"movers": ((3.0, 2.0, 0.1),)}, {"hidden": ((3.0, 2.0),)}])
-def test_rows_of_a_wrong_width_are_told_of_however_late_the_action_acts(
+def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(
     wrong: dict[str, object], until_action: float
 ) -> None:
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
@@ -183,7 +183,7 @@ def test_a_speed_that_is_a_little_wrong_at_rest_does_not_make_the_car_creep(told
     assert set(commands[-40:]) == {0.0}
 
 
-def test_a_robot_that_does_not_tell_what_was_applied_is_not_driven_backwards_either() -> None:
+def test_a_robot_without_a_report_of_its_applied_action_is_not_driven_backwards_either() -> None:
     commands = commands_while_told(car().state_message(), [1.0] * 60, applied=False)
     assert commands[0] == -0.6
     assert set(commands[-20:]) == {0.0}
@@ -213,7 +213,7 @@ def test_a_new_model_begins_no_new_braking() -> None:
     assert list(old.backup(np.array(state.values))) == list(new.backup(np.array(state.values))) == [0.0, 0.0]
 
 
-def test_a_car_that_moves_as_it_is_told_may_brake_hard_again() -> None:
+def test_a_car_that_follows_its_commands_may_brake_hard_again() -> None:
     scene, state = scene_of(MODEL, SETTINGS), car().state_message()
     told = [(1.0, -0.6)] * 60 + [(0.0, 0.0)] * 10 + [(0.3, 1.0), (0.5, 1.0)]
     hardest = []
@@ -225,7 +225,7 @@ def test_a_car_that_moves_as_it_is_told_may_brake_hard_again() -> None:
     assert hardest[0] == hardest[-1] == -0.6
 
 
-def test_obstacles_beside_sources_are_not_dropped_in_silence() -> None:
+def test_obstacles_of_a_robot_with_sources_are_not_dropped_in_silence() -> None:
     state = replace(car().state_message(), obstacles=((0.9, 0.0, 0.2),), values=(0.0, 0.0, 0.0, 1.0))
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     verdict = asked(node, state, surroundings(state))
@@ -233,7 +233,7 @@ def test_obstacles_beside_sources_are_not_dropped_in_silence() -> None:
     assert "beside sources" in verdict.sentence
 
 
-def test_a_mover_ahead_counts_though_a_wall_is_nearer_while_the_car_stands() -> None:
+def test_a_mover_ahead_of_a_stationary_car_counts_though_a_wall_is_nearer() -> None:
     """64 points at the side have less h at rest; driving off, the mover has."""
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.0))
     wall = tuple((0.02 * k - 0.3, 0.42, 0.05) for k in range(64))

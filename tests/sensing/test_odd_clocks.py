@@ -76,7 +76,7 @@ def test_a_scan_between_two_headings_that_wrap_is_laid_the_short_way_round() -> 
     assert found == pytest.approx((0.5, 0.0, pi + 0.01))
 
 
-def test_a_robot_that_heads_west_and_tells_its_heading_within_half_a_turn_is_believed() -> None:
+def test_a_robot_that_heads_west_with_a_wrapped_heading_is_believed() -> None:
     """As a ROS gateway tells it: the heading comes from a quaternion."""
     node = PerceptionNode()
     for tick in range(60):
@@ -90,7 +90,7 @@ def test_a_robot_that_heads_west_and_tells_its_heading_within_half_a_turn_is_bel
             assert min(np.hypot(x + 1.5, y) - radius for x, y, radius in message.points) > 1.0
 
 
-def test_a_clock_that_stands_still_for_a_tick_breaks_nothing() -> None:
+def test_a_clock_that_repeats_a_tick_breaks_nothing() -> None:
     odometry = Odometry()
     odometry.add(1.0, (0.0, 0.0, 0.0))
     odometry.add(1.0, (1.0, 0.0, 0.0))
@@ -135,7 +135,7 @@ def test_a_scan_that_comes_before_the_state_after_it_waits_for_that() -> None:
     assert step(node, state_of(3)).ages == pytest.approx((0.6 * PERIOD,))
 
 
-def test_a_scan_of_the_next_epoch_that_overtakes_its_state_is_told_with_that() -> None:
+def test_a_scan_of_the_next_epoch_that_overtakes_its_state_counts_with_that_state() -> None:
     """A replay lets perception hear what is told, and would miss it."""
     node = PerceptionNode()
     step(node, state_of(40))
@@ -147,7 +147,7 @@ def test_a_scan_of_the_next_epoch_that_overtakes_its_state_is_told_with_that() -
     assert step(node, state).scans == ((0.0, 0.0),)
 
 
-def test_a_look_that_comes_late_forgets_nobody_who_went_out_of_sight_since() -> None:
+def test_a_late_scan_forgets_no_person_who_went_out_of_sight_since() -> None:
     hiding, none, all_of_it = Hiding(31, 0.2, 1.5), np.zeros((31, 31), bool), np.ones((31, 31), bool)
     hiding.look(0.9, all_of_it, none, none, none)
     somebody = none.copy()
@@ -166,7 +166,7 @@ def test_a_look_that_comes_late_forgets_nobody_who_went_out_of_sight_since() -> 
 
 
 @pytest.mark.parametrize("most", [7, 8, 12, 20])
-def test_around_the_origin_as_few_discs_as_may_be_told_cover_all_of_it(most: int) -> None:
+def test_around_the_origin_the_allowed_number_of_discs_covers_everything(most: int) -> None:
     places = np.random.default_rng(0).uniform(-15.0, 15.0, (3000, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -178,7 +178,7 @@ def test_around_the_origin_as_few_discs_as_may_be_told_cover_all_of_it(most: int
 
 @pytest.mark.parametrize("gap", [1 / 40, 1 / 30, 0.05, 0.06, 0.07, 0.09, 0.1, 0.12])
 @pytest.mark.parametrize("way", [(1, 0), (2, 1), (1, 1)])
-def test_the_front_of_who_hides_is_as_quick_as_he_may_be_however_often_somebody_looks(
+def test_the_front_of_hidden_people_moves_at_their_top_speed_whatever_the_rate_of_scans(
     gap: float, way: tuple[int, int]
 ) -> None:
     """But for the cell that it is in, and 3 % of the way: it goes from cell to cell."""

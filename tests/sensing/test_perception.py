@@ -113,7 +113,7 @@ def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
     assert max(restless) < 15
 
 
-def test_whatever_stands_near_is_covered() -> None:
+def test_every_near_object_is_covered() -> None:
     """Every visible place on a surface within 1.5 m is at most 5 cm outside of the discs."""
     told = driven(100)
     _, state, message = told[-1]
@@ -127,7 +127,7 @@ def test_whatever_stands_near_is_covered() -> None:
         assert (np.hypot(*(discs[:, :2] - place).T) - discs[:, 2]).min() < 0.05
 
 
-def test_somebody_who_walks_is_among_the_movers() -> None:
+def test_a_walking_person_is_among_the_movers() -> None:
     person = Walks((1.0, 2.2), 1.2, 5)
     robot = CarRobot(SCENE, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
     node, walked, in_sight = PerceptionNode(), 0, 0
@@ -170,7 +170,7 @@ def room_to_all(places: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.2)])
-def test_whoever_hides_comes_out_through_a_disc_that_is_told(action: tuple[float, float]) -> None:
+def test_a_hidden_person_comes_out_through_a_reported_disc(action: tuple[float, float]) -> None:
     """Somebody stands behind the box and is never seen: no way from there to the robot misses what is told."""
     place = (0.9, -2.5)
     told = driven(60, action=action, people=(StepsOut(place, (0.9, 2.0), 1.5, 0.01),))
@@ -179,7 +179,7 @@ def test_whoever_hides_comes_out_through_a_disc_that_is_told(action: tuple[float
         assert np.hypot(ways[:, 0] - state.values[0], ways[:, 1] - state.values[1]).min() > 0.8, state.robot_time
 
 
-def test_behind_the_walls_nobody_is_told_to_hide() -> None:
+def test_no_person_is_reported_to_hide_behind_the_walls() -> None:
     """Somebody may be there, and cannot come in: of places near the middle of a closed room no wall has a disc."""
     told = driven(60, action=(0.0, 0.0))
     _, _, message = told[-1]
@@ -188,7 +188,7 @@ def test_behind_the_walls_nobody_is_told_to_hide() -> None:
         assert max(abs(x) - 4.0, abs(y) - 3.0) < radius, (x, y, radius)
 
 
-def test_where_more_is_seen_than_may_be_told_one_disc_covers_several() -> None:
+def test_where_too_much_is_seen_one_disc_covers_several_objects() -> None:
     few, all_of_it = PerceptionSettings(most=24), PerceptionSettings(most=256)
     (_, _, coarse), (_, _, fine) = (driven(60, settings=settings)[-1] for settings in (few, all_of_it))
     assert len(fine.points) > 24 >= len(coarse.points)
@@ -199,7 +199,7 @@ def test_where_more_is_seen_than_may_be_told_one_disc_covers_several() -> None:
         assert (np.hypot(discs[:, 0] - x, discs[:, 1] - y) + few.point_radius - discs[:, 2]).min() < 1e-9
 
 
-def test_who_is_lost_from_sight_does_not_grow_for_ever() -> None:
+def test_a_person_out_of_sight_does_not_grow_for_ever() -> None:
     """Somebody walks behind the box: the disc where he was last seen gives way to the place where he hides."""
     told = driven(120, action=(0.0, 0.0), people=(StepsOut((2.6, -1.0), (-2.0, -2.6), 1.5, 9.0),))
     assert any(message.movers for _, _, message in told)
@@ -242,7 +242,7 @@ def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
         bare.advance()
 
 
-def test_what_was_seen_to_be_empty_stays_so_as_long_as_nobody_can_have_come() -> None:
+def test_empty_room_stays_empty_as_long_as_no_person_can_have_come() -> None:
     """A front goes 1.5 m/s from the last cell that nobody sees: no faster, no slower by more than a cell."""
     hiding = Hiding(81, 0.2, 1.5)
     none = np.zeros((81, 81), dtype=bool)
@@ -270,7 +270,7 @@ def test_behind_walls_all_around_nothing_hides_after_one_look() -> None:
     assert hiding.present[:17].all()
 
 
-def test_a_gap_in_the_wall_lets_somebody_through_unless_it_is_too_narrow() -> None:
+def test_a_gap_in_the_wall_lets_a_person_through_unless_it_is_too_narrow() -> None:
     for gap, comes in ((2, False), (9, True)):
         hiding = Hiding(81, 0.2, 1.5)
         none = np.zeros((81, 81), dtype=bool)
@@ -356,7 +356,7 @@ def blinded(scan: ScanMessage, state: StateMessage) -> ScanMessage:
         (blinded, "measures 0 %"),
     ],
 )
-def test_what_is_wrong_with_a_source_is_told(change: Changes, said: str) -> None:
+def test_a_fault_of_a_source_is_reported(change: Changes, said: str) -> None:
     told = driven(120, action=(0.5, 0.3), change=change)
     assert any(said in sentence for _, state, message in told for sentence in message.amiss)
     assert change is turned or said in " ".join(told[-1][2].amiss)
@@ -369,7 +369,7 @@ def test_a_source_that_speaks_again_is_believed_again() -> None:
     assert 2.9 < max(amiss) < 3.3
 
 
-def test_blind_over_a_quarter_whoever_comes_from_there_is_reckoned_with() -> None:
+def test_people_from_a_blind_quarter_are_accounted_for() -> None:
     sees = driven(60, action=(0.0, 0.0))[-1]
     blind = driven(60, action=(0.0, 0.0), laser=LaserSettings(blind=((-0.785, 0.785),)))[-1]
 
@@ -398,6 +398,6 @@ def test_a_scan_that_can_be_none_is_refused(wrong: dict[str, object]) -> None:
         PerceptionNode().hear("r", replace(scans[0], **wrong))
 
 
-def test_of_a_robot_without_sources_nothing_is_told() -> None:
+def test_a_robot_without_sources_has_no_surroundings() -> None:
     robot = CarRobot(SCENE)
     assert PerceptionNode().step("r", robot.state_message(), {}) == {}

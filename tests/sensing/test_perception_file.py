@@ -25,7 +25,7 @@ DOCK = f'[[zones]]\nname = "dock"\nkind = "ignored"\nframe = "map"\n{SQUARE}\n'
 WET = f'[[zones]]\nname = "wet"\nkind = "closed"\nframe = "map"\n{SQUARE}\n'
 
 
-def test_a_whole_file_is_what_it_says() -> None:
+def test_a_complete_file_is_taken_as_written() -> None:
     text = f"""
         format = 1
         [perception]
@@ -213,7 +213,9 @@ def switch(*switches: str) -> Request:
     return Request(do="switch", switches=switches, who="a test")
 
 
-def test_an_order_takes_effect_at_the_next_tick_and_says_what_was_before(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     name = "watched"  # of each kind and robot the log has one event a second
     node, robot = node_that_met_a_car(DOCK + WET, name)
     assert stepped(node, robot, name).amiss == ()

@@ -107,7 +107,7 @@ def test_of_too_many_those_with_the_least_h_are_looked_at() -> None:
     assert found.left_out.startswith("Of ")
 
 
-def test_the_barriers_are_those_of_the_discs_that_are_kept_alone() -> None:
+def test_only_the_discs_that_count_give_barriers() -> None:
     state = state_of((0.0, 0.0, 0.0, 0.5))
     near, away = (1.2, 0.2, 0.1, 0.0, 0.0, 0.5), (30.0, 0.0, 0.1, 0.0, 0.0, 1.5)
     found = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, ((0.9, 0.5, 0.1),), (away, near)), None)
@@ -120,7 +120,7 @@ def test_the_barriers_are_those_of_the_discs_that_are_kept_alone() -> None:
 
 
 @pytest.mark.parametrize(("speed", "told"), [(0.1, ""), (0.11, "somebody whom nobody sees may be")])
-def test_only_a_car_that_moves_yields_to_whom_nobody_sees(speed: float, told: str) -> None:
+def test_only_a_moving_car_yields_to_hidden_people(speed: float, told: str) -> None:
     state, place = state_of((0.0, 0.0, 0.0, speed)), (0.6, 0.0, 0.1)
     assert sensed_barriers(SETTINGS, COUNTER, state, seen_by(state), None).yields_to == ""
     hidden = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, hidden=((*place, 1.5),)), None)
@@ -131,7 +131,7 @@ def test_only_a_car_that_moves_yields_to_whom_nobody_sees(speed: float, told: st
     assert seen.yields_to == "mover 1 may be at the robot before it stands"
 
 
-def test_of_a_state_of_another_length_every_disc_is_kept() -> None:
+def test_for_a_state_of_another_length_every_disc_counts() -> None:
     state = state_of((0.0, 0.0, 0.0, 0.0, 0.0))
     seen = seen_by(state, ((90.0, 0.0, 0.1),), ((90.0, 0.0, 0.1, 0.0, 0.0, 1.5),), ((90.0, 0.0, 0.1, 1.5),))
     found = sensed_barriers(SETTINGS, COUNTER, state, seen, None)

@@ -63,7 +63,7 @@ def states(count: int, seed: int) -> np.ndarray:
     )
 
 
-def test_of_what_cannot_move_it_asks_no_more_than_the_obstacle_barrier() -> None:
+def test_for_static_objects_the_barrier_asks_no_more_than_the_obstacle_barrier() -> None:
     """The same room at rest; in motion no less, since who brakes harder comes to stand earlier."""
     places = np.random.default_rng(1).uniform(-3, 3, (20, 2))
     exact = ObstacleBarrier(np.column_stack([places, np.full(20, 0.2)]), BODY, BRAKING)
@@ -102,7 +102,7 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TowedRea
         assert (hoped <= later + 5e-3).all()
 
 
-def test_time_and_way_until_it_stands_are_no_less_than_the_guaranteed_braking_takes() -> None:
+def test_time_and_distance_to_stop_are_no_less_than_guaranteed_braking_takes() -> None:
     for speed in (0.05, 0.3, 0.8, 1.4, 2.0, -0.5):
         v, seconds, way = speed, 0.0, 0.0
         while abs(v) > STANDS:
@@ -116,7 +116,7 @@ def test_time_and_way_until_it_stands_are_no_less_than_the_guaranteed_braking_ta
 
 @pytest.mark.parametrize("load", ["none", "box", "chair", "large_chair"])
 @pytest.mark.parametrize("speed", [0.3, 0.6, 1.0, 1.5, 1.9, -0.5])
-def test_the_simulated_car_stands_when_it_is_promised_to(load: str, speed: float) -> None:
+def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: float) -> None:
     """With every load, straight and turning, driving steadily and just speeding up; the settings' own numbers."""
     counter = counter_braking_of(SETTINGS)
     for steer in (0.0, 0.34):
@@ -142,7 +142,7 @@ def test_the_simulated_car_stands_when_it_is_promised_to(load: str, speed: float
                 assert abs(world.state[3]) < STANDS
 
 
-def test_a_car_with_a_throttle_has_no_speed_to_be_told_the_other_way_round() -> None:
+def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
     """-1 is its full throttle, no speed: what it is promised is the braking that its own backup does."""
     throttled = settings_named("car_throttle")
     counter = counter_braking_of(throttled, servo=False)
@@ -220,7 +220,7 @@ def test_nothing_near_the_wish_passes() -> None:
     assert decided(None).status == "passed"
 
 
-def test_a_point_ahead_is_kept_from() -> None:
+def test_the_car_keeps_its_distance_from_a_point_ahead() -> None:
     verdict = decided(surroundings(state_of(), points=((1.05, 0.0, 0.05),)))
     assert verdict.status == "corrected"
     assert verdict.active == ("point 0",)
@@ -235,7 +235,7 @@ def test_what_moves_needs_more_room_than_what_is_at_rest() -> None:
     assert decided(surroundings(state_of(), hidden=((*place, 1.5),))).status != "passed"
 
 
-def test_who_may_touch_the_car_before_it_stands_is_told_and_the_car_brakes() -> None:
+def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_brakes() -> None:
     verdict = decided(surroundings(state_of(), movers=((1.0, 0.3, 0.1, 0.0, 0.0, 1.5),)))
     assert verdict.status == "stopped"
     assert "mover 0 may be at the robot before it stands" in verdict.sentence
@@ -259,7 +259,7 @@ def test_hidden_places_behind_the_car_do_not_hold_it() -> None:
         (surroundings(state_of(), points=((1.0, 2.0, -0.1),)), "below 0"),
     ],
 )
-def test_without_surroundings_that_can_be_believed_it_brakes_and_says_why(
+def test_without_believable_surroundings_the_car_brakes_and_reports_why(
     seen: SurroundingsMessage | Stale, said: str
 ) -> None:
     verdict = decided(seen)
@@ -268,7 +268,7 @@ def test_without_surroundings_that_can_be_believed_it_brakes_and_says_why(
     assert said in verdict.sentence
 
 
-def test_rows_left_out_are_farther_than_those_that_count_and_told() -> None:
+def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> None:
     draw = np.random.default_rng(8)
     places = draw.uniform(-1.6, 1.6, (256, 2))
     state = state_of()
@@ -403,7 +403,7 @@ def test_with_the_laser_alone_it_reaches_a_goal_and_touches_nothing() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_somebody_steps_out_from_behind_a_box_and_the_car_stands(seed: int) -> None:
+def test_the_car_stops_for_a_person_who_steps_out_from_behind_a_box(seed: int) -> None:
     draw = np.random.default_rng(seed)
     x = float(draw.uniform(0.0, 1.0))
     scene = Scene(
@@ -418,7 +418,7 @@ def test_somebody_steps_out_from_behind_a_box_and_the_car_stands(seed: int) -> N
 
 
 @pytest.mark.long
-def test_among_people_it_is_never_the_car_that_moves_into_somebody() -> None:
+def test_among_people_the_car_never_moves_into_a_person() -> None:
     people = tuple(Walks(place, 1.2, index) for index, place in enumerate(((2.0, 2.0), (2.0, -2.0), (0.0, 2.0))))
     scene = Scene(0, None, (-4.0, 4.0, -3.0, 3.0), (), (-3.0, 0.0, 0.0), ((3.0, 0.0), (-3.0, 0.0)))
     robot = driven(scene, people, 20.0)

@@ -26,13 +26,13 @@ def test_a_drive_repeats_and_only_the_sensing_ones_see_people() -> None:
     assert {**once, "microseconds": 0} == {**again, "microseconds": 0}
 
 
-def test_told_everything_the_car_goes_farther() -> None:
+def test_with_perfect_knowledge_the_car_drives_farther() -> None:
     way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "safedpa")}
     assert way["told"] > way["safedpa"] > 0.0
 
 
 @pytest.mark.long
-def test_who_reckons_with_slower_people_drives_faster() -> None:
+def test_a_filter_that_assumes_slower_people_drives_faster() -> None:
     quick, slow = (run_drive(Drive("pillars", 1001, 8.0, coming))["way"] for coming in (0.0, 1.5))
     assert quick > slow
 
@@ -66,7 +66,7 @@ def test_a_scene_that_does_not_exist_is_refused() -> None:
         scene_and_people("room", 1, "none")
 
 
-def test_who_is_told_everything_is_told_of_every_wall_and_everybody() -> None:
+def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
     scene, people = scene_and_people("rooms", 1004, "none")
     robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), people))
     state = robot.state_message()
@@ -81,7 +81,7 @@ def test_who_is_told_everything_is_told_of_every_wall_and_everybody() -> None:
 
 
 @pytest.mark.long
-def test_a_result_says_how_much_is_reached_beside_perfect_knowledge_and_its_page_shows_it() -> None:
+def test_a_result_has_the_share_of_perfect_knowledge_and_its_page_shows_it() -> None:
     found = sensing_experiment([1003], 2.0, 1.5, 1, ("safedpa", "told"), scenes=["pillars"], loads=["none", "box"])
     alone, told = found["rows"]
     assert (alone["drives"], told["drives"]) == (2, 2)
@@ -93,7 +93,7 @@ def test_a_result_says_how_much_is_reached_beside_perfect_knowledge_and_its_page
     assert "- pillars, safedpa: seed 3: a wall" in page
 
 
-def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_people_who_walk_into_a_stationary_car_are_counted_separately(monkeypatch: pytest.MonkeyPatch) -> None:
     """By hand: of five contacts two with a car that moves, one of them away from what it touches."""
     speeds = ((0.0, 0.0), (1.0, 1.0), (0.0, 0.0), (2.0, -0.5), (0.0, 0.0))
     hits = [Collision(0.1, "car", "obstacle 0", 0.0, 0.0, *speed) for speed in speeds]
@@ -105,7 +105,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.Monk
 
 
 @pytest.mark.long
-def test_told_everything_but_who_hides_it_drives_no_farther_than_told_everything() -> None:
+def test_knowing_all_but_hidden_people_the_car_drives_no_farther_than_knowing_all() -> None:
     way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "told-but-hiding")}
     assert way["told"] > way["told-but-hiding"] > 0.0
 
@@ -119,7 +119,7 @@ def test_behind_each_guard_either_controller_drives(guard: str, policy: str) -> 
 
 @pytest.mark.long
 @pytest.mark.parametrize("load", ["none", "large_chair"])
-def test_who_steps_out_meets_no_car_that_moves_however_it_looks_around_the_corner(load: str) -> None:
+def test_a_person_who_steps_out_meets_no_moving_car(load: str) -> None:
     """Behind the controller that looks around, which creeps past what nobody sees."""
     for seed in (3810, 3811):
         told = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))

@@ -43,7 +43,7 @@ def car_in(scene: Scene, people: Any = ()) -> CarRobot:
     return CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), people))
 
 
-def test_odometry_that_is_wrong_tells_longer_ways_and_turns_and_sees_what_is_there() -> None:
+def test_wrong_odometry_reports_longer_paths_and_turns_and_leaves_the_scans_alone() -> None:
     scene = Scene(1, None, (-4.0, 4.0, -4.0, 4.0), (), (-3.0, 0.0, 0.3), ((3.0, 0.0),))
     right, wrong = Misjudges(car_in(scene), 0.0, 0.0), Misjudges(car_in(scene), 0.1, 0.2)
     begun = right.true_pose
@@ -68,7 +68,7 @@ def test_odometry_that_is_wrong_tells_longer_ways_and_turns_and_sees_what_is_the
     assert wrong.in_told_frame(ahead)[0] == pytest.approx([x + np.cos(yaw), y + np.sin(yaw)])
 
 
-def test_a_way_around_a_wall_is_told_no_longer_than_it_is() -> None:
+def test_a_path_around_a_wall_is_reported_no_longer_than_it_is() -> None:
     scene = Scene(1, None, (-3.0, 3.0, -3.0, 3.0), (), (0.0, 0.0, 0.0), ((1.0, 0.0),), (box(0.0, 0.0, 0.1, 2.0),))
     ways = WaysAround(scene, 0.2)
 
@@ -100,7 +100,7 @@ class _Farther:
 
 
 @pytest.mark.long
-def test_what_is_told_farther_away_is_an_error_by_so_much() -> None:
+def test_an_object_that_is_reported_too_far_away_is_an_error_of_that_distance() -> None:
     scene, people = scene_and_people("steps-out", 1000, "large_chair")
     robot, model, settings = Misjudges(car_in(scene, people), 0.01, -0.01), load_model("car"), settings_named("car")
     nodes = [AdaptationNode(model), PerceptionNode(), PolicyNode(model, "way_seeker")]
@@ -180,7 +180,7 @@ def test_too_few_drives_are_refused_before_they_are_driven(
         margins_of_sensing(drives, 1, 8.0, coverage)
 
 
-def test_drives_in_which_nothing_comes_near_are_told() -> None:
+def test_drives_in_which_nothing_comes_near_are_reported() -> None:
     with pytest.raises(InputError, match="near anything"):
         margins_of_sensing(2, 1, 0.05, 0.6)
 

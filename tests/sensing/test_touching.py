@@ -44,7 +44,7 @@ class Pushes(Person):
         ("large_chair", (-1.4, 1.2), (3.0, -2.5)),
     ],
 )
-def test_nobody_shoves_a_car_that_stands_nor_its_load(load: str, place: Point, towards: Point) -> None:
+def test_no_person_shoves_a_stationary_car_or_its_load(load: str, place: Point, towards: Point) -> None:
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
     person = Pushes(place, towards)
     robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))

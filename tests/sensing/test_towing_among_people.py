@@ -80,7 +80,7 @@ def yields(state: StateMessage, seen: SurroundingsMessage) -> bool:
 
 @pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_car_stands_while_somebody_stands_at_its_load(load: str, side: float) -> None:
+def test_a_car_waits_while_a_person_stands_at_its_load(load: str, side: float) -> None:
     """He comes from aside, seen all the way, and none of the rays that end within reach of the load is believed."""
     known = LOADS[load]
     place = (-0.08 - known.length, side * (known.side / 2 + SOMEBODY + 0.02))
@@ -95,7 +95,7 @@ def test_a_car_stands_while_somebody_stands_at_its_load(load: str, side: float) 
 @pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
 @pytest.mark.parametrize("start", [(1.2, -1.6), (1.2, 1.6), (0.6, -2.0), (-1.0, 2.0)])
 @pytest.mark.parametrize("pace", [0.4, 0.65, 1.0, 1.5])
-def test_who_goes_in_beside_the_load_is_told_though_a_ray_goes_on_past_where_he_was_seen_last(
+def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_their_last_position(
     load: str, start: Point, pace: float
 ) -> None:
     place = (-0.26, 0.26 if start[1] > 0.0 else -0.26)
@@ -106,7 +106,7 @@ def test_who_goes_in_beside_the_load_is_told_though_a_ray_goes_on_past_where_he_
             assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
 
 
-def test_a_car_goes_on_some_time_after_whoever_was_at_its_load_is_gone() -> None:
+def test_a_car_continues_some_time_after_the_person_at_its_load_is_gone() -> None:
     known = LOADS["box"]
     place = (-0.08 - known.length, known.side / 2 + SOMEBODY + 0.02)
     told = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
@@ -114,7 +114,7 @@ def test_a_car_goes_on_some_time_after_whoever_was_at_its_load_is_gone() -> None
     assert not yields(state, seen)
 
 
-def test_who_only_walks_about_far_from_the_load_is_not_taken_to_be_at_it() -> None:
+def test_a_person_far_from_the_load_is_not_taken_to_be_at_it() -> None:
     told = stands_by("chair", GoesTo((2.5, 2.0), (2.5, -2.0)), 5.0)
     assert not any(yields(state, seen) for _, state, seen, _ in told)
 
@@ -130,9 +130,7 @@ def barrier(load: str, discs: object, hidden: bool, way: float = 0.0) -> MoverBa
 
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("way", [0.0, 0.3, 1.0])
-def test_h_of_who_may_touch_the_load_at_any_angle_is_below_0_however_little_was_driven_back(
-    load: str, way: float
-) -> None:
+def test_h_of_a_person_who_may_touch_the_load_is_below_0_however_little_was_driven_back(load: str, way: float) -> None:
     """Who may move can come between car and load, and is swept away when it is pulled on."""
     _, _, reach = towed_reach(load_named(load))
     angle = np.linspace(-np.pi, np.pi, 40)

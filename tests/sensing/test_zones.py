@@ -69,7 +69,7 @@ def middles(discs: Discs, low: tuple[float, float], high: tuple[float, float]) -
 FRONT, BEHIND = ((1.05, -0.45), (1.6, 0.45)), ((1.9, -0.6), (3.0, 0.6))
 
 
-def test_what_is_in_an_ignored_zone_is_not_told_and_what_is_behind_it_stays_hidden() -> None:
+def test_objects_in_an_ignored_zone_are_left_out_and_those_behind_it_stay_hidden() -> None:
     usual, ignoring = told(PerceptionSettings()), told(with_zones(DOCK))
     assert middles(usual.points + usual.movers, *FRONT)
     assert not middles(ignoring.points + ignoring.movers, *FRONT)
@@ -96,7 +96,7 @@ def test_a_zone_of_the_robot_s_frame_turns_with_it() -> None:
     assert middles(elsewhere.points, low, high), "the same numbers on the map are another place"
 
 
-def test_what_was_seen_before_it_came_into_a_zone_of_the_robot_s_frame_is_told_on() -> None:
+def test_an_object_seen_before_it_entered_a_zone_of_the_robot_s_frame_stays_reported() -> None:
     ahead = Zone("arm", "ignored", ((0.3, -0.3), (0.7, -0.3), (0.7, 0.3), (0.3, 0.3)), "robot")
     node, robot = PerceptionNode(with_zones(ahead)), car(replace(PILLAR, obstacles=((1.2, 0.0, 0.2),)))
     for tick in range(60):
@@ -106,7 +106,7 @@ def test_what_was_seen_before_it_came_into_a_zone_of_the_robot_s_frame_is_told_o
     assert middles(message.points, (0.9, -0.2), (1.2, 0.2))
 
 
-def test_nobody_is_told_to_hide_in_an_ignored_zone_that_no_ray_ends_in() -> None:
+def test_an_ignored_zone_in_which_no_ray_ends_hides_no_person() -> None:
     shadow = Zone("cupboard", "ignored", ((1.9, -0.8), (3.9, -0.8), (3.9, 0.8), (1.9, 0.8)))
     usual, ignoring = told(PerceptionSettings()), told(with_zones(shadow))
     assert middles(usual.hidden, *BEHIND)
@@ -115,7 +115,9 @@ def test_nobody_is_told_to_hide_in_an_ignored_zone_that_no_ray_ends_in() -> None
 
 
 @pytest.mark.parametrize("frame", ["map", "robot"])
-def test_what_is_remembered_in_a_zone_that_begins_to_count_is_told_on_in_the_robot_s_frame_alone(frame: str) -> None:
+def test_an_object_remembered_in_a_zone_that_begins_to_count_stays_reported_in_the_robot_s_frame_alone(
+    frame: str,
+) -> None:
     node, robot = PerceptionNode(with_zones(replace(DOCK, frame=frame, use=False))), car()
     before = [stepped(node, robot, tick) for tick in range(30)][-1]
     node.switches.answer("r", Request(do="switch", switches=("zone dock=on",)))
@@ -134,7 +136,7 @@ def test_a_ray_is_believed_up_to_where_it_first_comes_into_the_zone_that_it_ends
     assert entered((turned,), (0.0, 0.0, pi / 2.0), (-1.5, -1.0), np.array([(-1.5, 2.5)]))[0] == pytest.approx(1.0)
 
 
-def test_nobody_comes_out_of_an_ignored_zone_that_is_not_seen_but_who_appears_beside_it_may_have() -> None:
+def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_may_have() -> None:
     grid = Grid(2.0, 0.0, 0.0)
     square = Zone("z", "ignored", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
     nobody = nobody_in((square,), grid, (0.0, 0.0, 0.0))
@@ -222,7 +224,7 @@ def test_every_place_of_a_closed_zone_within_reach_is_covered(
         assert not beyond.any() or to_border(polygon, rim[beyond]).max() <= 2.0**0.5 * CELL + 1e-9
 
 
-def test_a_closed_zone_is_told_beside_what_is_seen_and_never_cut_off() -> None:
+def test_a_closed_zone_is_reported_with_what_is_seen_and_never_cut_off() -> None:
     hall = Zone("hall", "closed", ((-2.5, 1.0), (3.5, 1.0), (3.5, 2.8), (-2.5, 2.8)))
     own = replace(with_zones(hall), most=40)
     message, usual = told(own), told(PerceptionSettings())
@@ -288,7 +290,7 @@ def near(message: SurroundingsMessage) -> int:
 THREE = PerceptionSettings(min_points=3)
 
 
-def test_a_lone_ray_is_noise_where_more_are_asked_for_and_somebody_is_not() -> None:
+def test_a_lone_ray_is_noise_where_more_are_required_and_a_person_is_not() -> None:
     assert near(heard(PerceptionSettings(), lone(30)))
     assert not near(heard(THREE, lone(30)))
     assert not near(heard(THREE, lone(30, width=2)))
@@ -299,7 +301,7 @@ def test_a_lone_ray_is_noise_where_more_are_asked_for_and_somebody_is_not() -> N
     assert not near(heard(PerceptionSettings(sources={"laser": SourceSettings(min_points=2)}), lone(30)))
 
 
-def test_nobody_hides_where_a_lone_ray_ended_but_nothing_behind_a_wall_is_free_by_it() -> None:
+def test_no_person_hides_where_a_lone_ray_ended_but_it_frees_nothing_behind_a_wall() -> None:
     """The rays beside it see past; the wall of all others stays."""
     message = heard(THREE, lone(30))
     assert not [1 for x, y, *_ in message.hidden if hypot(x, y) < 2.0]
