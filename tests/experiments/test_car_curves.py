@@ -172,7 +172,6 @@ def test_conditions_that_are_none_are_refused(changed: dict[str, Any], told: str
 
 
 def test_only_a_chair_is_hitched_on_the_way() -> None:
-    assert LOAD == "chair"
     assert set(SWEEPS["towing"].values) == set(map(float, range(len(TOWING))))
     with pytest.raises(InputError, match="got 'box', wanted 'chair'"):
         Conditions(towing="from_a_third").robot(0, "box")

@@ -128,11 +128,18 @@ def test_margins_are_calibrated_without_a_load_and_on_as_many_drives(
         assert {order.seed < second for order in orders} == {True, False}
 
 
-def test_seeds_of_episodes_calibration_and_development_are_apart() -> None:
+def test_seeds_of_episodes_calibration_and_development_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes below those of recorded drives; policies are chosen on scenes of another kind, with seeds beyond all."""
     with pytest.raises(InputError, match="wanted seeds from 0 and below 5000"):
         CarExperiment(Path(), first_seed=4990, episodes=20, family="paper")
-    assert max(FIRST_SEEDS.values()) + 1000 < car_task._EVALUATION_SEED
+
+    def driving(_configuration: Any, _weights: Any, _cars: int, seed: int, **_: Any) -> Any:
+        raise LookupError(seed)
+
+    monkeypatch.setattr(car_task, "Driving", driving)
+    with pytest.raises(LookupError) as evaluated:
+        car_task.evaluate(None, None)  # type: ignore[arg-type]
+    assert max(FIRST_SEEDS.values()) + 1000 < evaluated.value.args[0]
 
 
 def test_only_what_was_measured_without_a_load_differs_in_the_filter_s_settings() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.stats import binom
 
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
@@ -17,7 +16,6 @@ from safedpa.safety import MarginCalibration
 from safedpa_lab.commands.experiments.margins import command
 from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, driven
 from safedpa_lab.experiments.seeds import SEEDS, seeds_for
-from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval
 
 SMALL = ["--robot", "pendulum", "--drives", "4", "--fresh", "2", "--coverage", "0.7", "--seconds", "1"]
 
@@ -25,25 +23,18 @@ SMALL = ["--robot", "pendulum", "--drives", "4", "--fresh", "2", "--coverage", "
 def test_seeds_of_one_purpose_are_those_of_no_other() -> None:
     for one, other in combinations(SEEDS.values(), 2):
         assert not set(one) & set(other)
-    assert seeds_for("calibration", 2, 3) == range(1_000_003, 1_000_005)
-    for bad in (("calibratio", 1, 0), ("evaluation", 100_001, 0), ("evaluation", -1, 0)):
-        with pytest.raises(InputError, match="seeds for"):
-            seeds_for(*bad)
 
 
-def test_intervals_over_drives() -> None:
-    low, high = clopper_pearson_interval(95, 100)
-    assert binom.sf(94, 100, low) == pytest.approx(0.025)
-    assert binom.cdf(95, 100, high) == pytest.approx(0.025)
-    assert clopper_pearson_interval(0, 10)[0] == 0.0
-    assert clopper_pearson_interval(10, 10)[1] == 1.0
-    shares = np.repeat([1.0, 0.5], [90, 10])
-    low, high = cluster_interval(shares)
-    assert (low, high) == pytest.approx((0.95 - 1.96 * 0.015, 0.95 + 1.96 * 0.015), abs=0.004)
-    assert cluster_interval(np.ones(100)) == (pytest.approx(0.9638, abs=1e-3), 1.0)
-    for bad in (lambda: clopper_pearson_interval(2, 1), lambda: cluster_interval(np.zeros(0))):
-        with pytest.raises(ValueError, match="got"):
-            bad()
+@pytest.mark.parametrize(("purpose", "first"), [("development", 0), ("calibration", 10**6), ("evaluation", 2 * 10**6)])
+def test_a_hundred_thousand_seeds_belong_to_each_purpose(purpose: str, first: int) -> None:
+    assert seeds_for(purpose, 100_000) == range(first, first + 100_000)
+    assert seeds_for(purpose, 3, 99_997) == range(first + 99_997, first + 100_000)
+    assert len(seeds_for(purpose, 0, 100_000)) == 0
+    for count, skip in ((100_001, 0), (1, 100_000), (4, 99_997), (-1, 5), (5, -1)):
+        with pytest.raises(InputError, match=rf"got {skip} \+ {count}, wanted at most 100000"):
+            seeds_for(purpose, count, skip)
+    with pytest.raises(InputError, match="seeds for"):
+        seeds_for(purpose[:-1], 1)
 
 
 @pytest.mark.long

@@ -1,0 +1,175 @@
+"""Margins from drives whose heights are given: which drives are made, kept and counted."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa_lab.experiments import margins, sensing_margins
+from safedpa_lab.experiments.margin_drives import DriveOrder, DriveResult
+from safedpa_lab.experiments.margins import MarginCases, margins_experiment
+from safedpa_lab.experiments.sensing_scores import Score
+from safedpa_lab.experiments.statistics import mean_interval
+
+PERIOD = 0.05
+
+
+class Drives:
+    """Made-up drives of the car: by seed its goals, contacts and least h; one step near an obstacle, one far away."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.made: list[DriveOrder] = []
+        self.now = 0.0
+        patch.setattr(margins, "driven", self.driven)
+        patch.setattr(time, "monotonic", lambda: self.now)
+
+    def driven(self, order: DriveOrder) -> DriveResult:
+        """Takes a second."""
+        self.made.append(order)
+        self.now += 1.0
+        number = order.seed % 10
+        near = np.array([[0.2, 0.2 - 0.01 * number, 0.0, 0.0], [0.1, 0.1 - 0.002 * number, 0.0, 0.0]])
+        heights = {"obstacle": near, "field": near[:1] if number % 2 else np.zeros((0, 4)), "speed": near[:1]}
+        statuses = {"passed": 3, "fallback": 1} if number == 3 else {"passed": 4}
+        return DriveResult(order.seed, heights, number, number % 3, 4, statuses, 0.5 - 0.1 * number)
+
+
+def cases(out: Path, **changes: Any) -> MarginCases:
+    usual: dict[str, Any] = {"drives": 6, "fresh": 2, "seconds": 30.0, "coverage": 0.5, "processes": 1}
+    return MarginCases(("car",), out, **{**usual, **changes})
+
+
+def test_margins_come_from_all_drives_and_count_what_they_cover(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drives = Drives(monkeypatch)
+    told: list[tuple[int, int]] = []
+    wanted = cases(tmp_path)
+    found = margins_experiment(wanted, lambda *done: told.append(done))
+    total = wanted.first + 2 * 6 + 2 * 2
+    assert (found["missing"], told[-1], len(drives.made)) == (0, (total, total), total)
+    row = found["robots"]["car"]
+    behind = [order for order in drives.made if order.kind == "conformal" and order.margin is not None][:6]
+    seeds = [order.seed for order in behind]
+    counted = row["calibration_conformal"]
+    assert (counted["drives"], counted["goals"]) == (6, sum(seed % 10 for seed in seeds))
+    assert counted["goals_a_minute"] == mean_interval(np.array([2.0 * (seed % 10) for seed in seeds]))
+    assert counted["collisions"] == sum(seed % 10 % 3 for seed in seeds)
+    assert counted["statuses"]["passed"] == sum(3 if seed % 10 == 3 else 4 for seed in seeds)
+    assert counted["least_h"] == pytest.approx(min(0.5 - 0.1 * (seed % 10) for seed in seeds))
+    covered = counted["covered"]
+    assert (covered["obstacle"]["drives"], covered["obstacle"]["drives_near"]) == (6, 6)
+    assert (covered["field"]["drives"], covered["field"]["drives_near"]) == (6, sum(seed % 2 for seed in seeds))
+    assert covered["obstacle"]["conformal"]["epsilon"] == row["epsilon"]["obstacle"]
+    assert covered["obstacle"]["drive"]["drives"] >= 0.5, "at least the coverage that was asked for"
+
+
+def test_drives_that_are_kept_are_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time for four drives, then for the rest: the same margins as without an interruption, and each drive once."""
+    drives = Drives(monkeypatch)
+    cut = margins_experiment(cases(tmp_path / "cut", minutes=3.5 / 60.0))
+    whole = cases(tmp_path / "cut")
+    assert (cut["missing"], len(drives.made)) == (whole.total - 4, 4)
+    told: list[tuple[int, int]] = []
+    rest = margins_experiment(whole, lambda *done: told.append(done))
+    assert (rest["missing"], len(drives.made)) == (0, whole.total)
+    assert len({(order.seed, order.kind, order.margin is None) for order in drives.made}) == whole.total
+    assert told[0][0] > 0, "kept drives count as done at once"
+    assert margins_experiment(cases(tmp_path / "other"))["robots"] == rest["robots"]
+    assert len(drives.made) == 2 * whole.total
+    files = [path.name for path in (tmp_path / "cut").rglob("*.npz")]
+    assert len(files) == whole.total
+    assert not any(name.startswith("new-") for name in files)
+
+
+@pytest.mark.parametrize("short", [0, 1])
+def test_no_margin_is_made_from_fewer_drives_than_asked_for(
+    short: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time ends one drive before the first or the second kind of margin has all its drives."""
+    Drives(monkeypatch)
+    wanted = cases(tmp_path)
+    seconds = wanted.first + 6 * (1 + short) - 1.5
+    row = margins_experiment(cases(tmp_path, minutes=seconds / 60.0))["robots"]["car"]
+    assert row == {"drives": 6 * (1 + short) - 1}
+
+
+def scored(seed: int, *errors: tuple[str, float, float], **more: Any) -> dict[str, Any]:
+    """A drive with steps of a kind, as they were hoped and as they came."""
+    scores = [
+        list(Score(kind, 0.1 * n, hoped, true, 0.5, -1, 0.0, (0.1, 0.3, 0.2), 0.05))
+        for n, (kind, hoped, true) in enumerate(errors)
+    ]
+    usual = {"scene": "people", "load": "none", "goals": 1, "moving": []}
+    return {**usual, "seed": seed, "scores": scores, **more}
+
+
+BEFORE = [
+    scored(1, ("obstacle", 0.3, 0.2), ("obstacle", 0.9, 0.1), ("mover", 0.4, 0.5), goals=2),
+    scored(2, ("obstacle", 0.2, 0.7), goals=3, moving=["x"]),
+    scored(3, goals=0),
+]
+AFTER = [
+    scored(4, ("obstacle", 0.1, 0.2), ("obstacle", 0.1, 0.1), ("obstacle", 0.4, 0.1), goals=5, moving=["y", "z"]),
+    scored(5, ("mover", 1.0, 1.0)),
+]
+
+
+@pytest.fixture
+def sensed(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    margin = SimpleNamespace(epsilon={"obstacle": 0.05}, drive={"obstacle": 0.3 + 1e-9})
+    monkeypatch.setattr(sensing_margins, "smallest_sample", lambda _: 3)
+    monkeypatch.setattr(sensing_margins, "driven", lambda *_: [*BEFORE, *AFTER])
+    monkeypatch.setattr(sensing_margins, "calibration_from_drives", lambda *_: margin)
+    return sensing_margins.margins_of_sensing(3, 2, 5.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "steps", "near", "largest", "worst"),
+    [("obstacle", 5, 2, 0.4, (1, 4)), ("mover", 1, 1, -0.1, (1,)), ("hidden", 0, 0, None, ())],
+)
+def test_steps_and_drives_near_something_are_counted_by_kind(
+    kind: str, steps: int, near: int, largest: float | None, worst: tuple[int, ...], sensed: dict[str, Any]
+) -> None:
+    """Of an obstacle steps below 0.5 m count, of a mover below 1 m; what is hoped farther counts as far as that."""
+    (row,) = [row for row in sensed["rows"] if row["kind"] == kind]
+    assert (row["steps"], row["drives_near"]) == (steps, near)
+    assert row["quantiles"].get("1") == (None if largest is None else pytest.approx(largest))
+    assert [one["drive"] for one in row["worst"]] == [f"people, load none, seed {seed}" for seed in worst]
+
+
+def test_margins_of_a_laser_are_reported_with_what_they_cover(sensed: dict[str, Any]) -> None:
+    rows = {row["kind"]: row for row in sensed["rows"]}
+    assert (rows["obstacle"]["step"], rows["obstacle"]["drive"]) == (0.05, 0.3 + 1e-9)
+    assert rows["obstacle"]["out"]["0.5"] == pytest.approx(0.1), "the nearer of points and movers"
+    assert rows["mover"]["out"]["0.5"] == pytest.approx(0.25), "grown by 0.05"
+    fresh = rows["obstacle"]["fresh"]
+    assert {"step", "drive"} <= set(fresh)
+    assert fresh["step"]["drives"] == 0.5, "of two fresh drives one came too near"
+    assert (sensed["goals"], len(sensed["moving"])) == (11, 3)
+
+
+@pytest.mark.parametrize("near", [(), (1,), (0, 2)])
+def test_margins_of_a_laser_need_a_drive_that_came_near_something(
+    near: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class ReachedError(Exception):
+        pass
+
+    def calibrated(heights: Any, *_: Any) -> Any:
+        raise ReachedError(str([len(one.get("obstacle", ())) for one in heights]))
+
+    drives = [scored(n, *[("obstacle", 0.2, 0.1)] * (n + 1 if n in near else 0)) for n in range(5)]
+    monkeypatch.setattr(sensing_margins, "smallest_sample", lambda _: 3)
+    monkeypatch.setattr(sensing_margins, "driven", lambda *_: drives)
+    monkeypatch.setattr(sensing_margins, "calibration_from_drives", calibrated)
+    with pytest.raises(ReachedError if near else InputError) as raised:
+        sensing_margins.margins_of_sensing(3, 2, 5.0, 0.5)
+    counts = str([n + 1 if n in near else 0 for n in range(3)])
+    assert (counts if near else "in none the car came near anything") in str(raised.value)
