@@ -20,6 +20,7 @@ from safedpa.bus import (
     ServiceLoop,
     VerdictMessage,
 )
+from safedpa.bus.transport.in_process import JointTransport
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
@@ -45,7 +46,10 @@ class Clock:
 class Stack:
     """A fleet and the services that serve it, turned by hand."""
 
-    def __init__(self, names: Sequence[str], nodes: Sequence[AbstractNode] | None = None) -> None:
+    def __init__(
+        self, names: Sequence[str], nodes: Sequence[AbstractNode] | None = None, joint: Sequence[str] = ()
+    ) -> None:
+        """The services share a session in which messages of the ``joint`` topics do not leave the process."""
         self.clock, self.broker = Clock(), MemoryBroker()
         self.transport = MemoryTransport(self.broker)
         settings = settings_named("car")
@@ -54,7 +58,9 @@ class Stack:
             PolicyNode(MODEL),
             SafetyFilterNode(MODEL, settings, margin_for(MODEL, "")),
         )
-        self.services = [ServiceLoop(node, self.bus(), clock=self.clock) for node in self.nodes]
+        shared = JointTransport(MemoryTransport(self.broker), frozenset(joint))
+        buses = [Bus(shared, "test") if joint else self.bus() for _ in self.nodes]
+        self.services = [ServiceLoop(*pair, clock=self.clock) for pair in zip(self.nodes, buses, strict=True)]
         self.cars = {name: car(index) for index, name in enumerate(names)}
         self.fleet = FleetLoop(self.cars, self.bus(), clock=self.clock) if names else None
         self._healths = self.bus().inbox((HEALTH,), clock=self.clock)

@@ -1,16 +1,17 @@
-"""Many cars turned by one process: who is late, and whose fault it is."""
+"""Many cars turned by one process: which ticks are late, and whether the simulation is the cause."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from safedpa.bus import VERDICT, Bus, MemoryTransport, Received, VerdictMessage
+from safedpa.bus import ACTION, VERDICT, Bus, MemoryTransport, Received, VerdictMessage
 from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.fleet_loop import FleetLoop, _moments
+from safedpa_sim.robots.fleet_loop import FleetLoop
 
 Make = Callable[..., Any]
 NAMES = tuple(f"car{index}" for index in range(5))
@@ -37,7 +38,7 @@ def test_without_services_every_tick_is_late_and_none_of_it_is_the_simulations_f
     assert all(car.watchdog_ticks == car.tick for car in fleet.cars.values())
 
 
-def test_what_the_simulation_is_late_by_is_told_apart(stack: Make) -> None:
+def test_the_simulations_own_lateness_is_counted_apart(stack: Make) -> None:
     fleet = stack(NAMES)
     fleet.drive(0.5)
     fleet.fleet.begin_counting()
@@ -49,17 +50,17 @@ def test_what_the_simulation_is_late_by_is_told_apart(stack: Make) -> None:
     assert account["late_ticks"] == account["late_while_held_up"]
 
 
-def test_what_is_older_than_two_periods_does_not_begin_to_act(stack: Make) -> None:
+def test_an_action_older_than_two_periods_does_not_begin_to_act(stack: Make) -> None:
     fleet = stack(("a",))
     fleet.drive(0.5)
     car = fleet.cars["a"]
+    actions = fleet.bus().inbox((ACTION,), clock=fleet.clock)
     fleet.fleet.turn()
-    while not fleet.fleet._inbox.waiting:  # its state is out, its action comes in, and then this process stands still
+    while not actions.take(0.0):  # its state is out, its action comes, and then this process is held up
+        fleet.fleet.turn()
         fleet.clock.now += 0.0025
         for service in fleet.services:
             service.turn(0.0)
-        if not fleet.fleet._inbox.waiting:
-            fleet.fleet.turn()
     before = car.watchdog_ticks
     fleet.clock.now += 0.2
     fleet.fleet.turn()
@@ -67,22 +68,32 @@ def test_what_is_older_than_two_periods_does_not_begin_to_act(stack: Make) -> No
     assert car.watchdog_ticks == before + 1
 
 
+def sensed_together(stack: Make, robots: int, *, in_step: bool = False) -> list[int]:
+    """How many of a fleet's robots sense at each of their moments within a period; one car stands for all of them."""
+    fleet = stack(("a",), nodes=())
+    cars = dict.fromkeys((f"car{index}" for index in range(robots)), fleet.cars["a"])
+    loop = FleetLoop(cars, Bus(MemoryTransport(fleet.broker), "test"), in_step=in_step, clock=fleet.clock)
+    counts = [0]
+    for _ in range(19):
+        loop.turn()
+        counts.append(loop.lateness.count)
+        fleet.clock.now += 0.0025
+    return [later - sooner for sooner, later in pairwise(counts) if later > sooner]
+
+
 def test_in_step_all_sense_at_once_else_spread_over_the_period(stack: Make) -> None:
-    for in_step, most in ((True, 5), (False, 1)):
-        fleet = stack(NAMES, nodes=())
-        fleet.services = []
-        loop = FleetLoop(fleet.cars, Bus(MemoryTransport(fleet.broker), "test"), in_step=in_step, clock=fleet.clock)
-        states: list[int] = []
-        for _ in range(20):
-            before = sum(loop.lateness.count for _ in (0,))
-            loop.turn()
-            states.append(loop.lateness.count - before)
-            fleet.clock.now += 0.0025
-        assert max(states) == most
-        assert sum(states) == 5
+    assert sensed_together(stack, 5, in_step=True) == [5]
+    assert sensed_together(stack, 5) == [1] * 5
 
 
-def test_robots_that_share_a_moment_speak_and_are_answered_in_bundles_as_if_each_were_alone(stack: Make) -> None:
+@pytest.mark.parametrize(("robots", "moments"), [(1, 1), (7, 7), (8, 5), (60, 5), (100, 3), (150, 2), (1000, 2)])
+def test_the_more_robots_the_fewer_moments_they_share(stack: Make, robots: int, moments: int) -> None:
+    together = sensed_together(stack, robots)
+    assert (len(together), sum(together)) == (moments, robots)
+    assert max(together) - min(together) <= 1
+
+
+def test_robots_that_share_a_moment_are_bundled_and_drive_as_if_each_were_alone(stack: Make) -> None:
     names = tuple(f"car{index:04d}" for index in range(24))
     fleet = stack(names)
     keys: Counter[str] = Counter()
@@ -98,12 +109,7 @@ def test_robots_that_share_a_moment_speak_and_are_answered_in_bundles_as_if_each
     assert alone.cars[names[0]].trajectory_hash == fleet.cars[names[0]].trajectory_hash
 
 
-@pytest.mark.parametrize(("robots", "moments"), [(1, 1), (7, 7), (8, 5), (60, 5), (100, 3), (150, 2), (1000, 2)])
-def test_the_more_robots_the_fewer_moments_they_share(robots: int, moments: int) -> None:
-    assert _moments(robots) == moments
-
-
-def test_the_path_is_told_with_every_fourth_tick_and_the_next_state_with_each(stack: Make) -> None:
+def test_the_path_is_published_every_fourth_tick_and_the_next_state_every_tick(stack: Make) -> None:
     fleet = stack(NAMES[:1])
     verdicts = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,), keep_all=True)
     fleet.drive(1.0)
@@ -113,18 +119,7 @@ def test_the_path_is_told_with_every_fourth_tick_and_the_next_state_with_each(st
     assert rows == {tick: 8 if tick % 4 == 0 else 1 for tick in rows}
 
 
-def test_nobody_wakes_up_for_an_action_that_came(stack: Make) -> None:
-    fleet = stack(NAMES)
-    fleet.drive(0.5)
-    loop = fleet.fleet
-    for _ in range(100):
-        moment = loop._next_moment()
-        live = [when for when, name, tick, senses in loop._events if senses or loop._turning[name].robot.tick == tick]
-        assert moment == min(live)
-        fleet.drive(0.0025)
-
-
-def test_a_collision_is_told_with_robot_place_and_what_the_watchdog_did(stack: Make) -> None:
+def test_a_collision_is_reported_with_robot_position_and_what_the_watchdog_did(stack: Make) -> None:
     fleet = stack(("a", "b"))
     fleet.drive(0.5)
     car = fleet.cars["b"]

@@ -9,8 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.bus import Bus, MemoryTransport, ServiceLoop
-from safedpa.bus.transport.in_process import JointTransport
 from safedpa.errors import InputError
 from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark
 from safedpa_services.stack.__main__ import serves
@@ -19,18 +17,14 @@ Make = Callable[..., Any]
 
 
 def test_in_one_process_every_trajectory_is_the_same(stack: Make, undisturbed: dict[str, str]) -> None:
-    fleet = stack(tuple(undisturbed))
-    joint = JointTransport(MemoryTransport(fleet.broker), frozenset(["latent", "wish"]))
-    for loop in fleet.services:
-        loop._bus.close()  # those of the fixture, each with a session of its own
-    fleet.services = [ServiceLoop(node, Bus(joint, "test"), clock=fleet.clock) for node in fleet.nodes]
+    fleet = stack(tuple(undisturbed), joint=("latent", "wish"))
     fleet.drive(2.0)
     assert fleet.fleet.late == 0
     assert {name: car.trajectory_hash for name, car in fleet.cars.items()} == undisturbed
 
 
 @given(robot=st.text(min_size=1), of=st.integers(1, 9))
-def test_every_robot_falls_to_exactly_one_stack(robot: str, of: int) -> None:
+def test_every_robot_is_served_by_exactly_one_stack(robot: str, of: int) -> None:
     assert sum(serves(f"{number}/{of}")(robot) for number in range(1, of + 1)) == 1
 
 
@@ -42,7 +36,7 @@ def test_the_shares_of_a_fleet_are_alike() -> None:
 
 
 @pytest.mark.parametrize("share", ["", "1", "0/2", "3/2", "a/b", "1/0", "-1/2", "1/2/3"])
-def test_a_share_that_is_none_is_refused_in_words(share: str) -> None:
+def test_a_malformed_share_is_refused(share: str) -> None:
     with pytest.raises(InputError, match="wanted a number and how many"):
         serves(share)
 
