@@ -14,7 +14,7 @@ from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.access import ROUTER, access_control, roles_of, size_limits
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.transport import zenoh_transport
+from safedpa.bus.transport.session import configuration_of, open_session
 
 FLEET = "f"
 ROBOTS = ("r1", "r2")
@@ -45,14 +45,14 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Ear:
-    """What one session hears under a key expression; deletions too."""
+    """What one session of Zenoh hears under a key expression; deletions too."""
 
-    def __init__(self, transport: ZenohTransport, *keys: str) -> None:
+    def __init__(self, session: Any, *keys: str) -> None:
         import zenoh
 
         self.heard: list[tuple[str, bytes, str]] = []
         handler: Any = zenoh.handlers.Callback(self._received, indirect=False)
-        self._kept = [transport._session.declare_subscriber(key, handler) for key in keys]
+        self._kept = [session.declare_subscriber(key, handler) for key in keys]
 
     def _received(self, sample: Any) -> None:
         kind = str(sample.kind).rsplit(".", maxsplit=1)[-1]
@@ -78,7 +78,8 @@ class Network:
 
     def __init__(self, folder: Path, port: int) -> None:
         self.folder, self.endpoint = folder, f"tls/127.0.0.1:{port}"
-        self._open: list[ZenohTransport] = []
+        self.open: list[Any] = []
+        self.roles: dict[int, str] = {}
 
     def start(self, *, guarded: bool, **more: Any) -> ZenohTransport:
         """The router; ``guarded`` with access control and size limits, else with mutual TLS alone."""
@@ -91,51 +92,67 @@ class Network:
     def card(self, role: str) -> Certificates:
         return Certificates(self.folder, role)
 
-    def join(self, role: str) -> ZenohTransport:
-        return self.opened(ZenohSettings("client", (), (self.endpoint,), self.card(role), patience=PATIENCE))
+    def settings(self, role: str, endpoint: str = "", mode: Any = "client") -> ZenohSettings:
+        return ZenohSettings(mode, (), (endpoint or self.endpoint,), self.card(role), patience=PATIENCE)
 
-    def join_as(self, role: str, mode: Any) -> ZenohTransport:
-        return self.opened(ZenohSettings(mode, (), (self.endpoint,), self.card(role), patience=PATIENCE))
+    def join(self, role: str, endpoint: str = "") -> ZenohTransport:
+        """A member of the fleet, as a process of the product joins."""
+        return self.opened(self.settings(role, endpoint))
+
+    def raw(self, role: str, endpoint: str = "", mode: Any = "client") -> Any:
+        """A session of Zenoh with the certificate of a role, which sends whatever it likes."""
+        session = open_session(configuration_of(self.settings(role, endpoint, mode).configuration()))
+        self.open.append(session)
+        self.roles[id(session)] = role
+        return session
 
     def opened(self, settings: ZenohSettings) -> ZenohTransport:
         transport = ZenohTransport(settings)
-        self._open.append(transport)
+        self.open.append(transport)
+        self.roles[id(transport)] = settings.certificates.role if settings.certificates else ""
         return transport
 
-    def leave(self, transport: ZenohTransport) -> None:
+    def leave(self, session: Any) -> None:
         """Closes a session and waits until the router has taken everything that it sent."""
-        session = str(transport._session.info.zid())
-        transport.close()
-        assert until(lambda: not any(str(link.zid) == session for link in self.router._session.info.links()))
+        role = self.roles[id(session)]
 
-    def ear(self, transport: ZenohTransport, *keys: str) -> Ear:
-        return Ear(transport, *keys)
+        def linked() -> int:
+            return len({zid for zid, name in self.router.members() if name == role})
+
+        before = linked()
+        session.close()
+        assert until(lambda: linked() < max(before, 1))
+
+    def ear(self, session: Any, *keys: str) -> Ear:
+        return Ear(session, *keys)
 
     def fence(self, ear: Ear) -> None:
         """Returns when the ear has heard whatever was sent by sessions that have left."""
-        sender = self.join("adaptation")
+        sender = self.raw("adaptation")
         key, payload = f"safedpa/{FLEET}/-/health/adaptation", str(len(ear.heard)).encode() + b" fence"
 
         def heard() -> bool:
-            sender._session.put(key, payload)
+            sender.put(key, payload)
             return bool(ear.of(payload))
 
         assert until(heard)
         sender.close()
 
     def close(self) -> None:
-        for transport in reversed(self._open):
-            transport.close()
+        for session in reversed(self.open):
+            session.close()
 
 
 @pytest.fixture
 def network(certificates: Path, free_port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Network]:
     """A router that is not started yet.
 
-    Signs of life may wait for longer than between the robots: these tests ask who may say what, once, and on a machine
-    with too much to do a link that is lost takes with it what was said.
+    Signs of life may take longer than between the robots: these tests send each message once, and on a busy machine a
+    lost link would take the messages on it along.
     """
-    monkeypatch.setattr(zenoh_transport, "_LEASE_MILLISECONDS", 30_000)
+    usual = ZenohSettings.configuration
+    longer = {"transport/link/tx/lease": 30_000}
+    monkeypatch.setattr(ZenohSettings, "configuration", lambda settings: usual(settings) | longer)
     made = Network(certificates, free_port)
     yield made
     made.close()

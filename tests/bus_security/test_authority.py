@@ -17,7 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from safedpa.bus.security.access import roles_of
 from safedpa.bus.security.authority import Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.errors import BusError, InputError
+from safedpa.errors import InputError
 from safedpa_services.command_line import main
 
 
@@ -110,22 +110,6 @@ def test_a_folder_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "good" / "authority.key.pem").write_bytes(other)
     with pytest.raises(InputError, match="got another kind of key, wanted one on P-256"):
         Authority(tmp_path / "good", "f")
-
-
-def test_missing_files_are_named_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match=r"authority\.pem: is not there; make it with 'safedpa certificates"):
-        Certificates(tmp_path, "policy")
-    with pytest.raises(BusError, match="got no --role"):
-        Certificates(tmp_path, "")
-
-
-def test_a_key_that_everybody_can_read_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Authority(tmp_path, "f").issue("policy", 1.0)
-    Certificates(tmp_path, "policy")
-    assert capsys.readouterr().err == ""
-    (tmp_path / "policy.key.pem").chmod(0o644)
-    Certificates(tmp_path, "policy")
-    assert '"kind": "bus.key_exposed"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -56,21 +56,21 @@ def may_write(network: Any, role: str, topic: Topic, robot: str, service: str) -
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
 def test_who_may_put_is_exactly_the_writer_column(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
-    ear = network.ear(network.join("recorder"), *(key_of(network.fleet, "*", topic, "*") for topic in ALL))
+    ear = network.ear(network.raw("recorder"), *(key_of(network.fleet, "*", topic, "*") for topic in ALL))
     said = {key_of(network.fleet, "r1", topic, "any") for topic in ALL}
 
     def listens() -> bool:  # to every topic: what attackers say, each once, is lost before that
         for key in said - ear.keys:
-            network.router._session.put(key, b"fence")
+            network.router.put(key, b"fence", never_drop=False)
         return said <= ear.keys
 
     assert network.until(listens)
     expected = set()
     for role in roles(network):
-        attacker = network.join(role)
+        attacker = network.raw(role)
         for topic, robot, service in targets(network):
             key = key_of(network.fleet, robot, topic, service)
-            attacker._session.put(key, role.encode())
+            attacker.put(key, role.encode())
             if not guarded or may_write(network, role, topic, robot, service):
                 expected.add((role, key))
         network.leave(attacker)
@@ -84,26 +84,26 @@ WILDCARDS = ("safedpa/f/*/action", "safedpa/f/r1/*", "safedpa/f/**", "safedpa/*/
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
 def test_nobody_puts_under_wildcards(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
-    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
+    ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
     for role in roles(network):
-        attacker = network.join(role)
+        attacker = network.raw(role)
         for key in WILDCARDS:
-            attacker._session.put(key, role.encode())
+            attacker.put(key, role.encode())
         network.leave(attacker)
-    proof = network.join("safety_filter")
-    assert network.until(lambda: proof._session.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
+    proof = network.raw("safety_filter")
+    assert network.until(lambda: proof.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
     assert ear.keys == ({"safedpa/f/r1/action"} if guarded else {*WILDCARDS, "safedpa/f/r1/action"})
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
 def test_nobody_deletes_not_even_the_writer(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
-    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
-    attacker = network.join("safety_filter")
+    ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
+    attacker = network.raw("safety_filter")
 
     def has_come() -> bool:  # both again and again: the first ones may leave before anybody is known to listen
-        attacker._session.delete("safedpa/f/r1/action")
-        attacker._session.put("safedpa/f/r1/action", b"proof")
+        attacker.delete("safedpa/f/r1/action")
+        attacker.put("safedpa/f/r1/action", b"proof")
         return bool(ear.of(b"proof")) and (guarded or "DELETE" in {kind for _, _, kind in ear.heard})
 
     assert network.until(has_come)
@@ -127,7 +127,7 @@ def test_who_hears_what_is_exactly_who_needs_it(network: Any, guarded: bool) -> 
     keys = {(topic, robot): key_of(network.fleet, robot, topic, "any") for topic in ALL for robot in network.robots}
     ears = {}
     for role in roles(network):
-        session = network.join(role)
+        session = network.raw(role)
         wanted = [key_of(network.fleet, robot, topic, "*") for topic, robot in keys]
         wanted += [key_of(network.fleet, "*", topic, "*") for topic in ALL] + ["safedpa/f/**", "**"]
         ears[role] = network.ear(session, *wanted)
@@ -149,7 +149,7 @@ def test_who_hears_what_is_exactly_who_needs_it(network: Any, guarded: bool) -> 
         """
         missing = allowed[role] - heard(role, word)
         for key in missing:
-            router._session.put(key, f"{word} {key}".encode())
+            router.put(key, f"{word} {key}".encode(), never_drop=False)
         return not missing
 
     for word in ("first", "last"):  # of what came the first time, nothing is on its way any more the second time
@@ -252,15 +252,15 @@ def test_a_name_cannot_be_taken_from_a_robot_by_others(network: Any, guarded: bo
 @pytest.mark.parametrize("role", ["intruder", "policy", "robot.r2"])
 def test_being_a_router_or_a_peer_helps_nobody(network: Any, role: str, guarded: bool) -> None:
     network.start(guarded=guarded)
-    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
-    attacker = network.join_as(role, "router")
-    attacker._session.put("safedpa/f/r1/action", b"evil")
+    ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
+    attacker = network.raw(role, mode="router")
+    attacker.put("safedpa/f/r1/action", b"evil")
     if guarded:
         network.leave(attacker)
-        proof = network.join("safety_filter")
-        assert network.until(lambda: proof._session.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
+        proof = network.raw("safety_filter")
+        assert network.until(lambda: proof.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
     else:
-        assert network.until(lambda: attacker._session.put("safedpa/f/r1/action", b"evil") or ear.heard)
+        assert network.until(lambda: attacker.put("safedpa/f/r1/action", b"evil") or ear.heard)
     assert (b"evil" in {payload for _, payload, _ in ear.heard}) is not guarded
 
 
@@ -268,7 +268,7 @@ def test_being_a_router_or_a_peer_helps_nobody(network: Any, role: str, guarded:
 def test_what_is_larger_than_its_topic_allows_stops_at_the_router(network: Any, guarded: bool) -> None:
     """All three again and again: the first ones may leave before anybody is known to listen."""
     network.start(guarded=guarded)
-    ear = network.ear(network.join("recorder"), "safedpa/f/r1/action", "safedpa/f/r1/finding")
+    ear = network.ear(network.raw("recorder"), "safedpa/f/r1/action", "safedpa/f/r1/finding")
     for role, topic in (("safety_filter", TOPICS["action"]), ("diagnosis", TOPICS["finding"])):
         sender, key = network.join(role), key_of("f", "r1", topic)
         sizes = (topic.largest_bytes, topic.largest_bytes + 1, 1)

@@ -69,11 +69,48 @@ def test_what_is_withheld_on_the_way_out_is_no_attempt() -> None:
     assert refusals.total == 0
 
 
-def test_an_allowed_message_that_goes_no_further_was_too_large(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("allowed", "act", "kind"),
+    [
+        ("", "Put", "bus.too_large"),
+        ("un", "Put", "bus.denied"),
+        ("", "Delete", "bus.denied"),
+        ("un", "Query", "bus.denied"),
+    ],
+)
+def test_only_a_put_that_was_allowed_and_goes_no_further_was_too_large(
+    allowed: str, act: str, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     refusals = Refusals()
-    refusals.hear(decision(FRESH, "", "Put (ingress)", "safedpa/f/denial-6/action"))
+    refusals.hear(decision(FRESH, allowed, f"{act} (ingress)"))
     refusals.hear(END.format("10"))
-    assert [event["kind"] for event in events(capsys)] == ["bus.too_large"]
+    assert [(event["kind"], event["robot"]) for event in events(capsys)] == [(kind, "r1")]
+    assert refusals.counts == {kind: 1}
+
+
+ACCEPTED = "Accepted TLS connection on [::]:7447: 10.0.0.2:5. Common Name: policy."
+
+
+@pytest.mark.parametrize(
+    ("target", "level", "text", "kinds"),
+    [
+        ("zenoh_link_tls::unicast", "DEBUG", ACCEPTED, ["bus.joined"]),
+        ("zenoh_link_tls::unicast", "WARN", "no certificate", ["bus.handshake_refused"]),
+        ("zenoh_transport::unicast::establishment::accept", "ERROR", "closed", ["bus.handshake_refused"]),
+        ("zenoh_transport::unicast::establishment::accept", "DEBUG", "Decode error", ["bus.handshake_refused"]),
+        ("zenoh_transport::unicast::establishment::accept", "DEBUG", "hello", []),
+        ("zenoh_transport::unicast::establishment::open", "WARN", "closed", ["bus.zenoh"]),
+        ("zenoh::net::runtime", "WARN", "closed", ["bus.zenoh"]),
+        ("zenoh::net::runtime", "DEBUG", "closed", []),
+    ],
+)
+def test_a_handshake_that_failed_is_a_refusal_and_other_warnings_are_handed_on(
+    target: str, level: str, text: str, kinds: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    refusals = Refusals()
+    refusals.hear(f"2026-11-21T20:33:49.171284Z {level} acc-0 ThreadId(05) {target}: {text}")
+    assert [event["kind"] for event in events(capsys)] == kinds
+    assert refusals.total == (1 if kinds == ["bus.handshake_refused"] else 0)
 
 
 def test_a_refusal_whose_reason_was_lost_is_told_all_the_same() -> None:
@@ -161,15 +198,19 @@ def test_of_two_that_were_there_together_nobody_is_cut_off_after_the_router_stoo
     assert [twins.look() for _ in range(4)][-1] == ["policy"]
 
 
-def test_sessions_that_come_and_go_without_end_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("safedpa_services.router.router._MOST_SESSIONS", 3)
-    members: list[tuple[str, str]] = [("a", "policy")]
-    twins = Twins(lambda: members)
-    for number in range(20):
-        members[1:] = [(f"s{number}", "recorder")]
+@pytest.mark.parametrize(("others", "cut"), [(10, "a"), (5000, "old")])
+def test_of_sessions_that_come_and_go_the_oldest_are_forgotten_and_those_present_are_not(others: int, cut: str) -> None:
+    """Names may come from an attacker; of 4096 sessions it is remembered when they came first."""
+    members, ended = [("old", "policy")], list[set[str]]()
+    twins = Twins(lambda: members, lambda sessions: ended.append(sessions) or len(sessions))
+    for _ in range(10):
         twins.look()
-    assert len(twins._since) <= 4
-    assert "a" in twins._since, "who is there is not forgotten"
+    for number in range(others):
+        members[:] = [("a", "policy"), (f"s{number}", "recorder")]
+        twins.look()
+    members[:] = [("a", "policy"), ("old", "policy")]
+    assert [twins.look() for _ in range(4)][-1] == ["policy"]
+    assert ended == [{cut}]
 
 
 @pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])

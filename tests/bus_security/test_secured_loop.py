@@ -106,13 +106,13 @@ def undisturbed() -> str:
 
 def attack(network: Any, stop: threading.Event) -> None:
     """Everybody but the filter commands the robot, and the filter itself sends what is larger than an action."""
-    sessions = {role: network.join(role) for role in ("intruder", "policy", "robot.r2", "recorder")}
-    filtering = network.join("safety_filter")
+    sessions = {role: network.raw(role) for role in ("intruder", "policy", "robot.r2", "recorder")}
+    filtering = network.raw("safety_filter")
     while not stop.wait(0.02):
         for session in sessions.values():
-            session._session.put("safedpa/f/r1/action", CAPTURE)
-            session._session.put("safedpa/f/r1/state", CAPTURE)
-        filtering._session.put("safedpa/f/r1/action", TOO_LARGE)
+            session.put("safedpa/f/r1/action", CAPTURE)
+            session.put("safedpa/f/r1/state", CAPTURE)
+        filtering.put("safedpa/f/r1/action", TOO_LARGE)
 
 
 def test_it_drives_as_if_nobody_attacked(network: Any, stack: ExitStack) -> None:
