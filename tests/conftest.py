@@ -31,7 +31,7 @@ from safedpa.systems import registry
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
-TRAINING = ("training", "benchmarks", "point", "pendulum")
+TRAINING = ("training", "point", "lab/training", "lab/benchmarks", "lab/point", "lab/pendulum")
 TRAINING += ("safety/test_theory_command.py", "effects/test_every_effect.py")
 """Folders and files in ``tests`` that load torch and what stands on it: 400 MB that one process alone need carry."""
 LIGHT = ("adaptation", "bus", "bus_security", "dynamics", "effects", "fleet_process", "networks", "operations")

@@ -150,7 +150,7 @@ def test_the_table_says_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_results_of_before_there_were_floors_are_still_told() -> None:
-    document = read_document(Path(__file__).parents[2] / "docs" / "results" / "speed.json")
+    document = read_document(Path(__file__).parents[3] / "docs" / "results" / "speed.json")
     for row in document["rows"].values():
         for target in row.get("targets", ()):
             for name in ("floor", "forbidden"):

@@ -177,7 +177,7 @@ def test_the_source_is_asked_where_the_compiled_modules_are_not_seen(
     package = tmp_path / "safedpa"
     package.mkdir()
     (package / "__init__.py").write_text("raise ImportError('the compiled modules')", encoding="utf-8")
-    folders = [tmp_path, *(Path(__file__).parents[2] / name for name in ("shared", "services", "sim"))]
+    folders = [tmp_path, *(Path(__file__).parents[3] / name for name in ("shared", "services", "sim"))]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, folders)))
     monkeypatch.setattr(python_source, "compiled_modules", lambda: ("all",))
     monkeypatch.setattr(python_source, "safedpa", SimpleNamespace(__file__=str(package / "__init__.py")))

@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa_lab.benchmarks.against import FIGURES, against, checkout_of, interval_of_median
 from safedpa_services.command_line.group import safedpa
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_a_machine_that_slows_down_does_not_change_the_ratio() -> None:
