@@ -1,12 +1,11 @@
-"""A small fleet, really diagnosed: groups, files, going on where it was stopped, the command, the page in a browser.
+"""A small fleet, really diagnosed: groups, files, the command, the page in a browser.
 
-All of it stands in one file, so that one process diagnoses the fleet, once.
+All tests that need it are in this file, so that one process diagnoses it once.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,16 +13,14 @@ from typing import Any
 
 import pytest
 
-from safedpa.errors import RecordingError
-from safedpa.fleet.fleet_diagnosis import clear_others, kept, read_result, write_result
 from safedpa.fleet.inputs import Options, options_digest
-from safedpa.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
+from safedpa.fleet.one_robot import Task, diagnosed_robot
 from safedpa.fleet.robots import RobotLogs, robots_in_folder
 from safedpa_services.command_line.group import safedpa
 
 
 @pytest.mark.long
-def test_every_robot_stands_in_its_group(small_fleet):
+def test_every_robot_is_in_its_group(small_fleet):
     result = small_fleet.result
     assert (result["hidden"]["hits"], result["hidden"]["of"]) == (3, 3)
     assert (result["healthy"]["hits"], result["healthy"]["of"]) == (2, 2)
@@ -56,7 +53,7 @@ def test_the_page_holds_every_group_and_robot(small_fleet):
 
 
 @pytest.mark.long
-def test_done_robots_are_not_done_again_and_the_document_is_the_same(small_fleet, capsys):
+def test_diagnosed_robots_are_not_diagnosed_again_and_the_document_is_the_same(small_fleet, capsys):
     before = json.loads((small_fleet.out / "fleet.json").read_text(encoding="utf-8"))
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -66,7 +63,7 @@ def test_done_robots_are_not_done_again_and_the_document_is_the_same(small_fleet
 
 
 @pytest.mark.long
-def test_the_command_tells_who_lacks_what(small_fleet, capsys):
+def test_the_command_prints_which_robots_lack_what(small_fleet, capsys):
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1"]) == 0
     told = capsys.readouterr().out
     assert told.lstrip().startswith("5 robots: 1 lacks")
@@ -82,96 +79,6 @@ def task(small_fleet, tmp_path) -> Task:
     shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
     options = Options(str(tmp_path / "model.toml"))
     return Task(RobotLogs("car_000", tuple(sorted(own.glob("*.csv")))), options, options_digest(options))
-
-
-@pytest.fixture
-def done(task, small_fleet, tmp_path) -> Path:
-    """A folder in which that robot is done, with the stamps of the copies."""
-    result = not_diagnosed(task, "").document | {"status": "diagnosed"}
-    folder = tmp_path / "out" / "robots" / "car_000"
-    shutil.copytree(small_fleet.out / "robots" / "car_000", folder)
-    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    return tmp_path / "out"
-
-
-@pytest.mark.long
-def test_what_is_done_is_kept(task, done):
-    assert kept(task, done)
-
-
-@pytest.mark.long
-def test_a_copy_with_another_time_is_the_same_recording(task, done):
-    os.utime(task.robot.files[0], ns=(1, 1))
-    assert kept(task, done)
-
-
-@pytest.mark.long
-def test_a_fleet_that_was_moved_is_the_same_fleet(task, done, tmp_path):
-    shutil.move(tmp_path / "recordings", tmp_path / "archive")
-    shutil.move(tmp_path / "model.toml", tmp_path / "archive" / "model.toml")
-    options = Options(str(tmp_path / "archive" / "model.toml"))
-    files = tuple(sorted((tmp_path / "archive" / "car_000").glob("*.csv")))
-    assert kept(Task(RobotLogs("car_000", files), options, options_digest(options)), done)
-
-
-@pytest.mark.long
-def test_changed_contents_of_the_same_size_are_done_again(task, done):
-    path = task.robot.files[0]
-    content = path.read_bytes()
-    path.write_bytes(content[:-5] + b"9" + content[-4:])
-    os.utime(path, ns=(1, 1))
-    assert not kept(task, done)
-
-
-@pytest.mark.long
-def test_one_more_or_one_fewer_recording_is_done_again(task, done):
-    fewer = RobotLogs("car_000", task.robot.files[:1])
-    assert not kept(Task(fewer, task.options, task.digest), done)
-
-
-@pytest.mark.long
-def test_another_model_horizon_or_column_map_is_done_again(task, done):
-    model = Path(task.options.model)
-    model.write_text(model.read_text(encoding="utf-8").replace("3.0", "3.1"), encoding="utf-8")
-    for options in (task.options, Options(str(model), horizon=0.5), Options(str(model), "dart_car_columns")):
-        assert options_digest(options) != task.digest
-        assert not kept(Task(task.robot, options, options_digest(options)), done)
-
-
-@pytest.mark.long
-def test_what_failed_or_is_no_result_is_done_again(task, done):
-    write_result(not_diagnosed(task, "killed"), done)
-    assert not kept(task, done)
-    (done / "robots" / "car_000" / "result.json").write_text("{", encoding="utf-8")
-    assert read_result(done / "robots" / "car_000") is None
-    assert not kept(task, done)
-
-
-@pytest.mark.long
-def test_half_written_folders_and_robots_that_are_gone_are_taken_away(task, done):
-    (done / "robots" / ".car_000.123.part").mkdir()
-    shutil.copytree(done / "robots" / "car_000", done / "robots" / "car_999")
-    (done / "robots" / "mine").mkdir()
-    clear_others([task], done)
-    assert sorted(path.name for path in (done / "robots").iterdir()) == ["car_000", "mine"]
-
-
-@pytest.mark.long
-def test_a_folder_that_cannot_be_written_says_so(task, tmp_path):
-    (tmp_path / "robots").write_text("in the way", encoding="utf-8")
-    with pytest.raises(RecordingError, match="--out"):
-        write_result(not_diagnosed(task, ""), tmp_path)
-
-
-@pytest.mark.long
-def test_a_robot_without_a_readable_file_is_a_line_and_one_with_some_goes_on(task, tmp_path):
-    for path in task.robot.files:
-        path.write_text("t,x\n1,2\n", encoding="utf-8")
-    result = diagnosed_robot(task)
-    assert result.document["status"] == "unreadable"
-    assert "column" in result.document["reason"]
-    assert len(result.document["unreadable_files"]) == len(task.robot.files)
-    assert set(result.texts) == set()
 
 
 @pytest.mark.long
@@ -205,7 +112,7 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
         (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
     ],
 )
-def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
+def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert safedpa.run(["diagnose", *arguments]) == 2
     shown = capsys.readouterr().err
@@ -231,7 +138,7 @@ def test_a_fleets_own_folder_is_no_recording(small_fleet):
     assert found.by == "folder"
 
 
-def test_the_experiment_counts_what_is_wrong():
+def test_the_experiment_counts_wrong_groups():
     from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 
     def group(kind, robots, *effects):
@@ -253,7 +160,7 @@ def test_the_experiment_counts_what_is_wrong():
     assert [row["robot"] for row in result["wrong"]] == ["a", "c", "d"]
 
 
-def test_what_is_hidden_in_all_counts_in_no_robot():
+def test_an_effect_hidden_in_all_robots_counts_in_none():
     from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 
     found = [{"effect": "quadratic_drag", "indistinguishable_from": [], "parameters": {}}]

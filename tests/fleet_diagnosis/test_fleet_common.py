@@ -52,7 +52,7 @@ def workers(work, jobs, _failed):
         yield RobotResult(job.robot.name, document, {"report.json": json.dumps(report(int(job.robot.name[1:])))})
 
 
-def test_the_mended_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
+def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
     fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
     document = diagnose_fleet(fleet, workers)
