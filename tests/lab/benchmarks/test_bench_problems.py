@@ -13,14 +13,7 @@ from safedpa.dynamics import load_model
 from safedpa.robots.car.barriers import ObstacleBarrier
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.braking import Braking
-from safedpa_lab.benchmarks.diagnosis_cases import (
-    CASES,
-    NAMES,
-    expression_is_right,
-    terms_are_right,
-    told,
-    written,
-)
+from safedpa_lab.benchmarks.diagnosis_cases import CASES, NAMES, expression_is_right, terms_are_right, told, written
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
 from safedpa_lab.benchmarks.peers.problem import Problem, compared
 from safedpa_lab.benchmarks.rows.sensed import places_seen

@@ -10,15 +10,7 @@ from hypothesis import strategies as st
 from safedpa.safety import SafetyFilter
 from safedpa_lab.pendulum.invariance import largest_wind, least_reserve, reserve
 from safedpa_lab.pendulum.rollouts import blown, physics_in_any_wind
-from safedpa_sim.pendulum.task import (
-    AHEAD,
-    BALANCING,
-    LONG_WAY_ROUND,
-    TORQUE,
-    WIND,
-    corridor,
-    filter_settings,
-)
+from safedpa_sim.pendulum.task import AHEAD, BALANCING, LONG_WAY_ROUND, TORQUE, WIND, corridor, filter_settings
 
 EPSILON = 0.003
 share = st.floats(0.0, 1.0)

@@ -108,8 +108,7 @@ def learnt(seeds: int, monkeypatch: pytest.MonkeyPatch, **counts: float) -> tupl
 
 
 @pytest.mark.parametrize(
-    ("seeds", "steps", "goals"),
-    [(1, 400, None), (2, 1200, (1.0, 12.7062)), (3, 2400, (2.0, 4.30265 * 2.0 / 3.0**0.5))],
+    ("seeds", "steps", "goals"), [(1, 400, None), (2, 1200, (1.0, 12.7062)), (3, 2400, (2.0, 4.30265 * 2.0 / 3.0**0.5))]
 )
 def test_all_steps_of_all_training_seeds_are_added_up(
     seeds: int, steps: int, goals: tuple[float, float] | None, monkeypatch: pytest.MonkeyPatch

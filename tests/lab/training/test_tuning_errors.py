@@ -35,10 +35,7 @@ def test_errors_of_a_drive_are_added_up_over_its_starts() -> None:
     (run,), predictor = record_circles(100, 3, 100), NetworkPredictor(WEIGHTS)
     drive = Drive(run.states, run.actions[:-1])
     found = errors_of_drive(predictor, drive)
-    for horizon, starts, steps in (
-        ("one_step", list(range(60, 100)), 1),
-        ("one_second", [60, 65, 70, 75, 80], 20),
-    ):
+    for horizon, starts, steps in (("one_step", list(range(60, 100)), 1), ("one_second", [60, 65, 70, 75, 80], 20)):
         squares = (errors_at(predictor, drive, starts, steps) ** 2).sum(axis=0)
         assert found[horizon]["count"] == len(starts)
         assert found[horizon]["squares"] == pytest.approx(squares.tolist(), rel=1e-4)
