@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.errors import ColumnMapError
 from safedpa.records import load_run
 from safedpa.records.column_map_file import parse_column_map
 from safedpa.systems import System, Variable
@@ -70,28 +69,3 @@ def test_the_first_available_column_fills_gaps(tmp_path):
     run = read(path, text + 'throttle = "u1"\n')
     (part,) = run.parts()
     np.testing.assert_allclose(part[1][:, 0], np.interp(part[0], t, way), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        ('way = { from = ["left"], join = "mean" }', "wanted two different columns or more"),
-        ('way = { from = ["left", "left"], join = "mean" }', "wanted two different columns or more"),
-        ('way = { from = ["left", "right"] }', "join: got None, wanted how they become one: mean, sum"),
-        ('way = { from = ["left", "right"], join = "product" }', "join: got 'product', wanted"),
-        ('way = { from = "left", join = "mean" }', "join: got 'mean' for one column"),
-        ('speed = { derive = "slope", window = 0.1 }', "of: missing; wanted the state"),
-        ('speed = { derive = "slope", of = "way", window = 0.1 }', "needs the column 'way' of the log"),
-        ('rate = { derive = "rate_from_angle", of = "angle", window = 0.1 }', "of: unknown with 'rate_from_angle'"),
-    ],
-)
-def test_a_mistake_names_its_key(columns, said):
-    with pytest.raises(ColumnMapError, match="columns") as error:
-        parse_column_map(HEAD + columns + "\n")
-    assert said in str(error.value)
-
-
-def test_the_slope_is_of_a_state_that_the_system_has(tmp_path):
-    path, *_ = log(tmp_path)
-    with pytest.raises(ColumnMapError, match=r"throttle\.derive: wanted for a state"):
-        read(path, 'way = "far"\nspeed = "left"\nthrottle = { derive = "slope", of = "way", window = 0.1 }\n')

@@ -92,25 +92,10 @@ def test_lines_are_counted_as_an_editor_counts_them(tmp_path: Path, before: int)
     assert f"line {104 + before}, column 'x': got 'x" in error_of(written(tmp_path / "bad.csv", [*lines, ""]))
 
 
-@pytest.mark.parametrize("cell", ["1.234", "1.234,5"])
-def test_among_decimal_commas_a_point_is_no_decimal_point(tmp_path: Path, cell: str) -> None:
-    """1.234 is a thousand and more where commas are decimal, and nobody can be sure."""
-    lines = [HEADER.replace(",", ";"), *GERMAN, ""]
-    lines[70] = ";".join([lines[70].split(";")[0], cell, *lines[70].split(";")[2:]])
-    assert f"line 71, column 'x': got '{cell}', wanted a number with a decimal comma" in error_of(
-        written(tmp_path / "drive.csv", lines)
-    )
-
-
 def test_a_column_of_dates_does_not_hide_decimal_commas(tmp_path: Path) -> None:
     lines = ["date;" + HEADER.replace(",", ";"), *(f"27.11.2026 10:00:00;{line}" for line in GERMAN)]
     run = load_run(written(tmp_path / "drive.csv", lines), CAR)
     np.testing.assert_allclose(run.states[:, 0], [values[1] for values in ROWS], atol=0)
-
-
-def test_a_date_in_place_of_a_time_is_refused_with_advice(tmp_path: Path) -> None:
-    lines = [f"2026-11-27T10:00:{number / 20:06.3f},{line.split(',', 1)[1]}" for number, line in enumerate(LINES)]
-    assert "wanted a number; write it as seconds" in error_of(written(tmp_path / "drive.csv", [HEADER, *lines, ""]))
 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64"])
