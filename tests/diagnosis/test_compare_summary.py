@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.compare.comparison import PREDICTORS, HorizonError, RunError, compare_model
+from safedpa.compare.comparison import PREDICTORS, HorizonError, RunError
 from safedpa.compare.rollout_error import RolloutError
 from safedpa.compare.summary import (
     as_json,
@@ -102,24 +102,6 @@ def test_the_document_holds_everything_that_was_found() -> None:
     assert all(set(item) == set(RunError.__dataclass_fields__) for item in document["runs"])
     quality = [(item["run"], item["kind"], item["count"]) for item in document["data_quality"]]
     assert quality == [("a", "gap", 2), ("c", "jump", 3)]
-
-
-def test_the_document_of_simulated_runs_agrees_with_the_comparison(plain: Any, drive: Any, with_effect: Any) -> None:
-    other = with_effect(plain, "viscous_drag", coefficient=0.4)
-    found = compare_model(plain, [drive(other, 8.0, seed, name=f"run {seed}") for seed in range(2)], 1.0)
-    document = as_json(found)
-    assert [row["seconds"] for row in document["horizons"]] == [item.seconds for item in found.horizons]
-    for row, item in zip(document["horizons"], found.horizons, strict=True):
-        assert set(row) == {"seconds", *PREDICTORS}
-        assert {name: row[name]["error"] for name in PREDICTORS} == pytest.approx(
-            {name: item.errors[name].value for name in PREDICTORS}, rel=1e-3
-        )
-    assert [row["name"] for row in document["runs"]] == ["run 0", "run 1"]
-    assert document["explained"].keys() == {item.variable for item in found.factors}
-    assert (document["windows"], len(document["place"])) == (len(found.windows), len(found.cells))
-    assert document["error"] == pytest.approx(found.error.value, rel=1e-3)
-    assert document["parameters"] == {path: setting.value for path, setting in plain.settings.items()}
-    assert document["parameters"]["base.drive_gain"] == 3.0
 
 
 @pytest.mark.parametrize(

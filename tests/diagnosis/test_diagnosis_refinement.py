@@ -10,7 +10,10 @@ import pytest
 from safedpa.compare.windows import windows_of
 from safedpa.diagnosis.fit.innovations import LinearTrack, Noise, filtered
 from safedpa.diagnosis.fit.refinement import refined
-from safedpa.dynamics import Setting
+from safedpa.dynamics import Setting, load_model
+from safedpa.effects import effect
+from safedpa.records import load_run
+from safedpa_lab.hidden import Case, write_case
 
 ROWS, KEPT, PERIOD = 9, 0.8, 0.1
 MEASURED, PUSH, SECONDS = 0.3, 0.7, 0.5
@@ -157,3 +160,21 @@ def test_a_number_that_is_not_free_stays(plain, with_effect, drive):
 def test_recordings_too_short_for_a_filter_give_nothing(plain, drive):
     windows = windows_of([drive(plain, 1.5)], 0.5)
     assert refined(plain, ["base.drive_gain"], np.array([True]), windows) is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "parameter", "value"),
+    [("steering_lag", "time_constant", 0.143), ("steering_delay", "seconds", 0.114)],
+)
+def test_actuators_are_followed_within_each_row(tmp_path, name, parameter, value):
+    """What a lag makes of a command changes within a row: its mean is off by three stated deviations."""
+    log = write_case(Case("test", 1793393573, {name: {parameter: value}}), tmp_path / "case")
+    model = load_model(str(log.model))
+    windows = windows_of([load_run(str(path), model.system) for path in log.runs], 1.0)
+    path = f"{name}.{parameter}"
+    begun = model.with_effect(effect("car", name), {parameter: Setting(0.993 * value)})
+    found = refined(begun, [path], np.array([True]), windows)
+    (std,) = found.deviations
+    assert std < 4e-4 * value
+    assert abs(found.model.settings[path].value - value) < 2.5 * std

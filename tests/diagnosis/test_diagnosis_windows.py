@@ -17,13 +17,6 @@ from safedpa.records.run import Run, Stretch
 from safedpa.robots.pendulum.system import PENDULUM
 
 
-def test_every_tenth_used_row_starts_a_window_up_to_half_a_period_past_the_horizon(plain, drive):
-    windows = windows_of([drive(plain, 10.0)], 1.02)
-    assert windows.start.tolist() == list(range(0, 180, 10))
-    assert set(windows.steps.tolist()) == {20}
-    assert set(windows_of([drive(plain, 10.0)], 1.03).steps.tolist()) == {21}
-
-
 def test_rows_outside_the_stretches_do_not_count(plain, drive):
     run = drive(plain, 10.0, stretches=[(3, 50), (60, 200)])
     windows = windows_of([run], 0.5)

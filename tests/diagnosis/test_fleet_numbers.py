@@ -1,4 +1,4 @@
-"""Numbers of a fleet: when robots differ, pooled means and spreads, evidence over robots, recordings by robot.
+"""Numbers of a fleet: when robots differ, pooled means and spreads, and evidence over robots.
 
 Expected values are worked out by hand or by SciPy.
 """
@@ -6,20 +6,17 @@ Expected values are worked out by hand or by SciPy.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from safedpa.errors import InputError
 from safedpa.fleet.alike import apart
 from safedpa.fleet.common import common_effects, confirmed
 from safedpa.fleet.discovery import upper_tail
 from safedpa.fleet.outcome import Number, RobotOutcome, Tried, outcome_of
 from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
-from safedpa.fleet.robots import robots_in_folder, robots_of_files
 
 
 def number(value: float, std: float = math.nan) -> Number:
@@ -143,42 +140,6 @@ def test_effects_are_rivals_where_their_scores_differ_by_less_than_two_standard_
     assert (found[0].effect, found[0].rivals) == ("drag", rivals)
 
 
-def candidate(effect: str, stage: int, decision: str, score: float, *alike: str) -> dict[str, Any]:
-    numbers = {"c": {"value": 10.0 * stage + score, "std": 1.0, "unit": "1"}}
-    return {
-        "effect": effect, "stage": stage, "decision": decision, "score": score, "parameters": numbers,
-        "indistinguishable_from": list(alike),
-    }  # fmt: skip
-
-
-def report(candidates: list[dict[str, Any]], added: list[str], parameters: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "robot": "car", "added": added, "conditions": [], "unexplained": None, "candidates": candidates,
-        "parameters": parameters, "stages": [{"heldout_error": error} for error in (0.75, 0.5, 0.25)],
-        "data_quality": [{"message": "x"}, {"message": "x"}, {"message": "y"}],
-    }  # fmt: skip
-
-
-RESULT = {"robot": "r1", "status": "missing", "reason": "", "unreadable_files": ["f", "g"]}
-
-
-def test_the_outcome_of_a_robot_with_an_accepted_pair_and_a_single_effect() -> None:
-    """A base number was free; five candidates were tried first."""
-    value = {"value": 1.0, "std": 0.5, "unit": "1"}
-    candidates = [
-        candidate("a", 0, "rejected", 1.0), candidate("a + b", 0, "accepted", 5.0, "e", "a + f"),
-        candidate("e", 0, "rejected", 4.0), candidate("c", 0, "rejected", 2.0), candidate("d", 0, "rejected", 3.0),
-        candidate("d", 1, "accepted", 7.0), candidate("e", 1, "rejected", 6.0), candidate("c", 2, "rejected", 0.5),
-    ]  # fmt: skip
-    numbers = {"a.c": {**value, "value": 2.0}, "b.c": {**value, "value": 3.0}, "d.c": value, "base.m": value}
-    found = outcome_of(RESULT, report(candidates, ["a", "b", "d"], numbers))
-    assert (found.trials, found.findings, found.unread) == (5, 2, 2)
-    assert (found.error_before, found.error_after) == (0.75, 0.25)
-    said = [(item.effect, item.numbers["c"].value, item.score, item.equals) for item in found.found]
-    assert said == [("a", 2.0, 5.0, ("e",)), ("b", 3.0, 5.0, ("e",)), ("d", 1.0, 7.0, ())]
-    assert (list(found.free or ()), list(found.last or ())) == (["base.m"], ["c"])
-
-
 @pytest.mark.parametrize(
     ("score", "effect", "numbers", "evidence"),
     [
@@ -193,28 +154,13 @@ def test_the_evidence_of_a_robot_is_that_of_blocks_or_a_third_of_the_filters_dev
     score: float, effect: str, numbers: dict[str, Any], evidence: float
 ) -> None:
     own = {f"{effect}.{k}": {"value": value, "std": std, "unit": "1"} for k, (value, std) in numbers.items()}
-    found = outcome_of(RESULT, report([candidate(effect, 0, "accepted", score)], [effect], own))
-    assert found.evidence == pytest.approx(evidence)
-
-
-@pytest.mark.parametrize(
-    ("by", "groups", "left"),
-    [
-        ("folder", {"r1": ["r1/a.csv", "r1/deep/b.csv"], "r2": ["r2/a.csv"]}, ["c.csv"]),
-        ("file", {"c": ["c.csv"], "r1_a": ["r1/a.csv"], "r1_deep_b": ["r1/deep/b.csv"], "r2_a": ["r2/a.csv"]}, []),
-    ],
-)
-def test_recordings_belong_to_the_robot_of_their_folder_or_to_one_robot_each(
-    by: Any, groups: dict[str, list[str]], left: list[str], tmp_path: Path
-) -> None:
-    found = robots_of_files([tmp_path / name for name in ("c.csv", "r1/a.csv", "r1/deep/b.csv", "r2/a.csv")], by)
-    assert {item.name: [str(path.relative_to(tmp_path)) for path in item.files] for item in found.robots} == groups
-    assert [str(path.relative_to(tmp_path)) for path, _ in found.left_out] == left
-
-
-def test_the_same_name_with_another_ending_is_another_robot_and_loose_files_are_not_folders(tmp_path: Path) -> None:
-    for name in ("a.csv", "a.mcap"):
-        (tmp_path / name).touch()
-    assert [item.name for item in robots_in_folder(tmp_path, "file").robots] == ["a", "a.mcap"]
-    with pytest.raises(InputError, match="got files only"):
-        robots_in_folder(tmp_path, "folder")
+    accepted = {
+        "effect": effect, "stage": 0, "decision": "accepted", "score": score, "parameters": {},
+        "indistinguishable_from": [],
+    }  # fmt: skip
+    report = {
+        "robot": "car", "added": [effect], "unexplained": None, "candidates": [accepted], "parameters": own,
+        "stages": [{"heldout_error": 0.75}, {"heldout_error": 0.25}], "data_quality": [],
+    }  # fmt: skip
+    result = {"robot": "r1", "status": "missing", "reason": "", "unreadable_files": []}
+    assert outcome_of(result, report).evidence == pytest.approx(evidence)

@@ -42,11 +42,9 @@ def test_steady_gains_of_few_blocks_are_no_proof() -> None:
     assert gain(np.zeros(20)) == 0.0
 
 
-def sure(gains: list[float], blocks: int) -> float:
-    windows, each = len(gains), len(gains) // blocks
-    fold, block = np.zeros(windows, dtype=np.int64), np.repeat(np.arange(blocks), each)
-    made = Regression(np.zeros((windows, 1)), np.zeros((windows, 1, 1)), 0, fold, block)
-    return made.sure(np.array(gains) + 7.0, np.full(windows, 7.0))
+def regression(blocks: int, each: int) -> Regression:
+    windows, block = blocks * each, np.repeat(np.arange(blocks), each)
+    return Regression(np.zeros((windows, 1)), np.zeros((windows, 1, 0)), 0, block % 5, block)
 
 
 EVEN = [1.0, 2.0, 3.0, 1.0, 2.0, 4.0, 2.0, 1.0, 3.0, 2.0, 5.0, 1.0, 2.0, 2.0, 3.0, 1.0, 2.0, 4.0]
@@ -66,12 +64,24 @@ def test_a_regression_is_sure_by_the_sum_of_blocks_over_its_standard_error_with_
     gains: list[float], blocks: int, most: float
 ) -> None:
     sums = np.minimum(gains, most).reshape(blocks, -1).sum(axis=1)
-    assert sure(gains, blocks) == pytest.approx(sums.sum() / (sums.std(ddof=1) * math.sqrt(blocks)), rel=1e-9)
+    wanted = sums.sum() / (sums.std(ddof=1) * math.sqrt(blocks))
+    problem = regression(blocks, len(gains) // blocks)
+    before, after = np.array(gains) + 7.0, np.full(len(gains), 7.0)
+    for size in (1.0, 100.0):
+        assert problem.sure(size * before, size * after) == pytest.approx(wanted, rel=1e-9)
+    assert problem.sure(after, before) == pytest.approx(-wanted, rel=1e-9)
 
 
 def test_with_fewer_than_eight_blocks_a_regression_is_sure_of_nothing() -> None:
-    assert sure([1.0] * 21, 7) == 0.0
-    assert sure(np.linspace(1.0, 1.5, 24).tolist(), 8) > 0.0
+    assert regression(7, 3).sure(np.full(21, 2.0), np.ones(21)) == 0.0
+    assert regression(8, 3).sure(np.full(24, 2.0), np.linspace(0.5, 1.0, 24)) > 0.0
+
+
+def test_with_nothing_to_gain_two_standard_errors_are_exceeded_in_one_case_of_twenty() -> None:
+    random, problem = np.random.default_rng(11), regression(60, 10)
+    found = np.array([problem.sure(random.normal(0.0, 30.0, 600), np.zeros(600)) for _ in range(2000)])
+    assert found.std() == pytest.approx(1.0, abs=0.06)
+    assert (np.abs(found) > 2.0).mean() == pytest.approx(0.05, abs=0.012)
 
 
 def explains(values: Any) -> Any:

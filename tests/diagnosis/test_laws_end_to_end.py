@@ -1,13 +1,15 @@
-"""A carpet on the floor, from logs to the filter: found, told, written, added by name, compared, driven with."""
+"""Laws of effects from logs to the filter: a carpet is found, reported, added by name, compared and driven with."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.fit.heldout import heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.search.beginning import begun
@@ -18,7 +20,8 @@ from safedpa.effects import effects_of
 from safedpa.fleet.outcome import outcome_of
 from safedpa.records import load_run
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa_lab.hidden import Case, write_case
+from safedpa_lab.experiments.diagnosing import diagnosed
+from safedpa_lab.hidden import Case, cases_of, write_case
 from safedpa_services.command_line.group import safedpa
 
 FLOOR = {"deceleration": 0.9, "x_above": 0.4}
@@ -109,3 +112,50 @@ def test_diagnose_tells_it_the_right_way_out(log, tmp_path, capsys):
     outcome = outcome_of(costs, document)
     assert outcome.found == ()  # a fleet does not pool it with what acts everywhere
     assert outcome.unexplained == told["sentence"]
+
+
+def diagnosed_case(suite, number, seed, folder):
+    case = cases_of(suite, number + 1, seed)[number]
+    log = write_case(case, folder)
+    return case, diagnosed(log.model, log.runs)
+
+
+def number_of(suite, seed, name):
+    return next(index for index, case in enumerate(cases_of(suite, 10, seed)) if case.name.endswith(name))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("suite", "seed", "name"),
+    [("patches", 7003, "2739099046"), ("speed_gains", 7002, "3890390788")],
+    ids=["carpet_of_three_runs", "border_reported_as_three_effects"],
+)
+def test_the_law_is_found_and_nothing_else(suite, seed, name, tmp_path):
+    case, document = diagnosed_case(suite, number_of(suite, seed, name), seed, tmp_path)
+    (effect,) = case.effects
+    assert document["added"] == [effect]
+    (condition,) = document["conditions"]
+    assert condition["words"] == case.laws[effect].removeprefix("where ")
+    for path, value in case.effects[effect].items():
+        assert document["parameters"][f"{effect}.{path}"]["value"] == pytest.approx(value, rel=0.1, abs=0.1)
+
+
+CIRCLE = {"rolling_resistance": {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}}
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_rough_patch_is_not_reported_across_rooms(tmp_path, monkeypatch):
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [])
+    log = write_case(
+        Case("test", 194365079, CIRCLE, runs=4, seconds=40.0, laws={"rolling_resistance": "where circle"}), tmp_path
+    )
+    model = load_model(log.model)
+    runs = [load_run(path, model.system) for path in log.runs]
+    together = diagnose(model, runs)
+    assert together.unexplained.kind == "place"
+    assert "different_places" not in {item["kind"] for item in together.data_quality}
+    apart = [replace(run, states=run.states + np.array([100.0 * k, 0.0, 0.0, 0.0])) for k, run in enumerate(runs)]
+    elsewhere = diagnose(model, apart)
+    assert elsewhere.unexplained is None or elsewhere.unexplained.kind != "place"
+    assert "different_places" in {item["kind"] for item in elsewhere.data_quality}

@@ -14,7 +14,6 @@ from safedpa.diagnosis.fit import heldout as held
 from safedpa.diagnosis.fit.elimination import Elimination
 from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.fit.least_squares import Fit, inverse_of, objectives
-from safedpa.diagnosis.fit.shooting import folds_of
 from safedpa.diagnosis.fit.trial import deviates_of
 from safedpa.diagnosis.search import acceptance
 from safedpa.diagnosis.search.acceptance import accept
@@ -186,29 +185,6 @@ def test_a_held_out_square_is_that_of_a_fit_without_the_window(made: Any) -> Non
         left = fit.residual[window] + fit.columns[window] @ (values - np.array([0.5, 0.03]))
         wanted[window] = ((left.reshape(2, 2) * np.array([2.0, 0.5])) ** 2).sum(axis=0)  # in the states' units
     assert fit.heldout_squares(shooting) == pytest.approx(wanted, rel=1e-5)
-
-
-def windows_of_runs(*runs: tuple[int, float]) -> Any:
-    """Of each run so many windows of 1 s, one after the other, the first at so many s by its clock."""
-    counts = [count for count, _ in runs]
-    clock = np.concatenate([first + np.arange(count + 1) for count, first in runs])
-    start = np.concatenate([np.arange(count) + sum(c + 1 for c in counts[:at]) for at, count in enumerate(counts)])
-    own = {"names": "abcdef"[: len(runs)], "run": np.repeat(np.arange(len(runs)), counts), "clock": clock}
-    return type("Windows", (), {**own, "start": start, "end": start + 1, "__len__": lambda _: sum(counts)})()
-
-
-@pytest.mark.parametrize(
-    ("runs", "folds", "found"),
-    [
-        (((3, 0.0), (2, 5.0), (4, 0.0)), 5, [0] * 3 + [1] * 2 + [2] * 4),  # three runs are held out whole
-        (((1, 0.0), (1, 0.0), (1, 0.0), (2, 0.0)), 3, [0, 1, 2, 0, 0]),
-        (((10, 0.0),), 5, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]),  # of fewer, stretches of time in each
-        (((10, 100.0), (4, 7.0)), 2, [0] * 5 + [1] * 5 + [0, 0, 1, 1]),
-        (((4, 0.0), (10, 50.0)), 2, [0, 0, 1, 1] + [0] * 5 + [1] * 5),
-    ],
-)
-def test_folds_are_runs_or_equal_stretches_of_time(runs: Any, folds: int, found: list[int]) -> None:
-    assert folds_of(windows_of_runs(*runs), folds).tolist() == found
 
 
 def test_the_objective_is_the_mean_logarithm_of_the_root_mean_square_of_each_state() -> None:
