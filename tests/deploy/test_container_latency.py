@@ -32,7 +32,7 @@ def test_the_account_is_the_last_one_of_the_log() -> None:
     assert container_latency.account_in(lines) == ACCOUNT
 
 
-def test_a_robot_without_an_account_is_told_with_its_last_words() -> None:
+def test_a_robot_without_an_account_is_reported_with_its_last_words() -> None:
     with pytest.raises(RuntimeError, match="no account of its drive; its last words: one two"):
         container_latency.account_in(["none", "one", "two"])
 
@@ -68,7 +68,9 @@ def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_contain
     assert ran[-1][-3:] == ["--remove-orphans", "--timeout", "3"]
 
 
-def test_what_an_engine_says_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_engine_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(words, 1, "", "Traceback\n  line\nno engine answers\n")
 
@@ -85,7 +87,7 @@ def test_what_an_engine_says_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys
 
 
 @pytest.mark.parametrize(("seconds", "rate"), [(float("nan"), 20.0), (-1.0, 20.0), (0.0, 20.0), (5.0, 0.0), (5.0, 2e3)])
-def test_times_that_are_none_are_refused_before_anything_is_started(
+def test_impossible_times_are_refused_before_anything_is_started(
     seconds: float, rate: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(container_latency.subprocess, "run", lambda *_, **__: pytest.fail("started"))
@@ -93,7 +95,7 @@ def test_times_that_are_none_are_refused_before_anything_is_started(
         container_latency.measured(seconds, rate)
 
 
-def test_where_nothing_came_no_percentile_is_told() -> None:
+def test_without_messages_there_is_no_percentile() -> None:
     with pytest.raises(TimeoutError, match="none of 100"):
         account([], 100, 20.0)
     nothing = {**ACCOUNT, "latency_us": {"p50": None, "p99": None}}

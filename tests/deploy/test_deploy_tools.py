@@ -53,7 +53,7 @@ def test_a_robots_container_has_a_robots_role(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["", "fleet_policy_1.fleet_bus", "robot", "fleet_robot_3x", "evil.fleet_robot_3", "fleet_robot_"]
 )
-def test_another_container_has_none(name: str) -> None:
+def test_another_container_has_no_robots_role(name: str) -> None:
     with pytest.raises(ValueError, match="container"):
         robot_role(name)
 

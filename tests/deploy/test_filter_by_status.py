@@ -15,7 +15,7 @@ def told(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
-def test_a_tree_beside_itself_decides_alike_and_every_status_is_counted() -> None:
+def test_a_tree_compared_with_itself_decides_alike_and_every_status_is_counted() -> None:
     tree = str(ROOT / "shared")
     found = told(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
     assert found.returncode == 0, found.stderr

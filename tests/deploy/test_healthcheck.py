@@ -106,7 +106,7 @@ def test_another_robot_does_not_count(broker: MemoryBroker, service: Service) ->
 
 
 @pytest.mark.processes
-def test_as_a_process_it_ends_with_one_where_nobody_speaks(free_port: int) -> None:
+def test_as_a_process_it_ends_with_one_in_silence(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     command = [sys.executable, "-m", "safedpa_services.healthcheck", "policy", "--seconds", "0.2", "--listen", endpoint]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

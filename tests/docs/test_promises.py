@@ -36,7 +36,7 @@ def test_a_promise_that_nothing_holds_is_noticed(text: str, tmp_path: Path, monk
     assert promise.open
 
 
-def test_what_is_held_or_said_to_be_none_is_not_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_promise_with_a_test_or_marked_as_none_is_not_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (
         "It never stops.\n<!-- held: tests/docs/test_promises.py::test_it,\nsafedpa experiment safety -->\n\n"
         "It is 3 years old.\n<!-- no promise: history -->\n\n"
@@ -49,7 +49,7 @@ def test_what_is_held_or_said_to_be_none_is_not_open(tmp_path: Path, monkeypatch
     assert not any(each.open for each in (never, old, collisions, goals))
 
 
-def test_a_remark_below_a_heading_is_said_of_its_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_remark_below_a_heading_counts_for_its_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (
         "# Page\n\nIt takes 1 s.\n\n## A\n<!-- held: tests/docs -->\n\nIt never stops.\n\n- Nothing is lost.\n"
         "  <!-- held: tests/bus -->\n\n| it | 40 us |\n\n## B\n\nIt is 3 m long.\n"
@@ -71,7 +71,7 @@ def test_a_test_that_is_there_holds() -> None:
     assert wrong_holders(Promise("README.md", "It never stops.", held)) == []
 
 
-def test_the_table_tells_when_a_command_was_run_last() -> None:
+def test_the_table_shows_when_a_command_was_run_last() -> None:
     (row,) = [line for line in table().splitlines() if line.startswith("| claims | the demonstration in 20 scenes")]
     date = json.loads((ROOT / "docs" / "results" / "demo.json").read_text(encoding="utf-8"))["date"]
     assert row.endswith(f"| `safedpa experiment demo` | by command, last on {date} |")

@@ -79,7 +79,7 @@ def test_some_of_them_are_those() -> None:
         np.testing.assert_allclose(one.values(state[robot]), many.values(state)[robot], atol=1e-9)
 
 
-def test_without_hazards_there_is_no_room_to_tell() -> None:
+def test_without_hazards_there_is_no_room_to_report() -> None:
     state, many = drawn(4, 0)
     room, end = many.best(state)
     assert room.shape == (ROBOTS, 0)

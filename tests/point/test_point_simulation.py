@@ -54,6 +54,6 @@ def test_the_turning_servo_does_not_chatter_and_the_thrust_saturates() -> None:
 
 
 @pytest.mark.parametrize("control", [[0.0], [np.nan, 0.0], [0.0, np.inf]])
-def test_controls_that_are_none_are_refused(control: list[float]) -> None:
+def test_controls_that_are_not_finite_are_refused(control: list[float]) -> None:
     with pytest.raises(InputError, match="two finite numbers"):
         MujocoPoint().advance(np.array(control))

@@ -63,7 +63,7 @@ def test_reward_is_progress_and_goals_and_cost_counts_steps_within() -> None:
     assert np.all(np.linalg.norm(task.layout.goal - goal, axis=1) > 0.0)
 
 
-def test_episodes_end_after_a_thousand_steps_and_begin_anew_with_another_wind() -> None:
+def test_episodes_end_after_a_thousand_steps_and_restart_with_another_wind() -> None:
     task = PointTask(8, 0, largest_force=0.008)
     force = task.simulation.force.copy()
     assert np.linalg.norm(force, axis=0).max() <= 0.008

@@ -160,7 +160,7 @@ def test_training_is_sheltered_by_the_filter_itself(
     assert corrected > CARS / 4
 
 
-def test_progress_is_rewarded_and_contact_costs_what_it_is_told_to(
+def test_progress_is_rewarded_and_contact_costs_the_given_penalty(
     configuration: Configuration, weights: Weights
 ) -> None:
     rewards = {}
@@ -179,7 +179,7 @@ def test_progress_is_rewarded_and_contact_costs_what_it_is_told_to(
     assert np.corrcoef(total, gained)[0, 1] > 0.95
 
 
-def test_whoever_comes_within_the_goals_radius_has_reached_it(configuration: Configuration, weights: Weights) -> None:
+def test_a_car_within_the_goals_radius_has_reached_it(configuration: Configuration, weights: Weights) -> None:
     driving = Driving(configuration, weights, 4, 2, calm=True)
     driving.scene.goal[:2] = driving.state[:2, :2] + 0.1
     moved = driving.advance(straight(driving, 0.0))
@@ -202,7 +202,7 @@ def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configu
     assert 2 <= changed[False] <= 30
 
 
-def test_as_an_environment_it_begins_anew_and_tells_what_was_seen_last(
+def test_as_an_environment_it_restarts_and_reports_the_last_observation(
     configuration: Configuration, weights: Weights
 ) -> None:
     driving = Driving(configuration, weights, 4, 2)

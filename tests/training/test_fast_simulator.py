@@ -31,7 +31,7 @@ def test_arrays_and_tensors_agree(name, seed, count):
     assert (np.abs(ours.numpy() - reference) / np.maximum(np.abs(reference), 1.0)).max() < 2e-6
 
 
-def test_gradients_take_the_road_of_tensors():
+def test_gradients_are_computed_on_tensors():
     robots = BatchedCars(load_configuration("car"))
     draw = robots.generator(1)
     environment, state = robots.draw_environments(5, draw), robots.draw_states(5, draw)

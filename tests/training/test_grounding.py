@@ -18,7 +18,7 @@ NEAREST = ("steering_lag", "steering_delay", "actuator_delay", "rolling_resistan
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_the_mended_simulator_predicts_the_real_car(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_corrected_simulator_predicts_the_real_car(monkeypatch: pytest.MonkeyPatch) -> None:
     library = [effect("car", name) for name in (*NEAREST, "towed_load")]
 
     def without(model: PhysicsModel) -> list[AbstractEffect]:
@@ -38,7 +38,7 @@ def test_the_mended_simulator_predicts_the_real_car(monkeypatch: pytest.MonkeyPa
     assert cars.remembers
 
 
-def test_runs_that_say_nothing_are_refused() -> None:
+def test_runs_without_information_are_refused() -> None:
     configuration = load_configuration("car_small")
     with pytest.raises(InputError, match="say nothing about the simulator"):
         ground_simulator(configuration, record_circles(60, seed=3, run_pairs=60))

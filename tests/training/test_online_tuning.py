@@ -37,7 +37,7 @@ def one_step(model, drives):
         return open_loop_errors(model, seen, index[index - seen.lived.first >= 60], 1)[0]
 
 
-def test_added_heads_add_what_they_say_to_every_increment(circles):
+def test_added_heads_add_their_output_to_every_increment(circles):
     model = predictor()
     seen = model.seen(lived_of(model.networks, circles[:1]))
     b, left = head_features(model, seen, 3)
@@ -46,7 +46,7 @@ def test_added_heads_add_what_they_say_to_every_increment(circles):
     torch.testing.assert_close(head_features(model, seen, 3)[1], left - b @ added, rtol=0.0, atol=2e-5)
 
 
-def test_features_tell_the_error_that_the_model_leaves(circles):
+def test_features_give_the_error_that_the_model_leaves(circles):
     model = predictor()
     seen = model.seen(lived_of(model.networks, circles[:1]))
     left = head_features(model, seen)[1]

@@ -111,7 +111,7 @@ def test_no_filter_stands_before_an_action_in_any_phase(
     assert robots.rewards == replace(car_task.Rewards(), near=0.0, contact=0.0)
 
 
-def test_what_a_policy_practises_with_tells_no_footprint(small: Configuration, weights: Weights) -> None:
+def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, weights: Weights) -> None:
     driving = Driving(small, weights, 8, 3)
     before = driving.observation()
     driving.scene.footprint[:, 0] += 0.3
@@ -179,7 +179,7 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
     assert [entry["success"] for entry in summary["learning_curve"]] == [0.2, 0.5, 0.9]
 
 
-def test_development_drives_are_none_that_is_trained_on(
+def test_development_drives_are_not_trained_on(
     small: Configuration, taught: tuple[Weights, dict[str, Any]], weights: Weights, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Other seeds: a training begins with its own, or with that and the steps done, whole rollouts of all cars."""

@@ -77,7 +77,7 @@ def test_services_and_training_compute_the_same(trained: tuple[Weights, dict[str
         )
 
 
-def test_the_latent_is_nought_where_nothing_acts_and_spreads_by_one(trained: tuple[Weights, dict[str, Any]]) -> None:
+def test_the_latent_is_zero_where_nothing_acts_and_spreads_by_one(trained: tuple[Weights, dict[str, Any]]) -> None:
     weights, _ = trained
     networks, cars = affine_networks(weights), BatchedCars(SMALL)
     with torch.inference_mode():
@@ -141,7 +141,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(tmp_path: Path, monk
     assert [pairs for pairs, _ in summary["learning_curve"]] == [256 * step for step in range(1, 21)]
 
 
-def test_it_tells_how_far_it_is_and_ends_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_reports_progress_up_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a clock that goes on by a second with each step; without one the end alone is reported at once."""
     monkeypatch.setattr(phase_1a, "monotonic", count().__next__)
     told: list[tuple[str, int, int, str]] = []

@@ -78,7 +78,7 @@ def short(weights: Weights, tmp_path_factory: pytest.TempPathFactory) -> tuple[W
     return made, {**summary, "left": list(out.iterdir())}
 
 
-def test_it_tells_how_far_it_is_and_leaves_everything_else_as_it_was(weights: Weights, short: Any) -> None:
+def test_it_reports_progress_and_leaves_everything_else_as_it_was(weights: Weights, short: Any) -> None:
     made, summary = short
     assert [step for _, step, _, _ in summary["told"]] == [512, 1024]
     assert summary["left"] == [], "the checkpoint goes when the training is done"

@@ -64,7 +64,7 @@ def test_fresh_circles_are_predicted_better_by_the_code_of_the_services(simulate
     assert after < 0.45 * before
 
 
-def test_the_summary_tells_before_and_after_on_runs_that_were_not_fitted(tuned):
+def test_the_summary_compares_before_and_after_on_runs_that_were_not_fitted(tuned):
     weights, summary = tuned
     assert summary["pairs"] == 3000
     assert summary["held_out_pairs"] == 1000
@@ -120,7 +120,7 @@ def test_what_is_unknown_is_refused(simulated, tmp_path):
         tune_on_runs(SMALL, simulated, [], None, tmp_path, what="mu")
 
 
-def test_drives_in_the_mended_simulator_are_mixed_in(simulated, monkeypatch):
+def test_drives_in_the_corrected_simulator_are_mixed_in(simulated, monkeypatch):
     slower = SMALL.simulator.with_settings({"base.speed_gain": Setting(5.0)})
     found = type("Found", (), {"model": slower, "summary": lambda _self: {"effects": []}})()
     monkeypatch.setattr(phase_3, "ground_simulator", lambda *_: found)

@@ -61,7 +61,7 @@ def test_the_simulated_cars_centre_of_mass_is_the_point_ahead_of_its_axle():
             np.testing.assert_allclose(told[:2].numpy(), tuple(world.body.position), atol=1e-9)
 
 
-def test_weights_told_of_the_axle_differ_from_the_exact_change_by_what_is_left_out():
+def test_weights_moved_to_the_axle_differ_from_the_exact_change_by_what_is_left_out():
     """Along by d (1 - cos u), across by d (u - sin u), u the turn in one period; nothing else."""
     weights = load_model("car_simulated").base.weights
     exact, linear = NetworkPredictor(weights).networks, NetworkPredictor(weights_told_of_axle(weights, AHEAD)).networks
@@ -83,7 +83,7 @@ def test_weights_told_of_the_axle_differ_from_the_exact_change_by_what_is_left_o
     torch.testing.assert_close(own[:, 2:], told[:, 2:], rtol=0.0, atol=1e-6)
 
 
-def test_phi_told_of_the_axle_says_what_it_says_of_the_point():
+def test_phi_moved_to_the_axle_gives_the_latent_of_the_point():
     """The rows of both drives differ by the equation that the first layer takes up, to the second order of the turn."""
     weights = load_model("car_simulated").base.weights
     asked, moved = (

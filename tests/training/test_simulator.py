@@ -76,7 +76,7 @@ def test_the_same_seed_draws_the_same() -> None:
     assert not torch.equal(first.state, draw_transitions(CARS, 100, CARS.generator(8)).state)
 
 
-def test_the_increment_is_told_in_the_cars_own_frame() -> None:
+def test_the_increment_is_in_the_cars_own_frame() -> None:
     drawn = draw_transitions(CARS, 2000, CARS.generator(2))
     turned = drawn.state.clone()
     turned[:, 2] += 1.0
@@ -132,7 +132,7 @@ def test_a_parameter_of_the_base_can_be_randomised() -> None:
     assert float(cars.draw_environments(1000, cars.generator(0))[:, 0].std()) > 0.5
 
 
-def test_a_simulator_of_another_place_is_found_beside_its_configuration(tmp_path: Path) -> None:
+def test_a_simulator_file_is_found_next_to_its_configuration(tmp_path: Path) -> None:
     folder = configurations()["car"].parent
     for name in ("car.toml", "published_car.toml"):
         (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8"), encoding="utf-8")

@@ -75,7 +75,7 @@ def test_a_whole_number_serves_as_a_decimal() -> None:
     assert parse_configuration(TEXT.replace("absent = 0.2", "absent = 0"), PATH.parent).absent == 0.0
 
 
-def test_the_digest_tells_what_decides_a_phase_and_nothing_else() -> None:
+def test_the_digest_depends_on_what_decides_a_phase_and_nothing_else() -> None:
     car = load_configuration("car")
     more = replace(car, ablations=replace(car.ablations, pairs=7))
     assert more.digest("phase_1a") == car.digest("phase_1a")

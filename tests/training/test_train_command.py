@@ -93,7 +93,7 @@ def test_a_mistake_gets_one_line(
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_without_a_cuda_device_it_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_missing_cuda_device_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, _, error = run(capsys, *FEW, "--out", str(tmp_path), "--device", "cuda")
     assert code == 2
     assert "torch finds no CUDA device here" in error

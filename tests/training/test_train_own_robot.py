@@ -43,7 +43,7 @@ def test_an_own_robot_learns_what_it_is_and_in_what_it_drives(
     assert model.base.weights.has("phi")
 
 
-def test_what_is_missing_is_said_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_what_is_missing_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for arguments, told in (
         ([*OWN, "--phases", "1b"], "1b"),
         (["train", "cleane", *OWN[2:4]], "did you mean 'cleaner'"),

@@ -54,7 +54,7 @@ def blank() -> dict[str, Any]:
     return {"force_include": {}, "pure_python": True, "infer_tag": False}
 
 
-def test_the_list_is_the_one_that_is_told_at_run_time(build: types.ModuleType) -> None:
+def test_the_list_is_the_one_that_is_reported_at_run_time(build: types.ModuleType) -> None:
     assert build.listed(ROOT / "shared" / "safedpa" / "compiled.py") == list(MODULES)
     assert all(source_of(name.replace(".", "/") + ".py").is_file() for name in MODULES)
     assert compiled_modules() in ((), MODULES)
@@ -72,7 +72,7 @@ def test_some_wheels_are_never_compiled(
     assert wanted != "0" or one.dependencies() == []
 
 
-def test_without_a_compiler_the_wheel_is_of_source_and_says_so(
+def test_without_a_compiler_the_wheel_is_of_source_with_a_warning(
     build: types.ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(build.shutil, "which", lambda _: None)

@@ -35,7 +35,7 @@ def _drives(folder: Path, count: int, seconds: float = 12.0) -> Path:
     return folder
 
 
-def test_drives_that_nobody_names_are_left_out() -> None:
+def test_drives_without_a_folder_are_left_out() -> None:
     entry, targets = dart_drives(Effort())
     assert "--data" in entry.missing
     assert not targets

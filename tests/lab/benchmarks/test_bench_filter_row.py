@@ -37,7 +37,7 @@ def eight() -> FilterProblem:
     return problem_with(8)
 
 
-def test_the_networks_alone_tell_what_the_model_knows(eight: FilterProblem) -> None:
+def test_the_networks_alone_compute_what_the_model_knows(eight: FilterProblem) -> None:
     model = load_model("car_learned")
     assert isinstance(model.base, LearnedBase)
     call, asked = networks_alone(eight, model)
@@ -46,7 +46,7 @@ def test_the_networks_alone_tell_what_the_model_knows(eight: FilterProblem) -> N
         assert call(known) == pytest.approx(model.base.known_at(*known))
 
 
-def test_the_program_alone_keeps_the_rows_that_the_wish_breaks(eight: FilterProblem) -> None:
+def test_the_program_alone_satisfies_the_rows_that_the_wish_breaks(eight: FilterProblem) -> None:
     model = load_model("car_learned")
     solve, posed = program_alone(eight, model)
     for A, b, wish in posed:
@@ -77,7 +77,7 @@ def test_floors_are_timed_as_often_as_decisions(eight: FilterProblem) -> None:
 
 
 @pytest.mark.parametrize("count", [64, 1024])
-def test_scenes_beyond_what_a_robot_may_tell_are_decided(count: int, eight: FilterProblem) -> None:
+def test_scenes_beyond_what_a_robot_may_report_are_decided(count: int, eight: FilterProblem) -> None:
     problem = problem_with(count)
     assert len(problem.barriers().names) - count == len(eight.barriers().names) - 8
     decide, requests = decided(problem, load_model("car"))
@@ -139,13 +139,13 @@ def test_targets_are_half_of_the_best_backend_of_the_same_run(monkeypatch: pytes
     assert not any("no target" in note for note in notes)
 
 
-def test_without_the_peer_there_is_no_target_and_a_note_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_peer_there_is_no_target_but_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
     targets, notes = _measured(monkeypatch, peers=False)
     assert not any("half" in target.what for target in targets)
     assert any("no target with 8 obstacles" in note and "cbfpy" in note for note in notes)
 
 
-def test_what_is_missed_stands_beside_its_floor() -> None:
+def test_a_missed_target_is_shown_with_its_floor() -> None:
     forbidden = Target("p50", 10.0, 40.0, "us", floor=Floor("the program alone", 11.0))
     free = Target("p99", 10.0, 40.0, "us", floor=Floor("the program alone", 9.0))
     reached = Target("p10", 50.0, 40.0, "us", floor=Floor("the program alone", 9.0))
@@ -164,7 +164,7 @@ def test_a_path_is_left_out_of_the_others(tmp_path: Path) -> None:
     assert without(tmp_path / "compiled", paths) == os.pathsep.join(["/one", "/other"])
 
 
-def test_the_source_says_that_it_is_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_python_source_is_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(python_source, "compiled_modules", tuple)
     assert "is the Python source" in of_source(30, 0.1)["missing"]
 

@@ -81,7 +81,7 @@ def test_ten_minutes_that_break_down_are_late_altogether(monkeypatch: pytest.Mon
     assert not any(target.what.startswith(("p99", "memory", "processor")) for target in found.targets)
 
 
-def test_without_ten_minutes_the_largest_fleet_tells_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ten_minutes_the_largest_fleet_gives_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(row, "fleet_benchmark", _fleet(230, 390))
     found = row.measure(Effort())
     assert len(found.ours) == 1

@@ -133,7 +133,7 @@ def _document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]
     return run_rows(["filter", "adaptation"], Effort(quick=True), tmp_path / "speed.json", lambda name, row: None)
 
 
-def test_the_table_says_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_has_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     document = _document(tmp_path, monkeypatch)
     columns, lines = row_lines(document["rows"]["filter"])
     assert columns == ["program", "problem", "p50", "p99", "p99.9", "processor", "times ahead"]
@@ -149,7 +149,7 @@ def test_the_table_says_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert figure_text(5.1e6, "steps/s") == "5.10 Msteps/s"
 
 
-def test_results_of_before_there_were_floors_are_still_told() -> None:
+def test_results_without_floors_are_still_shown() -> None:
     document = read_document(Path(__file__).parents[3] / "docs" / "results" / "speed.json")
     for row in document["rows"].values():
         for target in row.get("targets", ()):
@@ -169,7 +169,7 @@ def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             assert len(np.unique(np.asarray(picture.convert("L")))) > 3
 
 
-def test_a_peer_that_is_not_there_says_so() -> None:
+def test_a_missing_peer_is_reported() -> None:
     answer = ask_peer("filter_cvxpy", "no_such_package_anywhere", {}, ())
     assert "no_such_package_anywhere is not installed" in answer["missing"]
     assert interpreter_with("json", (sys.executable,)) == sys.executable
@@ -190,5 +190,5 @@ def test_a_peer_answers_in_a_python_that_knows_nothing_of_this_project(
     assert answer == {"answers": []}
 
 
-def test_a_peer_that_fails_says_how() -> None:
+def test_a_failing_peer_is_reported_with_its_exit_code() -> None:
     assert "exit code 1" in ask_peer("adaptation_onnx", "json", {}, ())["missing"]

@@ -92,7 +92,7 @@ def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
         ((float("nan"), 0.0), "(nan, 0) and says nothing"),
     ],
 )
-def test_what_a_peer_does_without_a_solution_is_said(action: tuple[float, float], words: str) -> None:
+def test_what_a_peer_does_without_a_solution_is_reported(action: tuple[float, float], words: str) -> None:
     assert words in compared(peers_problem(wedged()), lambda state, wish: np.array(action))["says"]
 
 
@@ -170,7 +170,7 @@ def test_calls_in_turn_are_each_given_their_own_inputs_as_often() -> None:
     assert {own["calls"] for own in found.values()} == {30}
 
 
-def test_nobody_always_follows_the_same_call() -> None:
+def test_no_call_always_follows_the_same_call() -> None:
     called: list[str] = []
     names = ("one", "other", "third")
     in_turn({name: (called.append, [name]) for name in names}, 30, 60.0)

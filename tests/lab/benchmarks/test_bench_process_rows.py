@@ -36,7 +36,7 @@ def _sense_to_act(monkeypatch: pytest.MonkeyPatch, effort: Effort, watched: Any)
     return sense_to_act.measure(effort), asked
 
 
-def test_the_loop_is_held_beside_the_bare_chain_of_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_is_compared_with_the_bare_chain_of_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[Any] = []
 
     def watched(seconds: float, rate: float, *, watched: bool) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def test_the_loop_is_held_beside_the_bare_chain_of_its_run(monkeypatch: pytest.M
     assert "workbench" in row.ours[-1].note
 
 
-def test_the_chain_runs_before_and_after_the_loop_and_tells_what_comes_late(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_chain_runs_before_and_after_the_loop_and_counts_late_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[Any] = []
 
     def times(seconds: float, rate: float) -> list[float]:
@@ -87,13 +87,13 @@ def test_the_chain_runs_before_and_after_the_loop_and_tells_what_comes_late(monk
     assert told[0] == ("chain", 10.0, 20.0)
 
 
-def test_a_chain_from_which_nothing_arrives_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chain_from_which_nothing_arrives_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "bare_times", lambda *_: [])
     with pytest.raises(SafedpaError, match="got none of 40 messages"):
         latency.bare_chain(2.0, 20.0)
 
 
-def test_a_watched_loop_that_does_not_come_up_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_watched_loop_that_does_not_come_up_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def watched(*_: Any, **__: Any) -> dict[str, Any]:
         raise SafedpaError("safedpa up: ran without workbench")
 
@@ -172,7 +172,7 @@ def test_the_first_page_is_waited_for(site: str, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.long
-def test_a_start_that_ends_or_shows_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_that_ends_or_shows_nothing_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _up(tmp_path, monkeypatch, "import sys\nsys.exit('no room for a page')\n")
     with pytest.raises(SafedpaError, match="ended with exit code 1"):
         seconds_to_pages()

@@ -43,7 +43,7 @@ def test_every_robot_that_ships_weights_is_trained_whole_on_one_thread(
     assert len({command[command.index("--out") + 1] for command, _ in asked}) == 3
 
 
-def test_a_training_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_training_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     _answering(monkeypatch, 1)
     with pytest.raises(SafedpaError, match=r"train car: no disk left$"):
         weights.measure(Effort(full=True))

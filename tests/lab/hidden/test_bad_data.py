@@ -143,6 +143,6 @@ def test_a_file_that_is_refused_names_nothing():
     assert (outcome.verdict, outcome.added, outcome.right) == ("refused", (), True)
 
 
-def test_the_copy_lies_beside_the_log(tmp_path):
+def test_the_copy_is_written_next_to_the_log(tmp_path):
     (case,) = (case for case in cases_of("bad", 20, seed=1) if case.fault == "same_twice")
     assert len(write_case(replace(case, seconds=20.0), tmp_path).runs) == 4

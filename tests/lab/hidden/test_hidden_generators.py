@@ -128,7 +128,7 @@ def test_the_truth_is_sealed_apart(tmp_path):
     assert tomllib.loads(log.model.read_text())["base"]["speed_gain"] == {"value": 3.0, "free": True}
 
 
-def test_a_case_repeats_whatever_runs_beside_it(tmp_path):
+def test_a_case_repeats_whatever_else_runs(tmp_path):
     one, other = (replace(case, runs=2, seconds=3.0) for case in cases_of("two", 2))
     alone = write_case(one, tmp_path / "alone")
     beside = write_cases([other, one], [tmp_path / "other", tmp_path / "beside"])[1]

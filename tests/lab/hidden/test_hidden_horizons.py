@@ -27,7 +27,7 @@ def short(monkeypatch):
 
 
 @pytest.mark.long
-def test_every_horizon_says_the_same(tmp_path, capsys):
+def test_every_horizon_gives_the_same_verdict(tmp_path, capsys):
     out = tmp_path / "horizons.json"
     asked = ["experiment", "hidden-effects", "--suite", "pendulum", "--horizons", "--out", str(out)]
     assert safedpa.run(asked) == 0
@@ -41,7 +41,7 @@ def test_every_horizon_says_the_same(tmp_path, capsys):
     assert kept["provenance"]["command"] == "safedpa experiment hidden-effects --suite pendulum --horizons"
 
 
-def test_a_case_that_differs_is_told(monkeypatch, capsys):
+def test_a_case_that_differs_is_reported(monkeypatch, capsys):
     reports = {
         horizon: SimpleNamespace(verdict=verdict, added=added, stages=[SimpleNamespace(heldout_error=0.1)])
         for horizon, verdict, added in ((0.2, "effect_missing", ["tip_mass"]), (1.0, "undecided", []))

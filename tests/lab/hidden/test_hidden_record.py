@@ -116,5 +116,5 @@ def test_the_cases_of_the_page_are_those_of_its_suites_and_of_its_list(cases):
     assert page.partition("## Missed")[2].count("\n- `") == wrong
 
 
-def test_a_page_without_a_miss_says_so():
+def test_a_page_without_a_miss_says_none():
     assert page_of(document_of([DRAG], [7])).endswith("\n\nNone.\n")

@@ -58,7 +58,7 @@ def test_another_effect_instead():
     assert outcome.deviations == ()
 
 
-def test_a_group_counts_where_it_is_said():
+def test_a_group_counts_where_it_is_reported():
     case = Case("fifth", 1, DRAG)
     said = judge(case, document(["viscous_drag"], groups={"viscous_drag": ["quadratic_drag"]}))
     assert said.right
@@ -68,7 +68,7 @@ def test_a_group_counts_where_it_is_said():
     assert pair.right
 
 
-def test_equal_effects_must_be_said_not_guessed():
+def test_equal_effects_must_be_reported_not_guessed():
     case = Case("hard", 1, {"viscous_drag": {"coefficient": 0.3}}, hard=True)
     assert equals_of(case, "viscous_drag") == ("speed_command_gain",)
     guessed = judge(case, document(["speed_command_gain"]))
@@ -124,7 +124,7 @@ def test_a_load_turns_less_by_one_share_at_every_speed(load):
     assert turning_share("none", 1.5, 0.2)[1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_law_must_be_told_the_right_way_out():
+def test_a_law_must_have_the_right_direction():
     effects = {"rolling_resistance": {"deceleration": 1.0, "x_above": 0.5}}
     case = Case("patches", 1, effects, laws={"rolling_resistance": "where x above"})
 

@@ -21,7 +21,7 @@ from safedpa_services.command_line import safedpa
 
 
 @pytest.mark.long
-def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:
+def test_a_payload_is_found_and_the_corrected_model_needs_less_margin() -> None:
     story = PendulumStory(
         hidden=("payload",), directions=2, episodes=1, seconds=1.2, swings=2, swing_seconds=8.0, processes=1
     )

@@ -32,7 +32,7 @@ def test_the_best_fit_finds_the_wind_that_blew() -> None:
     np.testing.assert_allclose(fitted_wind(np.stack(states), np.stack(torques)), wind, atol=1e-4)
 
 
-def test_the_latent_tells_the_direction_and_the_networks_refine_it() -> None:
+def test_the_latent_gives_the_direction_and_the_networks_refine_it() -> None:
     swings = swung_all_around(NOWHERE, Episodes(2, 8, 1))
     found = recovery(swings, NOWHERE, 8, seed=2)
     assert found["best_median_degrees"] < 0.5

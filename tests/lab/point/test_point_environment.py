@@ -67,7 +67,7 @@ def test_an_episode_ends_by_time_and_the_force_stays() -> None:
 
 
 @pytest.mark.parametrize("options", [{"force": (1.0,)}, {"force": (np.nan, 0.0)}, {"largest_force": -1.0}])
-def test_forces_that_are_none_are_refused(options: dict) -> None:
+def test_forces_that_are_not_finite_are_refused(options: dict) -> None:
     with pytest.raises(InputError, match="finite"):
         PointGoalEnvironment(**options)
 
@@ -77,7 +77,7 @@ def test_a_step_needs_a_reset() -> None:
         PointGoalEnvironment().step(np.zeros(2))
 
 
-def test_every_speed_is_told() -> None:
+def test_every_speed_is_reported() -> None:
     found = steps_per_second(16, 20, 1)
     assert set(found) == {"simulation", "task", "mujoco", "environment"}
     assert all(0.0 < rate < np.inf for rate in found.values())

@@ -58,7 +58,7 @@ def test_every_direction_has_its_robots_and_every_method_the_same_world() -> Non
     np.testing.assert_allclose(angle.reshape(8, 3), np.repeat(45.0 * np.arange(8), 3).reshape(8, 3), atol=1e-9)
 
 
-def test_what_is_counted_is_what_the_task_tells() -> None:
+def test_counts_of_an_episode_agree_with_the_task() -> None:
     task = windy_task(4, 2, FORCE, 1)
     found = driven(PolicyDriver(task, Reckless(), inputs_of("lidar", task)), task, 300, np.array([0, 5]))
     assert (found.cost > 0.0).any(), "who drives straight meets a hazard"
@@ -71,7 +71,7 @@ def test_what_is_counted_is_what_the_task_tells() -> None:
 
 
 @pytest.mark.long
-def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
+def test_the_filter_that_knows_the_wind_makes_a_reckless_wish_safe() -> None:
     costs = {}
     for name in ("oracle", "none"):
         task = windy_task(8, 1, FORCE, 2)
@@ -144,7 +144,7 @@ def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: p
     assert "did you mean" in capsys.readouterr().err
 
 
-def test_whoever_is_compared_meets_what_nothing_was_chosen_on() -> None:
+def test_methods_are_compared_on_seeds_on_which_nothing_was_chosen() -> None:
     """Seeds of margins, of RMA-P's penalty, of kept policies and of what is counted are apart."""
     counted = PointExperiment(Path(), Path(), seed=2300).evaluation
     assert counted in SEEDS["evaluation"]

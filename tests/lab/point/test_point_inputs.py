@@ -26,7 +26,7 @@ def _task(count: int, seed: int) -> PointTask:
     return task
 
 
-def test_equal_inputs_are_what_safedpas_policy_is_told() -> None:
+def test_equal_inputs_are_those_of_safedpas_own_policy() -> None:
     """One road: the inputs, of the motors' controls. The other: shield, histories, ways and scales, one by one."""
     task, weights = _task(6, 3), weights_named("learned")
     inputs, shield, ways = inputs_of("equal", task), shield_of("none", task), Ways(6)
@@ -50,7 +50,7 @@ def test_each_kind_has_its_entries_and_the_lidar_is_the_benchmarks() -> None:
         inputs_of("radar", task)
 
 
-def test_robots_that_begin_anew_know_nothing_of_their_wind() -> None:
+def test_robots_that_begin_again_know_nothing_of_their_wind() -> None:
     task = _task(4, 5)
     inputs, fresh = inputs_of("latent", task), inputs_of("latent", _task(4, 5)).see()[:, -2:]
     for _ in range(60):

@@ -77,7 +77,7 @@ def test_the_body_in_training_is_nearly_the_model_that_people_read() -> None:
     assert torch.isfinite(again).all()
 
 
-def test_what_is_told_of_the_truth_is_what_the_simulator_does() -> None:
+def test_the_true_belief_predicts_what_the_simulator_does() -> None:
     random, state = np.random.default_rng(1), _states(60, 0)
     simulation = PointSimulation(60)
     simulation.force[:] = random.uniform(-FORCE, FORCE, (2, 60))

@@ -63,7 +63,7 @@ def test_the_latent_in_view_is_that_of_the_wind() -> None:
 
 
 @pytest.mark.long
-def test_force_and_drag_are_named_and_the_mended_filter_is_safer() -> None:
+def test_force_and_drag_are_named_and_the_corrected_filter_is_safer() -> None:
     result = point_story(PointStory(robots=24, seconds=1.5, logs=2))
     case = result["cases"]["force and drag"]
     assert set(case["added"]) == {"constant_force", "viscous_drag"}

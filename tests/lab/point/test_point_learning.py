@@ -139,7 +139,7 @@ def test_policy_and_filter_know_the_same_latent_through_new_episodes(monkeypatch
     assert np.abs(seen[ended][1][:8] - seen[ended - 1][1][:8]).max() > 1e-3
 
 
-def test_each_episode_has_a_wind_of_the_whole_force_towards_one_of_the_directions() -> None:
+def test_each_episode_has_a_wind_of_full_force_towards_one_of_the_directions() -> None:
     found = []
     for epsilon in (MARGIN, None):
         environment, between = learning_environment(replace(LEARNING, epsilon=epsilon))
@@ -158,7 +158,7 @@ def test_each_episode_has_a_wind_of_the_whole_force_towards_one_of_the_direction
 
 
 @pytest.mark.parametrize(("start", "moves"), [("shipped", False), ("nothing", True)])
-def test_who_was_trained_before_drives_on_as_it_is_while_a_critic_is_learned(
+def test_a_trained_policy_stays_as_it_is_while_its_critic_is_learned(
     start: str, moves: bool, short: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept: list[dict[str, NDArray[np.float32]]] = []

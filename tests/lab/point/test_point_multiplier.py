@@ -35,7 +35,7 @@ def test_it_has_no_cap_unless_one_is_asked_for() -> None:
     assert _rollouts(Plan(limit=0.0, multiplier="integral", cap=1.0), long, 0.0)[-1] == 1.0
 
 
-def test_who_waits_does_not_wind_up_while_nothing_is_gained() -> None:
+def test_a_waiting_multiplier_does_not_wind_up_while_nothing_is_gained() -> None:
     plan = Plan(limit=1.0, multiplier="waiting")
     assert _rollouts(plan, [80.0] * 50, STANDING_STILL - 0.1) == [0.0] * 50
     assert _rollouts(plan, [80.0] * 2, STANDING_STILL + 0.1) == pytest.approx([0.79, 1.58])
@@ -53,7 +53,7 @@ def test_the_proportional_part_falls_back_with_the_cost() -> None:
     assert min(controlled) >= 0.0
 
 
-def test_a_multiplier_and_inputs_that_are_none_are_refused() -> None:
+def test_an_unknown_multiplier_and_unknown_inputs_are_refused() -> None:
     with pytest.raises(InputError, match="multiplier 'pdi'"):
         Plan(multiplier="pdi")
     with pytest.raises(InputError, match="inputs 'camera'"):

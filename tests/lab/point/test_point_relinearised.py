@@ -170,7 +170,7 @@ def test_errors_of_the_networks_are_roots_of_mean_squares_over_one_step(monkeypa
             assert row["not_affine"] == 0.5
 
 
-def test_the_car_is_told_by_state() -> None:
+def test_errors_of_the_car_are_reported_by_state() -> None:
     found = car_errors(CarWork(4096, "car_small"))
     assert len(found["affine"]["rms_error"]) == len(found["free"]["rms_error"]) == len(found["states"])
     assert car_table({"car": found}).count("\n") == 3 + len(found["states"])

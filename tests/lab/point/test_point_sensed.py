@@ -165,7 +165,7 @@ def test_the_method_drives_safer_than_without_a_filter() -> None:
     assert found["safedpa_17"].goals.sum() >= 4.0
 
 
-def test_the_policy_is_told_what_it_is_told_behind_the_filter_of_five() -> None:
+def test_the_policy_sees_the_same_behind_the_filter_of_five_states() -> None:
     told = []
     for name in ("safedpa", "safedpa_17"):
         task = windy_task(3, 1, 0.008, 9)
