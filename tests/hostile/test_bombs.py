@@ -45,7 +45,7 @@ def refuse(path):
     except Exception as error:
         refusal = f"HOLE {type(error).__name__}: {error}"[:300]
     spent = time.process_time() - began
-    # A fork holds what it touched of the libraries alone, and would seem to need less than a program begun anew.
+    # A fork holds what it touched of the libraries alone, and would seem to need less than a new program.
     return [refusal, spent, max(reference, count()), loaded + memory("VmHWM") - at_first]
 def apart(work):
     child = os.fork()

@@ -61,7 +61,7 @@ def test_a_flood_ends_at_the_router(free_port: int) -> None:
 
 
 def test_what_arrives_at_once_is_taken_for_a_flood(free_port: int) -> None:
-    """The price of the limit, as the threat model tells it: of two under one key that come together one gets through,
+    """The price of the limit, as in the threat model: of two under one key that come together one gets through,
     and one that comes a period later does."""
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = ZenohTransport(ZenohSettings("router", (endpoint,), rates=tuple(rate_limits("fleet", ("r1",)))))
@@ -86,7 +86,7 @@ def test_what_arrives_at_once_is_taken_for_a_flood(free_port: int) -> None:
 
 
 def test_heartbeats_are_counted_too() -> None:
-    """They are of no tick, and whoever has a key that nobody else uses may send them."""
+    """They are of no tick, and a process whose key no other uses may send them."""
     rules = {rule["key_expr"]: rule["freq"] for limit in rate_limits("f", ("r1",)) for rule in limit["rules"]}
     for role in (role for role in ROLES.values() if role.lives):
         for robot in ("r1", NO_ROBOT):

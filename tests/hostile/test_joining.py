@@ -30,7 +30,7 @@ from safedpa_services.supervisor.supervisor import Supervisor
 
 SILENT = 1000
 MORE_THAN_FIT = 1200
-"""Into the descriptors of the router: fewer, in plain text, hold nobody up even where nothing keeps the door free."""
+"""Into the descriptors of the router: fewer, in plain text, delay no member even without a doorkeeper."""
 
 
 @pytest.fixture
@@ -194,7 +194,7 @@ def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
 
 
 def test_no_doorkeeper_watches_a_socket_in_the_file_system(tmp_path: Path) -> None:
-    """Who may open the folder may connect; looking for strangers ten times a second costs, and finds nobody."""
+    """Whatever may open the folder may connect; looking for strangers ten times a second would find none."""
     listening = ZenohTransport(ZenohSettings(listen=(f"unixsock-stream/{tmp_path}/bus",)))
     try:
         assert not [thread for thread in threading.enumerate() if thread.name.startswith(Doorkeeper.__name__)]

@@ -186,7 +186,7 @@ def test_the_later_one_of_two_with_one_certificate_is_cut_off(fleet: tuple[Zenoh
     router, endpoint, folder = fleet
     first = _member(router, endpoint, folder, "policy")
     twins = Twins(router.members, router.cut_off)
-    for _ in range(9):  # in the first of them nobody knows who was there first
+    for _ in range(9):  # in the first of them it is not known which was there first
         twins.look()
     own = {session for session, name in router.members() if name == "policy"}
     copy = _member(router, endpoint, folder, "policy")

@@ -1,4 +1,4 @@
-"""A recording holds whatever somebody wrote: replaying it ends in figures or one line, soon, and touches no file."""
+"""A recording may hold anything: replaying it ends in figures or one line, soon, and touches no file."""
 
 from __future__ import annotations
 

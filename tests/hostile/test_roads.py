@@ -49,7 +49,7 @@ def test_every_command_that_reads_a_file_has_a_road() -> None:
 
 
 def test_what_is_wrong_with_a_road_is_seen() -> None:
-    """Each way of not refusing as one should is told as such; a good model is taken."""
+    """Each way of not refusing as one should is reported as such; a good model is taken."""
     road, bomb = next(pair for pair in sample() if pair[0].name == "compare: model")
     taken = tried(road, bomb, write_model(load_model("car")).encode())
     assert taken.hole.startswith("exit code 0")

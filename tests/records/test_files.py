@@ -110,7 +110,7 @@ def test_text_for_a_number_is_named_by_line_and_column(
 def test_a_last_line_that_was_cut_off_loses_that_line_alone(
     tmp_path_factory: pytest.TempPathFactory, keep: int
 ) -> None:
-    """A number that was cut off within its digits cannot be told from a whole one: then the line may stay."""
+    """A number that was cut off within its digits cannot be distinguished from a whole one: then the line may stay."""
     path = write(tmp_path_factory.mktemp("cut") / "drive.csv", [*LINES[:-1], LINES[-1][:keep]], end="")
     run = load_run(path, CAR)
     cells = LINES[-1][:keep].split(",")
@@ -150,7 +150,7 @@ def test_a_map_whose_column_is_missing_names_it(tmp_path: Path) -> None:
 
 
 def test_ten_thousand_rows_of_fourteen_columns_load_at_once(tmp_path: Path) -> None:
-    """Held against Python's own reading of each number, on the same machine at the same time."""
+    """Compared with Python's own reading of each number, on the same machine at the same time."""
     extra = ",".join(f"extra{index}" for index in range(7))
     lines = [line(row) + ",1.234567890123" * 7 for row in range(10_000)]
     path = write(tmp_path / "long.csv", lines, f"{HEADER},{extra}")

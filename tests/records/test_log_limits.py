@@ -21,7 +21,7 @@ ROWS = 20
 
 
 def bag_file(folder: Path, form: str) -> Path:
-    """The file itself, without the metadata beside it."""
+    """The file itself, without its metadata."""
     made = bag(folder / "drive", form, ROWS)
     return next(made.glob(f"*.{form}")) if made.is_dir() else made
 

@@ -43,7 +43,7 @@ def error_of(path: Path) -> str:
 
 @pytest.mark.parametrize("last", [99, 60])
 def test_a_quotation_mark_that_is_never_closed_loses_no_rows_in_silence(tmp_path: Path, last: int) -> None:
-    """The reader takes all that follows, up to the next mark or the end, for one cell of a column that nobody reads."""
+    """The reader takes all that follows, up to the next mark or the end, for one cell of a column that is not read."""
     notes = ['"left' if number in (40, last) else "right" for number in range(100)]
     lines = [f"{line},{note}" for line, note in zip(LINES, notes, strict=True)]
     text = error_of(written(tmp_path / "drive.csv", [f"{HEADER},note", *lines]))

@@ -18,7 +18,7 @@ from safedpa_sim.robots.scene import Scene
 
 
 class Clocks:
-    """The module's ``time``, which tells how long the reader of both clocks was held up between them."""
+    """The module's ``time``, which measures how long the reader of both clocks was held up between them."""
 
     sleep = staticmethod(time.sleep)
 

@@ -119,7 +119,7 @@ class Fleet:
             self.start(service)
 
     def start_robot(self) -> None:
-        """The robot starts (anew) under a new epoch, after it was silent for long enough."""
+        """The robot starts under a new epoch, after it was silent for long enough."""
         self._epoch += 1
         self.now += 1.0
         self.robot = CarRobot(

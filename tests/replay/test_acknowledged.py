@@ -54,7 +54,7 @@ for tick in itertools.count():
 
 
 def acknowledged(path: Path, lines: int, fault: Any, limit: int = 0) -> tuple[int, set[str]]:
-    """Runs a recorder until it has told its health ``lines`` times, does ``fault`` to it; what it told, its states."""
+    """Runs a recorder until it reported its health ``lines`` times, then does ``fault``; the last count, and states."""
     code = RECORDING.format(path=str(path), limit=limit)
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

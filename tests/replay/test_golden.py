@@ -1,4 +1,4 @@
-"""Recorded runs that must come out as they were: whoever changes a latent, a wish or a verdict finds out here.
+"""Recorded runs that must come out as they were: a change of a latent, a wish or a verdict is noticed here.
 
 On purpose: ``python tests/replay/golden/record.py --why "..."``.
 """
@@ -36,11 +36,11 @@ def test_they_are_there_and_small() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_each_golden_run_that_was_recorded_again_has_a_reason_and_its_differences(name: str) -> None:
-    """Beside the recordings stands the sum of each, with the reason and the fields in which the former one differed."""
+    """A file lists the checksum of each, with the reason and the fields in which the former one differed."""
     changes = json.loads((GOLDEN / "changes.json").read_text(encoding="utf-8"))
     assert changes.keys() == set(NAMES)
     newest = changes[name][-1]
-    assert newest["sha256"] == RECORD["sum_of"](GOLDEN / f"{name}.mcap"), "recorded anew without record.py"
+    assert newest["sha256"] == RECORD["sum_of"](GOLDEN / f"{name}.mcap"), "recorded without record.py"
     assert all(len(entry["why"]) > 20 for entry in changes[name])
     assert sorted(entry["date"] for entry in changes[name]) == [entry["date"] for entry in changes[name]]
 

@@ -1,4 +1,4 @@
-"""A model in the words of other simulators: MuJoCo moves as the model does, and what it cannot say is told."""
+"""A model as a file of other simulators: MuJoCo moves as the model does, and what it cannot express is reported."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_pa
         loop.children["safety_filter"].send_signal(signal.SIGCONT)
         before = loop.log("ros_gateway").count("the filter drives")
         assert until(lambda: loop.log("ros_gateway").count("the filter drives") > before)  # as the filter does
-        side.car(_LONG, 0, "--straight")  # somebody else on the driver's topic
+        side.car(_LONG, 0, "--straight")  # another publisher on the driver's topic
         loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic")
         time.sleep(3.0)  # for a busy machine to bring it to rest
         car.say("end")

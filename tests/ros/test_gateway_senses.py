@@ -1,4 +1,4 @@
-"""What the gateway hears beside odometry and wish: scans, goals, a localisation, and who speaks out of turn."""
+"""Inputs of the gateway besides odometry and wish: scans, goals, a localisation, and other publishers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the gateway tells the robot's people: which verdicts come with a path, how often, and when nothing is told."""
+"""What the gateway publishes for people: which verdicts come with a path, how often, and when nothing does."""
 
 from __future__ import annotations
 

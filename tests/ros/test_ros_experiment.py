@@ -1,4 +1,4 @@
-"""The experiment with a ROS 2 car: its page is that of its figures, and what did not hold is not told as held."""
+"""The experiment with a ROS 2 car: its page is generated from its figures, and its options are checked."""
 
 from __future__ import annotations
 

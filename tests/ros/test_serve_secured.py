@@ -40,7 +40,7 @@ def await_that(true: Callable[[], object]) -> None:
 
 @contextmanager
 def served(folder: Path, file: Path, *options: str, wanted: Sequence[str]) -> Iterator[Callable[[str], str]]:
-    """The command while it runs, once ``wanted`` are on the bus; called with a process's name it tells that one's log.
+    """The command while it runs, once ``wanted`` are on the bus; called with a name it returns that process's log.
     Ends in order."""
     words = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
     said = folder / "serve.log"

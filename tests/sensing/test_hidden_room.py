@@ -1,4 +1,4 @@
-"""Who may hide: nobody that a ray would have hit, and everybody that none would have."""
+"""Where people may hide: no person that a ray would have hit, and every person that none would have."""
 
 from __future__ import annotations
 

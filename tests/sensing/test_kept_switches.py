@@ -103,7 +103,7 @@ def test_an_unreadable_file_brakes_every_robot_until_an_order_names_the_sources(
     again = switches(path)
     assert again.lost == ""
     assert again.in_force("r1", ("laser", "sonar"), 1).off == {"sonar"}
-    assert again.in_force("r2", ("laser",), 1).off == {"laser"}, "of the others still nobody said anything"
+    assert again.in_force("r2", ("laser",), 1).off == {"laser"}, "there is still no order about the others"
 
 
 def test_a_failing_disk_is_reported(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The simulated laser measures what stands there, at its own moments, and tells it late."""
+"""The simulated laser measures the objects around it, at its own times, and reports them late."""
 
 from __future__ import annotations
 

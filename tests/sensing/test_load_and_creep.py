@@ -1,4 +1,4 @@
-"""Where what is towed may be among what moves, and how a car creeps towards what nobody sees."""
+"""Where a towed load may be among moving objects, and how a car creeps towards unseen room."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_no_slope_exceeds_its_bound_with_a_load(load: str, hidden: bool) -> None
 
 
 def test_a_load_needs_more_room_where_the_car_was_driven_backwards() -> None:
-    """Beside the car's front nobody is near a load that is drawn; once pushed back it may stand there."""
+    """Next to the car's front no person is near a towed load; once pushed back it may be there."""
     place, reach = [(0.5, 0.75, 0.2, 1.5)], towed_reach(load_named("large_chair"))[2]
     drawn, pushed = (barrier("large_chair", place, way).values(np.zeros(4))[0] for way in (0.0, 1.0))
     assert pushed == pytest.approx(np.hypot(0.58, 0.75) - reach - 0.2)
@@ -172,7 +172,7 @@ def around(load: str, speed: float, **seen: object) -> tuple[Sensed, StateMessag
 
 @pytest.mark.parametrize("speed", [0.0, 0.06, -0.06])
 def test_a_person_in_sight_stops_a_creeping_car(speed: float) -> None:
-    """As soon as he comes out he is a mover: creeping is for what nobody sees."""
+    """A person who comes out is a mover: creeping is for unseen room."""
     place = (0.75, 0.0, 0.25)
     unseen, state = around("none", speed, hidden=((*place, 1.5),))
     seen, _ = around("none", speed, movers=((*place, 0.0, 0.0, 1.5),))
@@ -196,7 +196,7 @@ def test_a_stationary_car_reports_no_delay() -> None:
 
 
 def test_a_car_without_settings_for_creeping_stops() -> None:
-    """Going on towards what nobody sees is asked for, never taken for granted."""
+    """Driving on towards unseen room has to be enabled."""
     assert FilterSettings().barrier("creeping") == 0.0
     state = np.array([0.0, 0.0, 0.0, 0.0])
     known = np.array([(0.75, 0.0, 0.25, 1.5)]), [True], (0.08, 0.40, 0.12), BRAKING, COUNTER

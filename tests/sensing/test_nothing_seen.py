@@ -1,4 +1,4 @@
-"""An empty world is believed only where somebody looked: late lasers, restarts, lost sources, leaps of the clock."""
+"""An empty world is believed only where a sensor looked: late lasers, restarts, lost sources, leaps of the clock."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_sources_that_vanish_leave_no_empty_world() -> None:
     assert (verdict.status, verdict.action) == ("fallback", (0.0, 0.0))
     assert "no longer named" in verdict.sentence
     anew = replace(gone, epoch=2, tick=0, obstacles=())
-    assert asked(node, anew, surroundings(anew)).status == "passed", "a robot that was started anew may have none"
+    assert asked(node, anew, surroundings(anew)).status == "passed", "a restarted robot may have none"
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_surroundings_that_cannot_be_of_this_moment_brake_the_robot(wrong: dict[
 @pytest.mark.parametrize("until_action", [0.0, 0.1])
 @pytest.mark.parametrize("wrong", [{"movers": ((0.9, 0, 1, 0, 0, -9.0),)}, {"hidden": ((0.9, 0, 1, -9.0),)}])
 def test_a_mover_slower_than_at_rest_brakes_the_robot(wrong: dict[str, object], until_action: float) -> None:
-    """Such a speed takes away from the radius: whoever stands before the car would be far from it."""
+    """Such a speed reduces the radius: a person in front of the car would be far from it."""
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
     verdict = asked(SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), state, surroundings(state, **wrong))
     assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0))
@@ -132,7 +132,7 @@ def test_a_mover_slower_than_at_rest_brakes_the_robot(wrong: dict[str, object], 
 
 
 def test_a_speed_that_stays_whatever_is_done_does_not_drive_the_car_backwards() -> None:
-    """The speed is told wrongly: what brakes hard would reverse for ever, and nobody looks there."""
+    """The reported speed is wrong: hard braking would reverse for ever, and no sensor looks there."""
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     commands = []
@@ -161,7 +161,7 @@ def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(
 def commands_while_told(
     state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True
 ) -> list[float]:
-    """What is commanded while the laser is lost and these speeds are told; of the ticks one in ``every`` comes."""
+    """The commands while the laser is lost and these speeds are reported; one tick in ``every`` comes."""
     node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), []
     for speed in speeds:
         state = replace(state, values=(0.0, 0.0, 0.0, speed))
@@ -258,7 +258,7 @@ def test_what_may_move_is_wider_where_the_action_acts_late() -> None:
 
 
 def test_what_may_move_is_wider_where_the_actuators_are_slow() -> None:
-    """The model knows a dead time: until an action acts, somebody goes on walking."""
+    """The model knows a dead time: until an action acts, people go on walking."""
     state, heights = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.0)), []
     for delay in (0.0, 0.2):
         model = load_model("car")

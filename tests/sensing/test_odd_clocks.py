@@ -77,7 +77,7 @@ def test_a_scan_between_two_headings_that_wrap_is_laid_the_short_way_round() -> 
 
 
 def test_a_robot_that_heads_west_with_a_wrapped_heading_is_believed() -> None:
-    """As a ROS gateway tells it: the heading comes from a quaternion."""
+    """As a ROS gateway reports it: the heading comes from a quaternion."""
     node = PerceptionNode()
     for tick in range(60):
         true = pi + 0.02 * (1 if tick % 2 else -1)
@@ -136,7 +136,7 @@ def test_a_scan_that_comes_before_the_state_after_it_waits_for_that() -> None:
 
 
 def test_a_scan_of_the_next_epoch_that_overtakes_its_state_counts_with_that_state() -> None:
-    """A replay lets perception hear what is told, and would miss it."""
+    """A replay gives perception the recorded scans, and would miss it."""
     node = PerceptionNode()
     step(node, state_of(40))
     node.hear("r", scan_of(0, 0.0, 0, epoch=2))

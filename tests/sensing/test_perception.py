@@ -1,4 +1,4 @@
-"""Perception finds what is at rest, what moves and what nobody sees, and tells what is wrong with a source."""
+"""Perception finds what is at rest, what moves and what is hidden, and reports faults of a source."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def driven(
 
 
 def seen_from(name: str, x: float, time: float, radius: float, state: StateMessage) -> Sweep:
-    """A scan from (x, 0) of somebody of that radius who stands at (1, 0), if any, and of a round wall."""
+    """A scan from (x, 0) of a person of that radius at (1, 0), if any, and of a round wall."""
     angles = np.arange(0.0, 2.0 * np.pi, 0.01)
     along, across = (1.0 - x) * np.cos(angles), (1.0 - x) * np.sin(angles)
     hits = (np.abs(across) < radius) & (along > 0.0)
@@ -84,12 +84,12 @@ def seen_from(name: str, x: float, time: float, radius: float, state: StateMessa
 
 
 def test_what_one_source_saw_is_not_dropped_since_another_one_sees_its_other_side() -> None:
-    """Two lasers that turn in turn: of somebody between them each sees the side that is nearer to it."""
+    """Two lasers that alternate: each sees the nearer side of a person between them."""
     state = driven(1)[0][1]
     things = Things(PerceptionSettings(), 0.0, 0.0)
     own = np.zeros(things.first.shape, dtype=bool)
     for tick in range(40):
-        radius = 0.12 if tick > 30 else 0.0  # somebody has stepped in
+        radius = 0.12 if tick > 30 else 0.0  # a person has stepped in
         for name, x, later in (("front", -0.5, 0.0), ("rear", 2.5, 0.05)):
             time = 0.1 * tick + later
             things.take(seen_from(name, x, time, radius, state), own)
@@ -100,7 +100,7 @@ def test_what_one_source_saw_is_not_dropped_since_another_one_sees_its_other_sid
 
 
 def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
-    """What comes out of a shadow may move for a quarter of a second: nobody knows yet whether it was hidden there."""
+    """What comes out of a shadow may move for a quarter of a second: it is not known yet whether it was hidden there."""
     told = driven(140)
     restless = []
     for _, _, message in told[20:]:
@@ -152,7 +152,7 @@ def test_a_walking_person_is_among_the_movers() -> None:
 
 
 def reachable(start: tuple[float, float], message: SurroundingsMessage) -> np.ndarray:
-    """Places (n, 2) m that somebody of 0.2 m radius gets to from ``start`` without entering a hidden or moving disc."""
+    """Positions (n, 2) m that a person of 0.2 m radius gets to from ``start`` without entering a hidden or moving disc."""
     edge, size = 0.05, 140
     axis = (np.arange(size) - size // 2) * edge
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
@@ -171,7 +171,7 @@ def room_to_all(places: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.2)])
 def test_a_hidden_person_comes_out_through_a_reported_disc(action: tuple[float, float]) -> None:
-    """Somebody stands behind the box and is never seen: no way from there to the robot misses what is told."""
+    """A person stands behind the box and is never seen: every path from there to the robot meets a reported disc."""
     place = (0.9, -2.5)
     told = driven(60, action=action, people=(StepsOut(place, (0.9, 2.0), 1.5, 0.01),))
     for _, state, message in told[3:]:
@@ -180,7 +180,7 @@ def test_a_hidden_person_comes_out_through_a_reported_disc(action: tuple[float, 
 
 
 def test_no_person_is_reported_to_hide_behind_the_walls() -> None:
-    """Somebody may be there, and cannot come in: of places near the middle of a closed room no wall has a disc."""
+    """A person may be there and cannot come in: near the middle of a closed room no wall has a disc."""
     told = driven(60, action=(0.0, 0.0))
     _, _, message = told[-1]
     assert message.hidden
@@ -200,7 +200,7 @@ def test_where_too_much_is_seen_one_disc_covers_several_objects() -> None:
 
 
 def test_a_person_out_of_sight_does_not_grow_for_ever() -> None:
-    """Somebody walks behind the box: the disc where he was last seen gives way to the place where he hides."""
+    """A person walks behind the box: the disc of the last sighting gives way to the hidden room."""
     told = driven(120, action=(0.0, 0.0), people=(StepsOut((2.6, -1.0), (-2.0, -2.6), 1.5, 9.0),))
     assert any(message.movers for _, _, message in told)
     for _, _, message in told:
@@ -243,7 +243,7 @@ def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
 
 
 def test_empty_room_stays_empty_as_long_as_no_person_can_have_come() -> None:
-    """A front goes 1.5 m/s from the last cell that nobody sees: no faster, no slower by more than a cell."""
+    """A front goes 1.5 m/s from the last unseen cell: no faster, no slower by more than a cell."""
     hiding = Hiding(81, 0.2, 1.5)
     none = np.zeros((81, 81), dtype=bool)
     seen = none.copy()
@@ -331,7 +331,7 @@ def mirrored(scan: ScanMessage, state: StateMessage) -> ScanMessage:
 
 
 def turned(scan: ScanMessage, state: StateMessage) -> ScanMessage:
-    """From 3 s on somebody has knocked against the sensor."""
+    """From 3 s on the sensor is knocked out of place."""
     return scan if state.robot_time < 3.0 else replace(scan, ranges=scan.ranges[60:] + scan.ranges[:60])
 
 

@@ -1,4 +1,4 @@
-"""The file of perception: what may stand in it, what is refused with which words, and who is told of it first."""
+"""The file of perception: its keys, its refusals, and the orders that change it."""
 
 from __future__ import annotations
 

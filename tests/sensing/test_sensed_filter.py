@@ -85,7 +85,7 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TowedRea
     draw = np.random.default_rng(3)
     for state in states(150, 4):
         if towed is not None:
-            state[:3] = draw.uniform(-0.01, 0.01, 3)  # the way backwards is told for here
+            state[:3] = draw.uniform(-0.01, 0.01, 3)  # the distance backwards is given for this place
         discs = np.column_stack([draw.uniform(-4, 4, (30, 2)), np.full(30, 0.1), draw.uniform(0.0, 1.5, 30)])
         before = barrier(discs, towed=towed).values(state)
         x, y, yaw, speed = state.tolist()
@@ -324,7 +324,7 @@ def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late
 
 @pytest.mark.parametrize("coming", [1.5, 4.0])
 def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(coming: float) -> None:
-    """Behind the car the way of who hides does not count, beside it all of it does: h falls by more than by moving."""
+    """Behind the car the path of hidden people does not count, next to it all of it does: h falls by more than by moving."""
     draw, counter, left_out = np.random.default_rng(12), counter_braking_of(SETTINGS), 0
     model, clearance = MODEL.with_period(0.05), SETTINGS.barrier("clearance")
     for state in states(60, 11):

@@ -44,7 +44,7 @@ def test_what_curves_share_is_driven_once_and_the_progress_comes_to_its_end() ->
     told: list[tuple[int, int]] = []
     curves = {"walking": (0.0, 1.5), "noise": (0.02,)}
     curves_experiment([1003], 0.5, 1, lambda done, of: told.append((done, of)), curves=curves)
-    assert told == [(done, 4) for done in (1, 2, 3, 4)], "two with the laser, and two told everything"
+    assert told == [(done, 4) for done in (1, 2, 3, 4)], "two with the laser, and two with perfect knowledge"
 
 
 def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +62,7 @@ def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch)
 
 
 def moved(walking: float) -> list[Any]:
-    """People of a scene after three seconds beside a robot that stands, with the greatest speed that each had."""
+    """People of a scene after three seconds near a stationary robot, with the greatest speed that each had."""
     scene, people = scene_and_people("people", 1005, "none", walking)
     outline = sensing_outline(scene)
     for one in people:

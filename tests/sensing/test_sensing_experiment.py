@@ -120,7 +120,7 @@ def test_behind_each_guard_either_controller_drives(guard: str, policy: str) -> 
 @pytest.mark.long
 @pytest.mark.parametrize("load", ["none", "large_chair"])
 def test_a_person_who_steps_out_meets_no_moving_car(load: str) -> None:
-    """Behind the controller that looks around, which creeps past what nobody sees."""
+    """Behind the controller that looks around, which creeps past unseen room."""
     for seed in (3810, 3811):
         told = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))
         assert told["moving"] == []

@@ -1,4 +1,4 @@
-"""Margins of what a laser tells: the scores mean what they say, and the calibration is that of all other margins."""
+"""Margins of a laser: the scores mean what they say, and the calibration is that of all other margins."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_path_around_a_wall_is_reported_no_longer_than_it_is() -> None:
 
 
 class _Farther:
-    """Scores of the same drive in which every disc that may move is told smaller."""
+    """Scores of the same drive in which every disc that may move is reported smaller."""
 
     def __init__(self, scores: Scores) -> None:
         self.scores = scores

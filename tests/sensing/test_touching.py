@@ -1,4 +1,4 @@
-"""Somebody who touches the car, or what it tows, stops: nobody shoves either away, and no shove counts as driving."""
+"""A person who touches the car or its load stops: no person shoves either away, and no shove counts as driving."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FIELD = (-4.0, 4.0, -4.0, 4.0)
 
 
 class Pushes(Person):
-    """Goes on towards a place at 1.5 m/s, whoever is in the way."""
+    """Goes on towards a position at 1.5 m/s, whatever is in the way."""
 
     def __init__(self, place: Point, towards: Point) -> None:
         super().__init__(place)

@@ -56,7 +56,7 @@ class GoesTo(Person):
 
 
 def stands_by(load: str, person: Person, seconds: float) -> Told:
-    """A car that stands with its load, told what its laser sees."""
+    """A stationary car with its load, and what its laser sees."""
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
     robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
     node, told = PerceptionNode(), Told()
@@ -88,7 +88,7 @@ def test_a_car_waits_while_a_person_stands_at_its_load(load: str, side: float) -
     told = stands_by(load, person, 7.0)
     for _, state, seen, _ in told:
         if state.robot_time > 3.2:
-            assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
+            assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
 @pytest.mark.long
@@ -103,7 +103,7 @@ def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_t
     told = stands_by(load, GoesTo(start, place, pace=pace), there + 1.5)
     for _, state, seen, _ in told:
         if state.robot_time > there:
-            assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
+            assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
 def test_a_car_continues_some_time_after_the_person_at_its_load_is_gone() -> None:
@@ -143,7 +143,7 @@ def test_h_of_a_person_who_may_touch_the_load_is_below_0_however_little_was_driv
 
 @pytest.mark.parametrize("load", list(LOADS))
 def test_the_shadow_of_the_load_holds_no_car_that_drives_away_from_it(load: str) -> None:
-    """Nobody sees what is behind the load, and it is as near as can be: forwards it is left, backwards it counts."""
+    """The room behind the load is unseen, and as near as can be: forwards it is left, backwards it counts."""
     _, _, reach = towed_reach(load_named(load))
     shadow = [(-0.08 - reach - 0.1, across, 0.27, 1.5) for across in (-0.3, 0.0, 0.3)]
     for speed in (0.0, -1e-9, 0.3, 1.0):
@@ -155,7 +155,7 @@ def test_the_shadow_of_the_load_holds_no_car_that_drives_away_from_it(load: str)
 
 @pytest.mark.parametrize("load", list(LOADS))
 def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) -> None:
-    """What nobody sees behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
+    """Unseen room behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
     model = load_model("car")
     scene = Scene(0, load_named(load), FIELD, (), (-2.5, 0.0, 0.0), ((2.5, 0.0),))
     robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),)))

@@ -1,4 +1,4 @@
-"""Zones, sources and lone rays: what a person marks is told as he says, and takes away no more than that."""
+"""Zones, sources and lone rays: an order of a person is followed, and removes no more than it says."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def car(scene: Scene = PILLAR, *lasers: LaserSettings) -> CarRobot:
 
 
 def stepped(node: PerceptionNode, robot: CarRobot, tick: int, speed: float = 0.0) -> SurroundingsMessage:
-    """One tick of a car that is told to drive at ``speed``."""
+    """One tick of a car with the command to drive at ``speed``."""
     for scan in robot.scans():
         node.hear("r", scan)
     message = node.step("r", robot.state_message(), {})[SURROUNDINGS]
@@ -73,8 +73,8 @@ def test_objects_in_an_ignored_zone_are_left_out_and_those_behind_it_stay_hidden
     usual, ignoring = told(PerceptionSettings()), told(with_zones(DOCK))
     assert middles(usual.points + usual.movers, *FRONT)
     assert not middles(ignoring.points + ignoring.movers, *FRONT)
-    assert middles(ignoring.hidden, *BEHIND), "nobody looked there"
-    assert not middles(ignoring.hidden, (1.1, -0.4), (1.9, 0.4)), "nobody hides in it"
+    assert middles(ignoring.hidden, *BEHIND), "no ray looked there"
+    assert not middles(ignoring.hidden, (1.1, -0.4), (1.9, 0.4)), "no person hides in it"
     nothing = told(PerceptionSettings(), replace(PILLAR, obstacles=()))
     assert not middles(nothing.hidden, *BEHIND)
     assert not ignoring.amiss
@@ -111,7 +111,7 @@ def test_an_ignored_zone_in_which_no_ray_ends_hides_no_person() -> None:
     usual, ignoring = told(PerceptionSettings()), told(with_zones(shadow))
     assert middles(usual.hidden, *BEHIND)
     assert not middles(ignoring.hidden, *BEHIND)
-    assert middles(ignoring.points, *FRONT), "what is before it is told as ever"
+    assert middles(ignoring.points, *FRONT), "objects in front of it are reported as ever"
 
 
 @pytest.mark.parametrize("frame", ["map", "robot"])
@@ -144,7 +144,7 @@ def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_ma
     away = np.maximum(np.abs(x), np.abs(y))
     assert nobody[away < 0.5].all(), "all of it,"
     beside = (np.abs(y) < 0.4) & (away > 0.5)
-    assert nobody[beside & (away < 0.6)].all(), "and as far beside it as he would overlap,"
+    assert nobody[beside & (away < 0.6)].all(), "and as far around it as a person would overlap,"
     assert not nobody[away > 0.6].any(), "but no farther"
     nothing = np.zeros_like(nobody)
     outside = ~nobody & (away < 1.2)
@@ -206,7 +206,7 @@ def star(corners: list[float], x: float, y: float, size: float) -> tuple[tuple[f
 def test_every_place_of_a_closed_zone_within_reach_is_covered(
     corners: list[float], middle: tuple[float, float], size: float, seed: int
 ) -> None:
-    """And no disc, told one by one, goes on beyond the zone for more than the diagonal of a cell."""
+    """And no disc goes on beyond the zone for more than the diagonal of a cell."""
     reach, here = 3.0, np.array((0.137, -0.214))
     zone = Zone("z", "closed", star(corners, *middle, size))
     polygon = np.array(zone.polygon)
@@ -234,7 +234,7 @@ def test_a_closed_zone_is_reported_with_what_is_seen_and_never_cut_off() -> None
     seen = np.array([(x, y) for x, y, *_ in usual.points])
     for place in (*grid[np.hypot(*grid.T) < own.reach], *seen):
         assert (np.hypot(*(discs[:, :2] - place).T) - discs[:, 2]).min() < 1e-9
-    assert message.hidden == usual.hidden, "it hides nobody"
+    assert message.hidden == usual.hidden, "it hides no person"
 
 
 def farthest_nose(zones: tuple[Zone, ...]) -> float:
@@ -302,7 +302,7 @@ def test_a_lone_ray_is_noise_where_more_are_required_and_a_person_is_not() -> No
 
 
 def test_no_person_hides_where_a_lone_ray_ended_but_it_frees_nothing_behind_a_wall() -> None:
-    """The rays beside it see past; the wall of all others stays."""
+    """The neighbouring rays see past; the wall of all others stays."""
     message = heard(THREE, lone(30))
     assert not [1 for x, y, *_ in message.hidden if hypot(x, y) < 2.0]
     assert len([1 for x, y, *_ in message.points if abs(hypot(x, y) - 2.5) < 0.2]) > 20
@@ -323,7 +323,7 @@ def test_what_only_a_source_sees_that_is_off_is_hidden_and_its_silence_is_nothin
     assert not [x for x, *_ in one.points if x < -2.5]
     assert one.amiss == ()
     assert len(one.ages) == 2
-    assert one.ages[1] == one.ages[0] > 0.0, "what is told is as old as what the others saw"
+    assert one.ages[1] == one.ages[0] > 0.0, "the report is as old as what the others saw"
 
 
 def test_without_any_source_the_filter_brakes() -> None:
