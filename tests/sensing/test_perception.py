@@ -100,7 +100,7 @@ def test_what_one_source_saw_is_not_dropped_since_another_one_sees_its_other_sid
 
 
 def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
-    """What comes out of a shadow may move for a quarter of a second: it is not known yet whether it was hidden there."""
+    """What comes out of a shadow may move for a quarter of a second: whether it was hidden is not known."""
     told = driven(140)
     restless = []
     for _, _, message in told[20:]:
@@ -152,7 +152,7 @@ def test_a_walking_person_is_among_the_movers() -> None:
 
 
 def reachable(start: tuple[float, float], message: SurroundingsMessage) -> np.ndarray:
-    """Positions (n, 2) m that a person of 0.2 m radius gets to from ``start`` without entering a hidden or moving disc."""
+    """Positions (n, 2) m that a person of 0.2 m radius reaches from ``start`` outside hidden and moving discs."""
     edge, size = 0.05, 140
     axis = (np.arange(size) - size // 2) * edge
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)

@@ -324,7 +324,7 @@ def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late
 
 @pytest.mark.parametrize("coming", [1.5, 4.0])
 def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(coming: float) -> None:
-    """Behind the car the path of hidden people does not count, next to it all of it does: h falls by more than by moving."""
+    """Behind the car paths of hidden people do not count, next to it all do: h falls by more than by moving."""
     draw, counter, left_out = np.random.default_rng(12), counter_braking_of(SETTINGS), 0
     model, clearance = MODEL.with_period(0.05), SETTINGS.barrier("clearance")
     for state in states(60, 11):
