@@ -39,25 +39,15 @@ def test_linear_problems_are_counted_by_fault() -> None:
     items = [wrong, wrong, raised, raised, broken, broken, far, far, unheard, unheard, RIGHT]
     found = Programs().told([[(1, number, item) for number, item in enumerate(items)]])
     assert figures(found.rows) == {
-        "answers corrected": (7, None),
-        "answers fallback": (2, None),
-        "answers raised ValueError": (2, None),
-        "raised an exception": (2, 11),
-        "action out of bounds": (4, 11),
-        "passed, but not the wish": (4, 11),
-        "passed or corrected, condition broken": (2, 7),
-        "largest break, in scales": (1.0, 7),
-        "passed or corrected, predicted h < 0": (6, 7),
-        "h < 0 now, and not told (or told wrongly)": (4, 11),
-        "no decision computed": (2, 11),
-        "corrected further than needed": (2, 3),
-        "largest excess, in ranges": (1.0, 3),
-        "corrected, and the reference found nothing": (2, 5),
-        "not corrected, though an action keeps all": (2, 4),
-        "within 1 % of the least unsafe": (0.0, 2),
-        "largest shortfall, in scales": (0.5, 2),
-        "h < 0 predicted, though h >= 0 attainable": (4, 4),
-    }
+        "answers corrected": (7, None), "answers fallback": (2, None), "answers raised ValueError": (2, None),
+        "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the wish": (4, 11),
+        "passed or corrected, condition broken": (2, 7), "largest break, in scales": (1.0, 7),
+        "passed or corrected, predicted h < 0": (6, 7), "h < 0 now, and not told (or told wrongly)": (4, 11),
+        "no decision computed": (2, 11), "corrected further than needed": (2, 3),
+        "largest excess, in ranges": (1.0, 3), "corrected, and the reference found nothing": (2, 5),
+        "not corrected, though an action keeps all": (2, 4), "within 1 % of the least unsafe": (0.0, 2),
+        "largest shortfall, in scales": (0.5, 2), "h < 0 predicted, though h >= 0 attainable": (4, 4),
+    }  # fmt: skip
     assert {case["fault"]: case["count"] for case in found.worst} == {
         "condition broken": 2, "predicted h < 0": 6, "h < 0 now not told": 4, "no decision": 4, "too far": 2,
         "missed": 2, "not the least unsafe": 2, "h < 0 though h >= 0 attainable": 4,
@@ -74,14 +64,10 @@ def test_bad_inputs_are_counted_by_treatment() -> None:
     ]  # fmt: skip
     found = BadInputs().told([*treated[:4], (4, 5, 600), *treated[4:]])
     assert figures(found.rows) == {
-        "decisions that raised": (1, 9),
-        "actions out of bounds": (2, 9),
-        "an unsafe wish passed": (3, 9),
-        "bad values believed": (1, 9),
-        "refused when the filter was built": (2, 9),
-        "two threads: answers with the other's barriers": (4, 600),
-        "two threads: answers refused": (5, 600),
-    }
+        "decisions that raised": (1, 9), "actions out of bounds": (2, 9), "an unsafe wish passed": (3, 9),
+        "bad values believed": (1, 9), "refused when the filter was built": (2, 9),
+        "two threads: answers with the other's barriers": (4, 600), "two threads: answers refused": (5, 600),
+    }  # fmt: skip
     assert [case["fault"] for case in found.worst] == list("abcdef")
 
 
@@ -97,14 +83,11 @@ def test_answers_to_bent_problems_are_counted_by_shape() -> None:
     ]  # fmt: skip
     rows = Bends().told([answers[:5], answers[5:]]).rows
     assert figures(rows, "kinks: ") == {
-        "raised, or no decision": (2, 12),
-        "largest break of a condition, in scales": (0.25, 5),
-        "passed or corrected, predicted h < 0": (2, 5),
-        "not corrected, though the grid keeps all": (4, 7),
-        "corrected 0.1 of a range beyond the grid": (50.0, 4),
-        "h < 0 predicted, grid keeps h >= 0": (3, 7),
+        "raised, or no decision": (2, 12), "largest break of a condition, in scales": (0.25, 5),
+        "passed or corrected, predicted h < 0": (2, 5), "not corrected, though the grid keeps all": (4, 7),
+        "corrected 0.1 of a range beyond the grid": (50.0, 4), "h < 0 predicted, grid keeps h >= 0": (3, 7),
         "1 % of scale below the grid's least unsafe": (4, 7),
-    }
+    }  # fmt: skip
     assert {row.what: row.measured for row in rows if row.what.startswith("answers ")} == {
         "answers corrected": 4, "answers fallback": 1, "answers passed": 1, "answers raised ValueError": 1,
         "answers relaxed": 4, "answers violated": 1,
@@ -129,20 +112,14 @@ def test_answers_of_the_car_are_counted_against_the_grid(car_answer: Any) -> Non
     ]  # fmt: skip
     found = CarGrid().told([("car", answers[:2]), ("car", answers[2:]), ("odd scenes", [car_answer])])
     assert figures(found.rows, "car: ") == {
-        "answers corrected": (3, None),
-        "answers fallback": (1, None),
-        "answers passed": (1, None),
-        "answers relaxed": (2, None),
-        "answers violated": (1, None),
-        "largest break of a condition, in scales": (0.5, 4),
-        "passed or corrected, predicted h < 0": (2, 4),
-        "h < 0 now, and not told (or told wrongly)": (4, 8),
-        "relaxed, though the grid keeps all": (2, 3),
+        "answers corrected": (3, None), "answers fallback": (1, None), "answers passed": (1, None),
+        "answers relaxed": (2, None), "answers violated": (1, None),
+        "largest break of a condition, in scales": (0.5, 4), "passed or corrected, predicted h < 0": (2, 4),
+        "h < 0 now, and not told (or told wrongly)": (4, 8), "relaxed, though the grid keeps all": (2, 3),
         "corrected 0.1 of a range beyond the grid": (pytest.approx(200.0 / 3.0), 3),
-        "largest excess, in ranges": (0.3, 3),
-        "relaxed or violated: 1 % of scale below the grid": (3, 4),
+        "largest excess, in ranges": (0.3, 3), "relaxed or violated: 1 % of scale below the grid": (3, 4),
         "largest shortfall, in scales": (0.25, 4),
-    }
+    }  # fmt: skip
     assert figures(found.rows, "odd scenes: ")["answers corrected"] == (1, None)
 
 
@@ -191,11 +168,9 @@ def test_hostile_drives_are_counted_by_kind() -> None:
         Driven("point", "none", 5, 0, float("inf"), {}, missing="no such robot"),
     ])  # fmt: skip
     assert figures(found.rows) == {
-        "car: drives with a collision (corrected 12.5 %, passed 87.5 %)": (2, 3),
-        "car: least h told": (-0.25, 3),
-        "point: drives with a collision (relaxed 100.0 %)": (0, 1),
-        "point: least h told": (0.75, 1),
-    }
+        "car: drives with a collision (corrected 12.5 %, passed 87.5 %)": (2, 3), "car: least h told": (-0.25, 3),
+        "point: drives with a collision (relaxed 100.0 %)": (0, 1), "point: least h told": (0.75, 1),
+    }  # fmt: skip
     assert [(case.get("seed", case["fault"]), case.get("count")) for case in found.worst] == [
         (2, 3), (3, 1), ("no such robot", None)
     ]  # fmt: skip
@@ -225,14 +200,11 @@ def test_episodes_of_a_system_are_added_up() -> None:
     name = systems.SYSTEMS[0]().name
     nothing = [(index, systems.Tally(Counter(passed=1))) for index in range(1, len(systems.SYSTEMS))]
     assert figures(systems.Systems().told([(0, one), *nothing, (0, other)]).rows, f"{name}: ") == {
-        "least h in truth (passed 75.0 %, relaxed 25.0 %)": (-0.5, 5),
-        "episodes with h < 0": (3, 5),
-        "largest break, in scales": (0.25, 8),
-        "passed or corrected, predicted h < 0": (4, 8),
-        "relaxed, though the grid keeps all": (3, 9),
-        "h < 0 predicted, though the grid keeps h >= 0": (4, 9),
+        "least h in truth (passed 75.0 %, relaxed 25.0 %)": (-0.5, 5), "episodes with h < 0": (3, 5),
+        "largest break, in scales": (0.25, 8), "passed or corrected, predicted h < 0": (4, 8),
+        "relaxed, though the grid keeps all": (3, 9), "h < 0 predicted, though the grid keeps h >= 0": (4, 9),
         "corrected 0.1 of a range beyond the grid": (50.0, 4),
-    }
+    }  # fmt: skip
 
 
 def test_drives_in_other_units_are_compared_with_the_drive_at_scale_one() -> None:
@@ -242,10 +214,9 @@ def test_drives_in_other_units_are_compared_with_the_drive_at_scale_one() -> Non
     other = replace(same, statuses=("relaxed", *same.statuses[1:]))
     found = Scales().told([(Units(), moved), (Units(), same), (Units(), other), (Units(), other)])
     assert figures(found.rows, "h: ") == {
-        "furthest point": (1.5, 4),
-        "drives with other statuses": (2, 4),
+        "furthest point": (1.5, 4), "drives with other statuses": (2, 4),
         "largest change of an action, in ranges": (0.25, 4),
-    }
+    }  # fmt: skip
     assert [case["furthest"] for case in found.worst] == [1.5, other.furthest, other.furthest]
     assert isinstance(same, Drive)
 

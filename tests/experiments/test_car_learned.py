@@ -11,14 +11,14 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.errors import InputError
-from safedpa.networks import Weights, frame_of
+from safedpa.networks import Weights
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.car_blind import BlindFilterNode
 from safedpa_lab.experiments.car_drives import Drive, DriveOrder, recorded_drive
 from safedpa_lab.experiments.car_episodes import EpisodeGroup, run_group
 from safedpa_lab.experiments.car_errors import error_ratios, errors_of_model, increment_scale
-from safedpa_lab.experiments.car_latent import LinearDiscriminant, latent_result, principal_plane
-from safedpa_lab.experiments.car_margin import StepErrors, coverage_of, latents_along, margin_of, step_errors
+from safedpa_lab.experiments.car_latent import latent_result
+from safedpa_lab.experiments.car_margin import coverage_of, latents_along, margin_of, step_errors
 from safedpa_lab.experiments.car_methods import METHODS, FixedLatentNode, chosen_methods, named_model
 from safedpa_lab.experiments.car_predict import predictor_of
 
@@ -121,15 +121,6 @@ def test_a_model_that_is_right_has_no_error_and_a_wrong_one_has(learned_folder, 
     assert error_ratios(doubled, "wrong", "half")["mixed"]["one_second"] == pytest.approx(2.0)
 
 
-def test_the_number_is_the_mean_over_the_states_of_the_scaled_root_mean_square(learned_folder, drive_with_box):
-    model = named_model("car_simulated", learned_folder)
-    scale = increment_scale([model], [drive_with_box])
-    found = errors_of_model(model, [drive_with_box], scale)["box"]["one_step"]
-    predicted = predictor_of(model, drive_with_box).one_step()[60:]
-    own = frame_of("car").own_increment(drive_with_box.states[61:], predicted)
-    assert found["number"] == pytest.approx(np.sqrt((own**2).mean(axis=0) / scale**2).mean())
-
-
 def test_a_margin_covers_what_it_was_calibrated_on(learned_folder):
     drives = [recorded_drive(DriveOrder(5000 + i, "none", 120, "physics")) for i in range(4)]
     model = named_model("car_learned", learned_folder)
@@ -144,32 +135,6 @@ def test_a_margin_covers_what_it_was_calibrated_on(learned_folder):
         assert row["largest_error"] >= margin.epsilon[kind] > 0.0
         assert (errors.bound[kind] >= errors.h[kind] - 1e-9).all()  # the theory's bound holds in every step
         assert row["theorem"]["epsilon"] >= margin.epsilon[kind]
-
-
-def test_too_few_steps_give_no_margin(learned_folder):
-    with pytest.raises(InputError, match="wanted at least 99"):
-        margin_of(load_model("car"), StepErrors({"speed": np.zeros(98)}, {"speed": np.zeros(98)}), "2026-11-21")
-
-
-def test_the_discriminant_tells_clouds_apart():
-    draw = np.random.default_rng(0)
-    labels = ["a", "b", "c"] * 100
-    middles = {"a": (0.0, 0.0), "b": (3.0, 0.0), "c": (0.0, 3.0)}
-    latents = np.array([middles[name] for name in labels]) + draw.normal(0, (0.5, 0.3), (300, 2))
-    found = LinearDiscriminant.fit(latents[:150], labels[:150])
-    said = found.classify(latents[150:])
-    assert np.mean([one == other for one, other in zip(said, labels[150:], strict=True)]) > 0.98
-    assert found.classify(np.array([[3.0, 0.0], [0.1, 2.7]])) == ["b", "c"]
-
-
-def test_the_principal_plane_holds_the_largest_variance():
-    draw = np.random.default_rng(1)
-    points = draw.normal((5.0, 6.0, 7.0), (0.1, 3.0, 1.0), (500, 3))
-    middle, directions, shares = principal_plane(points)
-    np.testing.assert_allclose(middle, points.mean(axis=0))
-    assert abs(directions[0] @ (0, 1, 0)) > 0.99
-    assert abs(directions[1] @ (0, 0, 1)) > 0.99
-    assert shares.sum() == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.long

@@ -29,29 +29,11 @@ def cell():
     return cell_of(METHODS["safedpa"], "box", drives)
 
 
-def test_a_cell_counts_success_safety_and_both(cell):
-    assert [cell[key]["hits"] for key in ("success", "safe", "both")] == [2, 2, 1]
-    assert cell["both"]["share"] == 0.25
-    assert cell["both"]["interval_95"] == [0.0456, 0.6994]  # Wilson, 1 of 4
-    assert cell["seconds_to_goal"] == 5.0  # median of 4 and 6 s
-    assert cell["changed_share"] == 0.05
-    assert cell["covered"]["obstacle"] == {"covered": 380, "steps": 400, "share": 0.95}
-    assert cell["not_reached"] == [2, 3]
-    assert cell["not_safe"] == [1, 3]
-    assert cell["paper"] == {"success": 1.0, "safe": 0.9}
-
-
 def test_the_table_shows_the_cells_and_the_paper(cell):
     text = table_markdown([cell])
     assert "| SafeDPA | 0.50 / 0.50 / 0.25 |" in text
     assert "| *the paper's SafeDPA* | 1.00 / 0.90 / - |" in text
     assert "| SafeDPA | Box | 4 | 0.50 [0.15, 0.85] | 0.50 [0.15, 0.85] | 0.25 [0.05, 0.70] | 5.0 | 5 % |" in text
-
-
-def test_a_method_that_never_arrives_has_no_time(cell):
-    late = cell_of(METHODS["rma"], "none", [outcome(0, False, True)])
-    assert late["seconds_to_goal"] is None
-    assert "| - | 10 % |" in table_markdown([late])
 
 
 def test_only_what_was_run_is_written(cell, tmp_path):

@@ -55,6 +55,7 @@ def test_something_stands_in_the_straight_way(load):
 def test_a_seed_is_a_scene_and_seeds_differ():
     assert car_scene(5, "box") == car_scene(5, "box")
     assert len({car_scene(seed).obstacles for seed in SEEDS}) == len(SEEDS)
+    assert {len(car_scene(seed, passage=0.05).obstacles) for seed in SEEDS} == {3, 4, 5}
 
 
 def test_an_unknown_load_is_refused():

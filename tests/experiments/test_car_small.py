@@ -11,7 +11,8 @@ from safedpa_services.command_line.group import safedpa
 
 pytestmark = pytest.mark.slow
 
-SMALL = ["--processes", "1", "--load", "none", "--load", "box"]
+SMALL = ["--processes", 1, "--load", "none", "--load", "box", "--episodes", 1, "--first-seed", 1, "--drives", 1]
+SMALL += ["--drive-ticks", 120]
 
 
 def run(*arguments):
@@ -22,22 +23,7 @@ def run(*arguments):
 def out(tmp_path_factory):
     """One run with everything in it, as a person would start it."""
     folder = tmp_path_factory.mktemp("car")
-    arguments = [
-        "--models",
-        folder,
-        "--episodes",
-        1,
-        "--first-seed",
-        1,
-        "--drives",
-        1,
-        "--drive-ticks",
-        120,
-        *SMALL,
-        "--out",
-        folder,
-    ]
-    assert run(*arguments) == 0
+    assert run(*SMALL, "--models", folder, "--out", folder) == 0
     return folder
 
 
@@ -82,22 +68,7 @@ def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
 
     monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", refused)
     before = (out / "cells" / "physics-box.json").read_text()
-    arguments = [
-        "--models",
-        out,
-        "--episodes",
-        1,
-        "--first-seed",
-        1,
-        "--drives",
-        1,
-        "--drive-ticks",
-        120,
-        *SMALL,
-        "--out",
-        out,
-    ]
-    assert run(*arguments, "--part", "table", "--json") == 0
+    assert run(*SMALL, "--models", out, "--out", out, "--part", "table", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
     assert [cell["episodes"] for cell in shown["cells"]] == [1, 1, 1, 1]
     assert (out / "cells" / "physics-box.json").read_text() == before
@@ -112,23 +83,8 @@ def test_another_margin_is_another_cell(out, monkeypatch, capsys):
         raise DrivenError
 
     monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", driven)
-    arguments = [
-        "--models",
-        out,
-        "--episodes",
-        1,
-        "--first-seed",
-        1,
-        "--drives",
-        1,
-        "--drive-ticks",
-        120,
-        *SMALL,
-        "--out",
-        out,
-    ]
     with pytest.raises(DrivenError):
-        run(*arguments, "--part", "table", "--margin", 0.03)
+        run(*SMALL, "--models", out, "--out", out, "--part", "table", "--margin", 0.03)
     capsys.readouterr()
 
 

@@ -81,6 +81,7 @@ def test_the_table_has_a_row_for_each_method_and_a_column_for_each_load(
     found = {name: line for name in METHODS for line in lines[2:-1] if line.startswith(f"| {METHODS[name].title} |")}
     assert {name: line.count("0.43 / 0.71 / 0.29") for name, line in found.items()} == rows
     assert len(below.splitlines()) == 2 + len(places)
+    assert all(line.endswith("| 4.0 | 8 % |") for line in below.splitlines()[2:])
 
 
 class Calibrated:
@@ -174,23 +175,27 @@ FRAME = SimpleNamespace(own_increment=lambda before, after: after - before)
 
 
 def test_errors_are_root_mean_squares_over_their_scale(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Predictions count from the 60th step on; positions in m, as they are."""
-    late = np.array([[3.0, 0.0, 2.0, 1.0], [-3.0, 8.0, 0.0, 1.0]])
-    drive: Any = SimpleNamespace(states=np.zeros((63, 4)), loads=("box",))
-    one_step = np.concatenate([np.full((60, 4), 99.0), late])
-    predictor = SimpleNamespace(one_step=lambda: one_step, rollouts=lambda starts, _: np.zeros((len(starts), 1, 4)))
-    monkeypatch.setattr(car_errors, "STEPS", 1)
+    """Predictions count from the 60th step on; those of one second begin every fifth step, as long as it is driven."""
+    late = np.random.default_rng(1).normal(0.0, (3.0, 5.0, 2.0, 1.0), (25, 4))
+    seconds = np.array([[[9.0] * 4, [1.0] * 4]])
+    drive: Any = SimpleNamespace(states=np.zeros((86, 4)), loads=("box",))
+    predictor = SimpleNamespace(
+        one_step=lambda: np.concatenate([np.full((60, 4), 99.0), late]),
+        rollouts=lambda starts, steps: np.repeat(seconds, len(starts), axis=0) * (steps / 20.0),
+    )
     monkeypatch.setattr(car_errors, "frame_of", lambda _: FRAME)
     monkeypatch.setattr(car_errors, "predictor_of", lambda *_: predictor)
     model: Any = None
-    rows = car_errors.errors_of_model(model, [drive], np.array([1.0, 2.0, 1.0, 0.5]))
+    scale = np.array([1.0, 2.0, 1.0, 0.5])
+    rows = car_errors.errors_of_model(model, [drive], scale)
     assert set(rows) == {"box", "mixed"}
-    told = rows["mixed"]["one_step"]
-    assert list(told["root_mean_square"].values()) == pytest.approx([3.0, np.sqrt(32.0), np.sqrt(2.0), 1.0])
-    each = [3.0, np.sqrt(8.0), np.sqrt(2.0), 2.0]
-    assert list(told["per_state"].values()) == pytest.approx(each)
-    assert (told["number"], told["count"]) == (pytest.approx(np.mean(each)), 2)
-    assert told["position"] == pytest.approx(np.sqrt(9.0 + 32.0))
+    told, roots = rows["mixed"]["one_step"], np.sqrt((late**2).mean(axis=0))
+    assert list(told["root_mean_square"].values()) == pytest.approx(roots)
+    assert list(told["per_state"].values()) == pytest.approx(roots / scale)
+    assert (told["number"], told["count"]) == (pytest.approx(np.mean(roots / scale)), 25)
+    assert told["position"] == pytest.approx(np.hypot(roots[0], roots[1]))
+    later = rows["box"]["one_second"]
+    assert (later["count"], list(later["root_mean_square"].values())) == (2, [1.0] * 4)
 
 
 def test_the_scale_is_the_root_mean_square_of_the_change_in_a_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""What an experiment makes of a policy's wishes, by numbers written down here."""
+"""What an experiment changes about the wishes of a policy."""
 
 from __future__ import annotations
 
@@ -13,20 +13,9 @@ from safedpa_lab.experiments.car_conditions import QuickerPolicyNode
 from safedpa_lab.experiments.car_drives import ExploringPolicyNode
 
 STATE = StateMessage(
-    epoch=1,
-    tick=3,
-    robot_time=0.15,
-    publish_time=0.0,
-    values=(0.0,) * 4,
-    applied=(0.0,) * 2,
-    applied_by="filter",
-    period=0.05,
-    lockstep=True,
-    goal=(),
-    obstacles=(),
-    field=(),
-    footprint=(),
-)
+    epoch=1, tick=3, robot_time=0.15, publish_time=0.0, values=(0.0,) * 4, applied=(0.0,) * 2, applied_by="filter",
+    period=0.05, lockstep=True, goal=(), obstacles=(), field=(), footprint=(),
+)  # fmt: skip
 
 
 class Says(AbstractNode):
@@ -62,7 +51,7 @@ def test_only_driving_forwards_is_quicker(values: tuple[float, ...], wanted: tup
     assert wished(QuickerPolicyNode(Says(*values), 2.0)) == wanted
 
 
-def test_it_stands_where_the_policy_stood_and_hands_on_what_is_forgotten() -> None:
+def test_a_quicker_policy_takes_the_place_of_its_policy_and_forgets_with_it() -> None:
     policy = Says(0.5, 0.0)
     node = QuickerPolicyNode(policy, 2.0)
     node.forget("car_7")
@@ -70,7 +59,7 @@ def test_it_stands_where_the_policy_stood_and_hands_on_what_is_forgotten() -> No
     assert (node.name, node.inputs, node.outputs) == (PolicyNode.name, PolicyNode.inputs, PolicyNode.outputs)
 
 
-def test_an_exploration_is_held_for_its_time_and_stays_within_the_bounds() -> None:
+def test_an_explored_action_lasts_for_its_time_and_stays_within_the_bounds() -> None:
     node, told = ExploringPolicyNode(Says(0.6, 0.1), 4), list[tuple[float, ...]]()
     for tick in range(200):
         told.append(wished(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from types import SimpleNamespace
@@ -12,9 +11,13 @@ import numpy as np
 import pytest
 from tests.experiments.drives import STATUSES, follow, robot, tick
 
+from safedpa.adaptation import AdaptationNode
 from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, Received
 from safedpa.dynamics import load_model
+from safedpa.perception import PerceptionNode
+from safedpa.policy import PolicyNode
 from safedpa.safety import MarginCalibration
+from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments import (
     car_episodes,
@@ -30,11 +33,11 @@ from safedpa_lab.experiments import (
     wheels,
 )
 from safedpa_lab.experiments.adversary import drives as hostile
-from safedpa_lab.experiments.car_conditions import Conditions, NoisyRobot
+from safedpa_lab.experiments.car_conditions import Conditions
 from safedpa_lab.experiments.car_drives import Drive, cut_at_contact
 from safedpa_lab.experiments.car_methods import METHODS
-from safedpa_lab.experiments.car_scenes import car_scene
-from safedpa_lab.experiments.sensing_peers import CollisionMonitor, TimeToCollision
+from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
+from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.sensing import StepsOut
@@ -255,7 +258,7 @@ def among_people(
         patch.setattr(sensing, "scene_and_people", lambda *_: (Scene.random(1), people))
     policy = sensing.POLICIES[1] if guard.islower() else sensing.POLICIES[0]
     wanted = sensing.Drive("pillars", 1000, 0.05 * len(story), 1.5, guard.lower(), policy=policy)
-    return sensing.run_drive(wanted), [type(node).__name__ for node in nodes]
+    return sensing.run_drive(wanted), [type(node) for node in nodes]
 
 
 @pytest.mark.parametrize(
@@ -317,26 +320,26 @@ def test_somebody_stepped_out_if_any_person_who_may_did(
     assert among_people(monkeypatch, people=people)[0]["stepped_out"] is told
 
 
-LOOKS = ["AdaptationNode", "PerceptionNode", "PolicyNode"]
+LOOKS = (AdaptationNode, PerceptionNode, PolicyNode)
 
 
 @pytest.mark.parametrize(
-    ("guard", "names"),
+    ("guard", "nodes"),
     [
-        ("safedpa", [*LOOKS, "SafetyFilterNode"]),
-        ("told", ["AdaptationNode", "TellsEverything", "PolicyNode", "SafetyFilterNode"]),
-        ("TOLD-BUT-HIDING", ["AdaptationNode", "TellsAllButWhoHides", "PolicyNode", "SafetyFilterNode"]),
-        ("monitor", ["AdaptationNode", "PolicyNode", "CollisionMonitor"]),
-        ("MONITOR-2S", [*LOOKS, "CollisionMonitor"]),
-        ("time-to-collision", ["AdaptationNode", "PolicyNode", "TimeToCollision"]),
-        ("NOTHING", [*LOOKS, "NoFilter"]),
+        ("safedpa", (*LOOKS, SafetyFilterNode)),
+        ("told", (AdaptationNode, TellsEverything, PolicyNode, SafetyFilterNode)),
+        ("TOLD-BUT-HIDING", (AdaptationNode, TellsAllButWhoHides, PolicyNode, SafetyFilterNode)),
+        ("monitor", (AdaptationNode, PolicyNode, CollisionMonitor)),
+        ("MONITOR-2S", (*LOOKS, CollisionMonitor)),
+        ("time-to-collision", (AdaptationNode, PolicyNode, TimeToCollision)),
+        ("NOTHING", (*LOOKS, NoFilter)),
     ],
 )
 def test_a_controller_that_looks_around_has_the_same_perception_behind_each_guard(
-    guard: str, names: list[str], monkeypatch: Patch
+    guard: str, nodes: tuple[type, ...], monkeypatch: Patch
 ) -> None:
     """In capitals: with the controller that looks around."""
-    assert among_people(monkeypatch, guard=guard)[1] == names
+    assert among_people(monkeypatch, guard=guard)[1] == list(nodes)
 
 
 @pytest.mark.parametrize(("counts", "kept"), [((0, 0, 0), 3), ((0, 1, 1), 1), ((1, 1, 2), 0), ((0, 0, 1), 2)])
@@ -344,36 +347,6 @@ def test_a_drive_is_cut_at_its_first_contact(counts: tuple[int, ...], kept: int)
     messages: Any = tuple(SimpleNamespace(collisions=count) for count in counts)
     found = cut_at_contact(Drive(messages, ("a", "b", "c")))
     assert (len(found.messages), found.loads) == (kept, ("a", "b", "c")[:kept])
-
-
-@pytest.mark.parametrize("noise", [0.01, 0.5])
-def test_a_noisy_robot_measures_yaw_and_speed_as_from_two_noisy_positions(noise: float) -> None:
-    """Over the wheelbase of 0.32 m, and over 0.2 s; the same seed measures the same."""
-
-    @dataclasses.dataclass(frozen=True)
-    class State:
-        values: tuple[float, ...]
-
-    own: Any = SimpleNamespace(
-        scene=SimpleNamespace(seed=3), receive=None, advance=None, state_message=lambda: State((1.0, 2.0, 3.0, 4.0))
-    )
-    made = NoisyRobot(own, noise)
-    seen = np.array([made.state_message().values for _ in range(4000)]) - (1.0, 2.0, 3.0, 4.0)
-    wanted = noise / np.array([1.0, 1.0, 0.32, 0.2])
-    np.testing.assert_allclose(seen.std(axis=0), wanted, rtol=0.05)
-    np.testing.assert_allclose(seen.mean(axis=0), 0.0, atol=4.0 * max(wanted) / math.sqrt(4000))
-    assert NoisyRobot(own, noise).state_message().values == tuple(np.array((1.0, 2.0, 3.0, 4.0)) + seen[0])
-
-
-def test_a_scene_begins_towards_its_goal_with_three_to_five_obstacles() -> None:
-    """An obstacle stands in the straight way of 0.24 m; each number of obstacles comes up; a seed is a scene."""
-    scenes = [car_scene(seed, load, passage=0.05) for load in ("none", "chair") for seed in range(24)]
-    assert {len(scene.obstacles) for scene in scenes} == {3, 4, 5}
-    assert scenes == [car_scene(seed, load, passage=0.05) for load in ("none", "chair") for seed in range(24)]
-    for scene in map(car_scene, range(6)):
-        assert abs(scene.start[2] - math.pi / 2.0) <= 0.3
-        away = [abs(x - scene.start[0] * (2.0 - y) / (2.0 - scene.start[1])) - r for x, y, r in scene.obstacles]
-        assert min(away) < 0.13
 
 
 def at(speed: float = 0.0) -> Any:

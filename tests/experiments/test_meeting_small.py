@@ -126,29 +126,6 @@ def test_contacts_of_a_meeting_are_counted_by_who_moved(monkeypatch: pytest.Monk
     assert (told["standing_share"], told["stuck"]) == (0.5, [])
 
 
-@pytest.mark.parametrize(
-    ("guard", "names"),
-    [
-        ("safedpa", ["AdaptationNode", "PerceptionNode", "PolicyNode", "SafetyFilterNode"]),
-        ("told", ["AdaptationNode", "TellsEverything", "PolicyNode", "SafetyFilterNode"]),
-        ("nothing", ["AdaptationNode", "PerceptionNode", "PolicyNode", "NoFilter"]),
-    ],
-)
-def test_every_car_of_a_meeting_drives_behind_its_guard(
-    guard: str, names: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    driven: list[Any] = []
-
-    def drive(_field: Any, nodes: Any, _periods: int) -> Any:
-        driven.extend(nodes)
-        still = SimpleNamespace(state=SimpleNamespace(values=(0.0,) * 4))
-        return iter([[still, still]])
-
-    monkeypatch.setattr(meeting, "drive_together", drive)
-    run_meeting(Meeting(4690, 2, 0.05, 2.0, guard))
-    assert [[type(node).__name__ for node in own] for own in driven] == [names, names]
-
-
 def meetings(
     patch: pytest.MonkeyPatch, own: Callable[[Meeting], dict[str, Any]], *asked: Any, **options: Any
 ) -> dict[str, Any]:
@@ -230,13 +207,3 @@ def test_by_command_with_a_page(tmp_path: Path) -> None:
 def test_options_that_cannot_be_are_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "meeting", *words]) == 2
     assert said.lower() in capsys.readouterr().err.lower()
-
-
-@pytest.mark.long
-def test_every_guard_of_an_experiment_has_a_row() -> None:
-    found = meeting_experiment([4695], [2], 0.5, guards=("safedpa", "told"), processes=1)
-    assert [(row["robots"], row["guard"], row["drives"]) for row in found["rows"]] == [
-        (2, "safedpa", 1),
-        (2, "told", 1),
-    ]
-    assert len(found["drives"]) == 2

@@ -140,14 +140,16 @@ def test_an_environment_within_another_project_bears_no_commit_of_that_project(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
+        (["--seed", "7", "--only", "box", "--only", "large chair", "--quick", "--processes", "1", "--out", "/x/y"],
+         "drive --only box --only 'large chair' --seed 7 --quick"),
         (["--no-peers"], "drive --no-peers"),
         (["--place", "1", "2"], "drive --place 1.0 2.0"),
         (["--only", "it's $HOME"], "drive --only 'it'\"'\"'s $HOME'"),
         (["--model", "/home/someone/private/m.toml"], "drive --model m.toml"),
         (["--when", "now"], "drive"),
     ],
-)
-def test_each_kind_of_option_is_told_as_one_types_it(words: list[str], told: str) -> None:
+)  # fmt: skip
+def test_a_command_is_told_as_one_types_it_and_names_no_folder(words: list[str], told: str) -> None:
     said: list[str] = []
 
     @click.command(name="drive")
@@ -156,6 +158,10 @@ def test_each_kind_of_option_is_told_as_one_types_it(words: list[str], told: str
     @click.option("--only", multiple=True)
     @click.option("--model")
     @click.option("--when", default=lambda: "now")
+    @click.option("--seed", type=int, default=0)
+    @click.option("--quick", is_flag=True)
+    @click.option("--processes", type=int, default=2)
+    @click.option("--out", type=click.Path(path_type=Path))
     def drive(**_: object) -> None:
         said.append(command_line(click.get_current_context()))
 
@@ -185,25 +191,6 @@ def test_code_that_is_only_named_counts_as_well() -> None:
     faults = set(code.code_behind("safedpa_lab.commands.experiments.faults"))
     assert {"safedpa.robots.car.barriers", "safedpa.safety.decision", "safedpa_lab.faults.report"} <= faults
     assert {"safedpa_services.safety_filter.__main__", "safedpa_services.recorder.__main__"} <= faults
-
-
-def test_a_command_is_told_as_one_types_it_and_names_no_place() -> None:
-    said: list[str] = []
-
-    @click.command(name="drive")
-    @click.argument("model")
-    @click.option("--seed", type=int, default=0)
-    @click.option("--only", multiple=True)
-    @click.option("--quick", is_flag=True)
-    @click.option("--processes", type=int, default=2)
-    @click.option("--out", type=click.Path(path_type=Path))
-    def drive(**_: object) -> None:
-        said.append(command_line(click.get_current_context()))
-
-    words = ["car", "--seed", "7", "--only", "box", "--only", "large chair", "--quick", "--processes", "1"]
-    words += ["--out", "/x/y"]
-    CliRunner().invoke(drive, words, prog_name="drive")
-    assert said == ["drive car --seed 7 --only box --only 'large chair' --quick"]
 
 
 def test_outside_a_command_there_is_none(tmp_path: Path) -> None:
