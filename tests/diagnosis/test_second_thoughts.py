@@ -7,21 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.fit.evidence import evidence_at
 from safedpa.diagnosis.fit.heldout import error_with, heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import tried
 from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.judgement import Stage, farthest, plainest
+from safedpa.diagnosis.search.judgement import Stage, farthest
 from safedpa.diagnosis.search.progress import Judged
 from safedpa.diagnosis.search.revision import fewer_numbers, same_at_last, split, united
 from safedpa.diagnosis.search.search import accept
-from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
-from safedpa.records import load_run
 from safedpa.records.run import Run
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
-from safedpa_lab.hidden import Case, write_case
 
 
 def ordered(before, **after):
@@ -185,33 +182,3 @@ def test_alone_nothing_is_asked_again(searching):
     search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
     same_at_last(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
     assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]
-
-
-ALIKE = ("towed_load", "rolling_resistance", "viscous_drag")
-
-
-@pytest.fixture(scope="module")
-def stage(tmp_path_factory):
-    """(search, trials by effect) of a car with a free gain whose dry friction is hidden."""
-    case = Case(
-        "test", 4, {"rolling_resistance": {"deceleration": 0.6}}, drive="throttle", hard=True, runs=3, seconds=15
-    )
-    log = write_case(case, tmp_path_factory.mktemp("free_gain"))
-    model = load_model(str(log.model))
-    evidence = evidence_at([load_run(str(path), model.system) for path in log.runs], 1.0)
-    search = begun(model, evidence.shooting, evidence.heldout)
-    return search, {name: tried(search.current, [effect("car", name)], search.shooting) for name in ALIKE}
-
-
-def test_of_two_that_explain_the_same_the_one_with_fewer_numbers_is_added(stage):
-    """(gain u - m d) / (1 + m) with a free gain is gain u - d."""
-    search, trials = stage
-    assert plainest(trials["towed_load"], list(trials.values()), search) is trials["rolling_resistance"]
-
-
-def test_an_effect_that_explains_something_else_stays_whatever_its_numbers(stage):
-    search, trials = stage
-    assert (
-        plainest(trials["towed_load"], [trials["towed_load"], trials["viscous_drag"]], search) is trials["towed_load"]
-    )
-    assert plainest(trials["viscous_drag"], list(trials.values()), search) is trials["viscous_drag"]

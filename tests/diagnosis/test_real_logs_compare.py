@@ -1,4 +1,4 @@
-"""The shipped models on real logs: what a comparison reports, and the friction that a diagnosis finds."""
+"""The shipped models on real logs: what a comparison reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 
 from safedpa.compare.comparison import compare_model, with_distinct_names
 from safedpa.compare.summary import as_json, decisive, state_sentence
-from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run
 from safedpa.report.comparison_page import write_comparison
@@ -59,34 +58,3 @@ def test_dfki_pendulum_is_pushed_by_hand(data):
     worst = max((item for item in time_bins if "energy_shaping" in item.run), key=lambda item: item.error)
     assert worst.low <= 16.06 <= worst.high
     assert np.isfinite(comparison.errors).all()
-
-
-@pytest.mark.long
-def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data, searched_once):
-    """Of all effects of the library; the horizon that is shown changes neither verdict nor names nor numbers."""
-    model = load_model("dfki_pendulum")
-    paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))
-    columns = load_column_map("dfki_pendulum_columns")
-    runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
-    reports = [diagnose(model, runs, horizon) for horizon in (0.2, 1.0)]
-    assert len(searched_once) == 2
-    first = reports[0]
-    assert first.verdict == "effect_missing"
-    assert first.added == ("coulomb_friction",)
-    assert first.stages[-1].heldout_error < 0.6 * first.stages[0].heldout_error
-    friction = first.parameters["coulomb_friction.torque"]
-    assert friction.std is not None
-    assert friction.value > 4.0 * friction.std
-    assert 0.1 < friction.value < 0.3  # N m
-    for other in reports[1:]:
-        assert (other.verdict, other.added, other.parameters) == (first.verdict, first.added, first.parameters)
-
-
-@pytest.mark.long
-def test_friction_of_the_car_takes_error_off_logs_that_it_was_not_fitted_to(data):
-    model = load_model("dart_car")
-    paths = sorted((data / "dart_rc_car").rglob("*.csv"))
-    columns = load_column_map("dart_car_columns")
-    runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
-    found = add_effect(model, "viscous_drag", runs)
-    assert found.after.value < 0.85 * found.before.value
