@@ -10,19 +10,19 @@ import pytest
 class Clock:
     """``now`` [s] goes on while something sleeps, and when a test says so."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 0.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         assert seconds >= 0.0
         self.now += seconds
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     """Replaces ``time.monotonic`` and ``time.sleep``."""
     made = Clock()
     monkeypatch.setattr(time, "monotonic", made)

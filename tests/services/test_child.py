@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,24 +19,24 @@ class Process:
 
     all: list[Process]
 
-    def __init__(self, command: list[str], **options: Any) -> None:
+    def __init__(self, command, **options):
         self.command, self.options = command, options
         self.pid, self.code, self.asked = 4711, None, 0
         self.stdin = options["stdin"] = open(os.devnull, "wb")  # noqa: SIM115  closed as the pipe would be
         self.all.append(self)
 
-    def poll(self) -> int | None:
+    def poll(self):
         return self.code
 
-    def terminate(self) -> None:
+    def terminate(self):
         self.asked += 1
 
-    def wait(self, _: float = 0.0) -> int:
+    def wait(self, _=0.0):
         return self.code or 0
 
 
 @pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch) -> Any:
+def started(monkeypatch):
     """The processes that were started since; none of them is real."""
     monkeypatch.setattr(Process, "all", [], raising=False)
     monkeypatch.setattr(subprocess, "Popen", Process)
@@ -46,11 +45,11 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Any:
         process.stdin.close()
 
 
-def child_of(folder: Path, **fields: Any) -> Child:
+def child_of(folder, **fields):
     return Child("policy", "module", ("--rate", "20"), folder / "policy.log", **fields)
 
 
-def test_a_process_that_waits_is_started_waiting_until_it_was_told_to_begin(started: Any, tmp_path: Path) -> None:
+def test_a_process_that_waits_is_started_waiting_until_it_was_told_to_begin(started, tmp_path):
     """What is started in its place later begins at once; ``begun`` tells whether it may drive."""
     child = child_of(tmp_path, waits=True)
     assert not child.begun
@@ -67,9 +66,7 @@ def test_a_process_that_waits_is_started_waiting_until_it_was_told_to_begin(star
     assert "--await-word" not in started[-1].command
 
 
-def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the_environment(
-    started: Any, tmp_path: Path
-) -> None:
+def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the_environment(started, tmp_path):
     """Arguments are readable by every user of the machine, the environment is not."""
     child_of(tmp_path, environment={"TOKEN": "secret"}).start()
     (process,) = started
@@ -81,16 +78,14 @@ def test_a_process_is_started_supervised_with_its_options_and_its_secrets_in_the
     assert process.options["start_new_session"], "Ctrl-C reaches the supervisor alone"
 
 
-def test_a_process_starts_without_a_log_where_none_can_be_written(started: Any, tmp_path: Path) -> None:
+def test_a_process_starts_without_a_log_where_none_can_be_written(started, tmp_path):
     (tmp_path / "file").write_text("no folder")
     Child("policy", "module", (), tmp_path / "file" / "policy.log").start()
     assert len(started) == 1
 
 
 @pytest.mark.parametrize(("code", "running"), [(None, True), (0, False), (-9, False)])
-def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(
-    started: Any, code: int | None, running: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(started, code, running, tmp_path, monkeypatch):
     """The number of a process that has ended may belong to another one by now; a second request ends it at once."""
     killed: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "killpg", lambda group, number: killed.append((group, number)))
@@ -107,9 +102,7 @@ def test_only_a_running_process_gets_a_signal_and_is_asked_to_end_once(
     assert started[0].asked == running
 
 
-def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(
-    started: Any, clock: Any, tmp_path: Path
-) -> None:
+def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(started, clock, tmp_path):
     """0.1 s, then twice as long each time, 5 s at most; after more than 10 s of life there is no pause."""
     child, pauses = child_of(tmp_path), list[float]()
     clock.now = 100.0
@@ -135,7 +128,7 @@ def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(
         ('{"level": "warning"}\n', "it said nothing"),
     ],
 )
-def test_the_last_words_are_the_last_line_for_a_person(log: str | None, words: str, tmp_path: Path) -> None:
+def test_the_last_words_are_the_last_line_for_a_person(log, words, tmp_path):
     child = child_of(tmp_path)
     if log is not None:
         child.log.write_text(log)
@@ -155,7 +148,7 @@ time.sleep(600)
 
 @pytest.mark.processes
 @pytest.mark.parametrize("stubborn", [False, True])
-def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn: bool, tmp_path: Path) -> None:
+def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn, tmp_path):
     (tmp_path / "stubborn.py").write_text(STUBBORN)
     told = tmp_path / "helper"
     options = (str(told), *(["--stubborn"] if stubborn else []))
@@ -177,7 +170,7 @@ def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn: 
         os.kill(helper, signal.SIGKILL)
 
 
-def state_of_process(pid: int) -> str:
+def state_of_process(pid):
     """``R``, ``S`` ... of a process, empty where there is none."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

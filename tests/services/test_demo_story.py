@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -27,30 +25,30 @@ OLD, NEW = "aaaaaaaa", "bbbbbbbb"
 class AtOnce:
     """A thread that has done its work when it has started."""
 
-    def __init__(self, *, target: Callable[[], None], daemon: bool) -> None:
+    def __init__(self, *, target, daemon):
         self._target = target
 
-    def start(self) -> None:
+    def start(self):
         self._target()
 
-    def join(self) -> None:
+    def join(self):
         """It has ended."""
 
-    def is_alive(self) -> bool:
+    def is_alive(self):
         return False
 
 
 @pytest.fixture(autouse=True)
-def no_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_threads(monkeypatch):
     monkeypatch.setattr(threading, "Thread", AtOnce)
 
 
-def entry(error: float, *, group: tuple[str, ...] = (), decision: str = "rejected") -> dict[str, Any]:
+def entry(error, *, group=(), decision="rejected"):
     own = {"stage": 0, "effect": "drag", "heldout_error": error, "decision": decision}
     return {**own, "indistinguishable_from": group}
 
 
-def report(error: float = 0.02, group: tuple[str, ...] = ()) -> str:
+def report(error=0.02, group=()):
     """Of a search; the error was 0.4 before."""
     return json.dumps({"stages": [{"heldout_error": 0.4}], "candidates": [entry(error, group=group)]})
 
@@ -68,13 +66,13 @@ class Drive:
     asked: list[str] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         broker = MemoryBroker()
         Bus(MemoryTransport(broker), "fleet").answer_requests(self.answer)
         self.watch = Watch(Bus(MemoryTransport(broker), "fleet"))
         self.story = Story(self.watch.bus, "r1", self.lines.append, self.accepts)
 
-    def answer(self, _robot: str, request: Any) -> Answer:
+    def answer(self, _robot, request):
         self.asked.append(request.do)
         if request.do == "accept" and self.takes:
             assert (request.effect, request.model, request.finding) == ("drag", OLD, 1)
@@ -84,9 +82,7 @@ class Drive:
             document=f"model {self.model}", candidates=self.candidates, pending=self.pending,
         )  # fmt: skip
 
-    def tell(
-        self, t: float, stage: str, error: float = 0.3, *, number: int = 1, text: str = "", model: str = ""
-    ) -> None:
+    def tell(self, t, stage, error=0.3, *, number=1, text="", model=""):
         """A state at ``t`` [s] and m, and a finding."""
         self.watch.state = state_of(t, 0.0, 0.0, 1.0, robot_time=t)
         self.watch.finding = finding_of(
@@ -94,18 +90,18 @@ class Drive:
         )
         self.story.look(self.watch)
 
-    def find(self, text: str) -> Drive:
+    def find(self, text):
         """Up to the first candidates."""
         self.tell(1.0, "learning", 0.01, number=0)
         self.tell(29.0, "raised")
         self.tell(50.0, "candidates", text=text)
         return self
 
-    def told(self, text: str) -> int:
+    def told(self, text):
         return sum(text in line for line in self.lines)
 
 
-def test_the_story_is_told_accepted_and_measured() -> None:
+def test_the_story_is_told_accepted_and_measured():
     """The error counts from 10 s after the change of the model on, and the story is over 20 s after it."""
     drive = Drive().find(report())
     drive.story.look(drive.watch)
@@ -132,8 +128,8 @@ def test_the_story_is_told_accepted_and_measured() -> None:
     [(0.1, (), 1), (0.159, (), 1), (0.161, (), None), (0.1, ("tow",), 2), (0.3, ("tow",), None)],
 )
 def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_at_the_second_search(
-    error: float, group: tuple[str, ...], accepted_after: int | None
-) -> None:
+    error, group, accepted_after
+):
     """Of an error of 0.4 before: 0.16 is the most that may be left on unseen data."""
     drive, accepted = Drive(), None
     for search in (1, 2, 3):
@@ -145,7 +141,7 @@ def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_
     assert bool(drive.told("one more search")) is (accepted_after != 1)
 
 
-def test_the_promise_is_that_of_the_accepted_entry() -> None:
+def test_the_promise_is_that_of_the_accepted_entry():
     """The same effect may have been rejected under a condition; an effect without an entry promises nothing."""
     entries = [entry(0.05, group=("x",)), entry(0.1, decision="accepted")]
     document = {"stages": [{"heldout_error": 0.4}], "candidates": entries}
@@ -156,9 +152,7 @@ def test_the_promise_is_that_of_the_accepted_entry() -> None:
 
 
 @pytest.mark.parametrize(("pending", "candidates"), [("take", ("drag",)), ("", ("tow",)), ("", ())])
-def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(
-    pending: str, candidates: tuple[str, ...]
-) -> None:
+def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(pending, candidates):
     drive = Drive(takes=False).find(report())
     assert drive.asked.count("accept") == 1
     drive.pending, drive.candidates = pending, candidates
@@ -167,7 +161,7 @@ def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(
     assert drive.asked.count("accept") == 1
 
 
-def test_a_refused_acceptance_is_told_and_tried_again_after_five_seconds() -> None:
+def test_a_refused_acceptance_is_told_and_tried_again_after_five_seconds():
     drive = Drive(takes=False, sentence="the filter refused it").find(report())
     for t in (51.0, 54.0, 54.9):
         drive.tell(t, "candidates")
@@ -179,7 +173,7 @@ def test_a_refused_acceptance_is_told_and_tried_again_after_five_seconds() -> No
     assert drive.told("the filter refused it") == 2
 
 
-def test_without_yes_the_person_is_asked_and_nothing_is_accepted() -> None:
+def test_without_yes_the_person_is_asked_and_nothing_is_accepted():
     drive = Drive(accepts=False).find(report())
     assert drive.told("your turn: accept drag") == 1
     assert "accept" not in drive.asked
@@ -194,9 +188,7 @@ def test_without_yes_the_person_is_asked_and_nothing_is_accepted() -> None:
         (OLD, "", "so be it", 0),
     ],
 )
-def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_nothing(
-    model: str, pending: str, sentence: str, told: int
-) -> None:
+def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_nothing(model, pending, sentence, told):
     """Not during a change, and not where its finding is still to come: a second click would change it twice."""
     drive = Drive(accepts=False).find(report())
     drive.model, drive.pending, drive.sentence = model, pending, sentence
@@ -209,7 +201,7 @@ def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_no
         assert drive.story.document()["taken"] == 73.0
 
 
-def test_a_diagnosis_that_does_not_answer_within_seconds_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diagnosis_that_does_not_answer_within_seconds_is_told_of(monkeypatch):
     drive, waited = Drive(), list[float]()
     monkeypatch.setattr(drive.story.bus, "request", lambda _robot, _request, seconds: waited.append(seconds))
     drive.tell(1.0, "learning", number=0)
@@ -219,7 +211,7 @@ def test_a_diagnosis_that_does_not_answer_within_seconds_is_told_of(monkeypatch:
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_the_way_counts_from_the_change_of_the_model_on(late: bool) -> None:
+def test_the_way_counts_from_the_change_of_the_model_on(late):
     """From the first place that is known then."""
     drive = Drive()
     for t, x, model in ((0.0, 1.0, OLD), (1.0, 5.0, NEW), (2.0, 7.0, NEW), (3.0, 8.0, NEW), (4.0, 6.0, NEW)):
@@ -229,7 +221,7 @@ def test_the_way_counts_from_the_change_of_the_model_on(late: bool) -> None:
     assert drive.story.told.way_after == pytest.approx(3.0 if late else 5.0)
 
 
-def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not() -> None:
+def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
     seen = Unsaid()
     for t in range(30):
         seen.look(state_of(robot_time=float(t)), said=t >= 8)
@@ -238,7 +230,7 @@ def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not() -> None
 
 
 @pytest.mark.parametrize(("standstill", "unsaid"), [(None, 9.0), ("", 9.0), ("the wall is near", 0.0)])
-def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(standstill: str | None, unsaid: float) -> None:
+def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(standstill, unsaid):
     drive = Drive()
     drive.watch.verdict = None if standstill is None else verdict_of("corrected", standstill=standstill)
     for t in range(10):
@@ -247,7 +239,7 @@ def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(standstill: str
     assert drive.story.document()["longest_stand_unsaid"] == unsaid
 
 
-def test_each_step_of_a_demonstration_is_judged_by_itself() -> None:
+def test_each_step_of_a_demonstration_is_judged_by_itself():
     good = {
         "changed": 25.0, "raised": 29.0, "taken": 55.0, "fall": 0.9, "way_after": 12.0, "longest_stand_unsaid": 2.0,
         "failure": "", "seed": 1, "recording": "x", "report": "y", "picture": "",
@@ -271,15 +263,13 @@ SUMMARY = {"robot_seconds": 61.0, "goals_reached": 4, "collisions": 0, "standsti
 
 
 @pytest.fixture
-def demonstrated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+def demonstrated(monkeypatch, tmp_path):
     """demonstrated(...): the document of the command, its error, and when its drive ended, which is played."""
 
-    def run(
-        *words: str, seconds: int = 300, after: float = 0.03, takes: bool = True, started: bool = True
-    ) -> tuple[dict[str, Any], str, float]:
+    def run(*words, seconds=300, after=0.03, takes=True, started=True):
         ended = [0.0]
 
-        def driven(_plan: Any, stop: Any, shown_by: Any) -> dict[str, Any]:
+        def driven(_plan, stop, shown_by):
             if not started:
                 return {**SUMMARY, "changed": 0.0}
             played = Drive(takes=takes)
@@ -316,9 +306,7 @@ def demonstrated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         ({"after": 0.297}, "the error fell by 1 %, wanted 60 %", 71.0),
     ],
 )
-def test_a_demonstration_that_does_not_correct_the_model_has_failed(
-    demonstrated: Any, how: dict[str, Any], failure: str, ended: float
-) -> None:
+def test_a_demonstration_that_does_not_correct_the_model_has_failed(demonstrated, how, failure, ended):
     """It ends 20 s after the change of the model, or without one after two and a half minutes."""
     document, error, at = demonstrated("--headless", **how)
     assert failure in document["failure"]
@@ -329,7 +317,7 @@ def test_a_demonstration_that_does_not_correct_the_model_has_failed(
     assert document["changed"] == (25.0 if how.get("takes") is False else None)
 
 
-def test_a_demonstration_without_a_drive_has_nothing_to_report(demonstrated: Any) -> None:
+def test_a_demonstration_without_a_drive_has_nothing_to_report(demonstrated):
     document, error, _ = demonstrated("--headless", started=False)
     assert document == {}
     assert error == "ended before the robot was started; nothing was driven"
@@ -337,11 +325,11 @@ def test_a_demonstration_without_a_drive_has_nothing_to_report(demonstrated: Any
 
 @pytest.mark.parametrize("trouble", ["", "page.png: no picture could be made"])
 def test_a_picture_is_named_where_it_was_taken_and_a_failed_one_is_the_failure(
-    demonstrated: Any, trouble: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    demonstrated, trouble, tmp_path, monkeypatch
+):
     photographed: list[Path] = []
 
-    def photograph(address: str, path: Path) -> None:
+    def photograph(address, path):
         assert address.startswith("http://127.0.0.1:")
         photographed.append(path)
         if trouble:

@@ -13,14 +13,14 @@ from safedpa_services import driving
 from safedpa_services.driving import drive_command, why_refused
 
 
-def _at(name: str, period: float) -> PhysicsModel:
+def _at(name, period):
     model = load_model(name)
     return PhysicsModel(model.base, list(model.effects), dict(model.settings), period)
 
 
 @pytest.mark.parametrize("name", ["car_learned", "car_rma_p", "pendulum_learned"])
 @pytest.mark.parametrize(("times", "refused"), [(1.0, False), (1.009, False), (0.98, True), (1.02, True), (2.0, True)])
-def test_networks_are_driven_at_the_rate_of_their_training_alone(name: str, times: float, refused: bool) -> None:
+def test_networks_are_driven_at_the_rate_of_their_training_alone(name, times, refused):
     """A tick is what they predict: asked twice as often they would say that the robot goes half as far."""
     model = load_model(name)
     rate = robot_named(model.system.name).of_system(model.system).rate
@@ -32,11 +32,11 @@ def test_networks_are_driven_at_the_rate_of_their_training_alone(name: str, time
         assert said == ""
 
 
-def test_equations_are_driven_at_any_rate() -> None:
+def test_equations_are_driven_at_any_rate():
     assert why_refused(_at("car", 0.01)) == ""
 
 
-def test_what_no_policy_was_learned_for_is_refused_by_that_and_not_by_its_rate() -> None:
+def test_what_no_policy_was_learned_for_is_refused_by_that_and_not_by_its_rate():
     assert "wanted one with learned policies" in why_refused(load_model("point_learned"))
 
 
@@ -59,9 +59,9 @@ MODEL, MINE = Path("m"), Path("mine.py")
     ],
 )
 def test_the_command_to_drive_names_what_is_neither_the_default_nor_in_the_users_file(
-    name: str, own_robot: bool, file: Path | None, named: str, margin: Path | None, period: float, command: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    name, own_robot, file, named, margin, period, command,
+    monkeypatch,
+):  # fmt: skip
     monkeypatch.setattr(driving, "own_robots", lambda: {name} if own_robot else set())
     model = load_model(name)
     monkeypatch.setenv(EFFECTS_VARIABLE, named)

@@ -1,4 +1,4 @@
-"""Which processes a loop consists of, and which of them it cannot do without."""
+"""Which processes a loop consists of, which of them it cannot do without, and what a drive ends with."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import subprocess
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import click
 import pytest
@@ -17,33 +15,34 @@ from click.testing import CliRunner
 
 from safedpa.bus import MemoryBroker, MemoryTransport
 from safedpa.bus.security.certificates import Card
-from safedpa.errors import InputError, SafedpaError
+from safedpa.errors import SafedpaError
 from safedpa_services.command_line import up
-from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.plan import Plan
-from safedpa_sim.robots import CHANGES
+from safedpa_sim.robots import CHANGES, TASKS
+
+LOOP = {"adaptation", "policy", "safety_filter"}
+INSIDE, DOOR = "tls/127.0.0.1:7450", "tls/0.0.0.0:7447"
 
 
-def planned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *options: str) -> Plan:
-    """The plan that ``safedpa up`` makes of its options; nothing is started."""
-    seen: list[Plan] = []
-    summary: dict[str, Any] = {}
+@pytest.fixture
+def planned(monkeypatch, tmp_path):
+    """planned(*options): the plan that ``safedpa up`` makes of its options; nothing is started."""
 
-    def drive(plan: Plan, *_: Any, **__: Any) -> dict[str, Any]:
-        seen.append(plan)
-        return summary
+    def run(*options):
+        seen = []
+        with monkeypatch.context() as patch:
+            patch.setattr(up, "driven", lambda plan, *_: seen.append(plan) or {})
+            result = CliRunner().invoke(up.command, ["--json", "--out", str(tmp_path), *options])
+        assert result.exception is None, result.output
+        return seen[0]
 
-    monkeypatch.setattr(up, "driven", drive)
-    result = CliRunner().invoke(up.command, ["--json", "--out", str(tmp_path), *options])
-    assert result.exception is None, result.output
-    return seen[0]
+    return run
 
 
-def named(plan: Plan) -> dict[str, Child]:
+def named(plan):
     return {child.name: child for child in plan.services()}
 
 
-def after(words: tuple[str, ...], option: str) -> str:
+def after(words, option):
     return words[words.index(option) + 1]
 
 
@@ -58,98 +57,47 @@ def after(words: tuple[str, ...], option: str) -> str:
         (["--no-diagnosis"], False),
     ],
 )
-def test_the_diagnosis_runs_unless_only_a_summary_is_wanted(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, options: list[str], wanted: bool
-) -> None:
-    children = named(planned(monkeypatch, tmp_path, *options))
+def test_the_diagnosis_runs_unless_only_a_summary_is_wanted(planned, options, wanted):
+    children = named(planned(*options))
     assert ("diagnosis" in children) is wanted
     assert ("workbench" in children) is (wanted and "--headless" not in options)
 
 
-def test_perception_is_told_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    file = tmp_path / "perception.toml"
-    file.write_text("[perception]\nmin_points = 2\n")
-    told = named(planned(monkeypatch, tmp_path, "--laser", "--perception", str(file)))["perception"].arguments
-    assert told[: told.index(str(file)) + 1] == ("--perception", str(file))
-    assert "--perception" not in named(planned(monkeypatch, tmp_path, "--laser"))["perception"].arguments
-
-
-def test_only_what_drives_is_essential_and_has_priority(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    children = named(planned(monkeypatch, tmp_path, "--margin", "car"))
-    assert {name for name, child in children.items() if "--realtime" in child.arguments} == {
-        "adaptation",
-        "policy",
-        "safety_filter",
-    }
+def test_only_what_drives_is_essential_and_has_priority(planned):
+    children = named(planned("--margin", "car"))
+    assert {name for name, child in children.items() if "--realtime" in child.arguments} == LOOP
     assert not children["diagnosis"].essential
     assert not children["workbench"].essential
-    assert all(children[name].essential for name in ("adaptation", "policy", "safety_filter", "recorder"))
+    assert all(children[name].essential for name in (*LOOP, "recorder"))
     words = children["diagnosis"].arguments
     assert [after(words, option) for option in ("--margin", "--model", "--settings")] == ["car"] * 3
     assert after(words, "--versions").endswith("/models"), "what was agreed on outlives the process"
 
 
-def test_perception_runs_beside_a_car_with_a_laser_and_beside_no_other(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    without = planned(monkeypatch, tmp_path, "--headless")
-    plan = planned(monkeypatch, tmp_path, "--headless", "--laser", "--people", "2")
+def test_perception_runs_with_a_laser_only_and_gets_its_settings_file(planned, tmp_path):
+    without = planned("--headless")
     assert "perception" not in named(without)
     assert "--laser" not in without.robot_process().arguments
+    plan = planned("--headless", "--laser", "--people", "2")
     assert named(plan)["perception"].essential
     assert "--realtime" in named(plan)["perception"].arguments
-    assert "--laser" in plan.robot_process().arguments
-    assert "--people=2" in plan.robot_process().arguments
+    assert "--perception" not in named(plan)["perception"].arguments
+    assert {"--laser", "--people=2"} <= set(plan.robot_process().arguments)
+    file = tmp_path / "perception.toml"
+    file.write_text("[perception]\nmin_points = 2\n")
+    told = named(planned("--headless", "--laser", "--perception", str(file)))["perception"].arguments
+    assert after(told, "--perception") == str(file)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--people", "2"], "without --laser"),
-        (["--laser", "--people", "99"], "wanted 0 to 12"),
-        (["--laser", "--robot", "pendulum"], "--laser: got one for a pendulum"),
-    ],
-)
-def test_people_and_lasers_where_there_are_none_are_refused(tmp_path: Path, options: list[str], said: str) -> None:
-    result = CliRunner().invoke(up.command, ["--headless", "--out", str(tmp_path), *options])
-    assert said in str(result.exception)
-
-
-def test_what_changes_is_the_robot_s_affair(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert up.CHANGES == CHANGES
-    robot = planned(monkeypatch, tmp_path, "--change", "hitch", "--change-after", "12").robot_process()
-    at = robot.arguments.index("--change")
-    assert robot.arguments[at : at + 4] == ("--change", "hitch", "--change-after", "12.0")
-    assert "--change" not in planned(monkeypatch, tmp_path).robot_process().arguments
-
-
-def test_a_time_of_the_change_that_cannot_be_is_refused(tmp_path: Path) -> None:
-    result = CliRunner().invoke(up.command, ["--change-after", "-1", "--out", str(tmp_path)])
-    assert "--change-after: got -1.0" in str(result.exception)
-
-
-def test_several_robots_have_names_and_scenes_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    plan = planned(monkeypatch, tmp_path, "--robots", "3", "--name", "r7", "--seed", "4")
+def test_several_robots_have_names_and_scenes_of_their_own(planned):
+    plan = planned("--robots", "3", "--name", "r7", "--seed", "4")
     assert plan.names == ("r7", "r8", "r9")
     robots = [plan.robot_process(index) for index in range(3)]
-    told = [dict(zip(robot.arguments[::2], robot.arguments[1::2], strict=False)) for robot in robots]
-    assert [(options["--name"], options["--seed"]) for options in told] == [("r7", "4"), ("r8", "5"), ("r9", "6")]
-    assert len({options["--summary"] for options in told}) == len({robot.log for robot in robots}) == 3
-    assert planned(monkeypatch, tmp_path, "--name", "ann").names == ("ann",)
-    assert planned(monkeypatch, tmp_path, "--name", "ann", "--robots", "2").names == ("ann1", "ann2")
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        (["--robots", "0"], "--robots: got 0, wanted 1 to 8"),
-        (["--robots", "9"], "--robots: got 9, wanted 1 to 8"),
-        (["--robots", "2", "--secure"], "--robots: got more than 1 with --secure"),
-    ],
-)
-def test_robots_that_cannot_be_are_refused(tmp_path: Path, options: list[str], complaint: str) -> None:
-    result = CliRunner().invoke(up.command, [*options, "--out", str(tmp_path)])
-    assert complaint in str(result.exception)
+    told = [(after(robot.arguments, "--name"), after(robot.arguments, "--seed")) for robot in robots]
+    assert told == [("r7", "4"), ("r8", "5"), ("r9", "6")]
+    assert len({after(robot.arguments, "--summary") for robot in robots}) == len({robot.log for robot in robots}) == 3
+    assert planned("--name", "ann").names == ("ann",)
+    assert planned("--name", "ann", "--robots", "2").names == ("ann1", "ann2")
 
 
 @pytest.mark.parametrize(
@@ -158,132 +106,77 @@ def test_robots_that_cannot_be_are_refused(tmp_path: Path, options: list[str], c
         ([], "none", ""),
         (["--load", "chair"], "chair", ""),
         (["--load", "none"], "none", ""),
-        (["--change", "headwind"], "none", "headwind"),
+        (["--change", "headwind", "--change-after", "12"], "none", "headwind"),
     ],
 )
-def test_load_and_change_are_as_asked_and_none_by_default(
-    options: list[str], load: str, change: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    plan = planned(monkeypatch, tmp_path, "--headless", *options)
+def test_load_and_change_are_as_asked_and_none_by_default(planned, options, load, change):
+    plan = planned("--headless", *options)
     assert (plan.load, plan.change) == (load, change)
+    words = plan.robot_process().arguments
+    assert after(words, "--load") == load
+    assert ("--change" in words) is bool(change)
+    if change:
+        assert (after(words, "--change"), after(words, "--change-after")) == (change, "12.0")
+
+
+def test_the_command_knows_all_changes_and_tasks_of_the_simulated_robots():
+    assert up.CHANGES == CHANGES
+    assert set(up.TASKS) == set(TASKS)
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    "options",
     [
-        (["--model", "dart_car"], ""),
-        (["--model", "dart_car", "--load", "none"], ""),
-        (["--model", "dart_car", "--laser"], ""),
-        (["--model", "dart_car", "--load", "chair"], "--load: got 'chair' for a car with throttle, steer, whose"),
-        (["--model", "dart_car", "--change", "hitch"], "--change: got 'hitch' for a car with throttle, steer, whose"),
-        (["--robot", "pendulum", "--load", "chair"], "--load: got one for a pendulum, which has none"),
-        (["--model", "car_learned"], ""),
-        (["--model", "car_learned", "--rate", "20.1"], ""),  # half a percent is rounding of a period
-        (["--model", "car_learned", "--rate", "19"], "--rate: got 19 ticks per second, the model's networks were "),
-        (["--model", "car_learned", "--rate", "40"], "--rate: got 40 ticks per second, the model's networks were "),
-        (["--model", "car", "--rate", "40"], ""),  # equations hold at any rate
+        ["--model", "dart_car"],
+        ["--model", "dart_car", "--load", "none"],
+        ["--model", "dart_car", "--laser"],
+        ["--model", "car_learned"],
+        ["--model", "car_learned", "--rate", "20.1"],  # half a percent is rounding of a period
+        ["--model", "car", "--rate", "40"],  # equations hold at any rate
     ],
 )
-def test_what_a_stand_in_or_a_learned_model_cannot_do_is_refused_and_nothing_else(
-    options: list[str], complaint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """The throttle's stand-in tows nothing; asked twice as often, networks would say that it goes as far each time."""
-    if complaint:
-        result = CliRunner().invoke(up.command, ["--headless", "--out", str(tmp_path), *options])
-        assert isinstance(result.exception, InputError)
-        assert str(result.exception).startswith(complaint)
-    else:
-        plan = planned(monkeypatch, tmp_path, "--headless", *options)
-        assert ("--drive=throttle" in plan.robot_process().arguments) is ("dart_car" in options)
+def test_what_a_stand_in_and_a_learned_model_can_do_is_not_refused(planned, options):
+    assert ("--drive=throttle" in planned("--headless", *options).robot_process().arguments) is ("dart_car" in options)
 
 
-@pytest.fixture
-def driven(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """driven(code, begun, hurried): the summary of a drive whose supervisor ended so."""
-
-    def run(code: int, *, begun: bool, hurried: bool) -> Any:
-        class Supervisor:
-            def __init__(self, *_: Any) -> None:
-                """Its processes are made up."""
-
-            def run(self) -> int:
-                return code
-
-        monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
-        monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", Supervisor)
-        summary = tmp_path / "robot.json"
-        summary.write_text('{"ticks": 7}')
-        robot = SimpleNamespace(begun=begun, last_words=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
-        plan: Any = SimpleNamespace(
-            services=list, robot_process=lambda: robot, wallet=None, own_session=lambda: None, fleet="f",
-            names=("r1",), recording=tmp_path / "drive.mcap", summary=summary, other_summaries={},
-        )  # fmt: skip
-        stop: Any = SimpleNamespace(hurried=hurried)
-        return up.driven(plan, stop, lambda *_: nullcontext(lambda: None))
-
-    return run
+def test_model_settings_and_rate_are_the_robots_own(planned):
+    plan = planned("--headless", *["--robot", "pendulum", "--wind", "4", "--wind-direction", "135", "--task", "swing"])
+    assert (plan.model, plan.settings, plan.rate) == ("pendulum", "pendulum", 100.0)
+    assert set(plan.surroundings) == {"--task=swing", "--wind=4.0", "--wind-direction=135.0"}
+    assert set(plan.surroundings) < set(plan.robot_process().arguments)
+    car = planned("--headless")
+    assert (car.model, car.settings, car.rate, car.surroundings) == ("car", "car", 20.0, ())
 
 
-def test_a_drive_that_went_well_is_summed_up(driven: Any) -> None:
-    found = driven(0, begun=True, hurried=False)
-    assert found["ticks"] == 7
-    assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2}]
+# with certificates
 
 
-@pytest.mark.parametrize(("begun", "hurried"), [(True, False), (True, True), (False, False), (False, True)])
-def test_a_robot_that_failed_is_reported_by_its_last_words(driven: Any, begun: bool, hurried: bool) -> None:
-    with pytest.raises(SafedpaError, match="robot: the motor is on fire"):
-        driven(1, begun=begun, hurried=hurried)
-
-
-@pytest.mark.parametrize("begun", [True, False])
-def test_a_second_signal_ends_with_the_status_of_an_interrupt(
-    driven: Any, begun: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As a shell reports it: 128 and the number of the signal, 2."""
-    with pytest.raises(click.exceptions.Exit) as ended:
-        driven(0, begun=begun, hurried=True)
-    assert ended.value.exit_code == 130
-    assert "drive.mcap" in capsys.readouterr().err
-
-
-def test_a_drive_whose_robot_never_started_is_an_error(driven: Any) -> None:
-    with pytest.raises(SafedpaError, match="nothing was driven"):
-        driven(0, begun=False, hurried=False)
-
-
-INSIDE, DOOR = "tls/127.0.0.1:7450", "tls/0.0.0.0:7447"
-
-
-def card_of(role: str) -> Card:
+def card_of(role):
     return Card(role, b"", b"", b"")
 
 
 @pytest.fixture
-def wallet() -> Any:
+def wallet():
     """Shows for each role its name, and hands out its card."""
     return SimpleNamespace(shown=lambda role: (("--role", role), card_of(role)), identity=card_of, cards={})
 
 
 @pytest.mark.parametrize("door", ["", DOOR])
-def test_a_secured_router_listens_at_the_door_and_all_others_connect_on_this_machine_with_their_own_cards(
-    door: str, wallet: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = replace(planned(monkeypatch, tmp_path), wallet=wallet, endpoint=INSIDE, door=door)
+def test_the_router_listens_at_the_door_and_all_others_connect_on_this_machine_with_their_own_cards(
+    planned, door, wallet
+):
+    plan = replace(planned(), wallet=wallet, endpoint=INSIDE, door=door)
     children = named(plan)
     assert next(iter(children)) == "router", "it starts first and ends last"
-    assert after(children["router"].arguments, "--listen") == (door or INSIDE)
+    assert after(children.pop("router").arguments, "--listen") == (door or INSIDE)
     for name, child in children.items():
-        if name != "router":
-            assert after(child.arguments, "--connect") == INSIDE
-            assert (after(child.arguments, "--role"), child.card) == (name, card_of(name))
+        assert after(child.arguments, "--connect") == INSIDE
+        assert (after(child.arguments, "--role"), child.card) == (name, card_of(name))
     assert plan.robot_process().card == card_of(f"robot.{plan.name}")
 
 
-def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_place_of_a_plain_one(
-    wallet: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = replace(planned(monkeypatch, tmp_path), endpoint="tcp/127.0.0.1:7450")
+def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_place_of_a_plain_one(planned, wallet):
+    plan = replace(planned(), endpoint="tcp/127.0.0.1:7450")
     plain = plan.own_session()
     assert (plain.mode, plain.listen, plain.connect, plain.certificates) == ("peer", (plan.endpoint,), (), None)
     secured = replace(plan, endpoint=INSIDE, wallet=wallet).own_session()
@@ -292,10 +185,51 @@ def test_the_supervisor_joins_a_secured_loop_as_operator_and_is_the_meeting_plac
     assert "router" not in named(plan)
 
 
+# the end of a drive
+
+
+@pytest.mark.parametrize(
+    ("code", "begun", "hurried", "error"),
+    [
+        (0, True, False, None),
+        (0, False, False, "nothing was driven"),
+        *((1, begun, hurried, "robot: the motor is on fire") for begun in (True, False) for hurried in (True, False)),
+        (0, True, True, "130"),
+        (0, False, True, "130"),
+    ],
+)
+def test_a_drive_ends_with_its_summary_its_robots_last_words_or_the_status_of_an_interrupt(
+    code, begun, hurried, error, monkeypatch, tmp_path, capsys
+):
+    """A second signal is reported as a shell does it: 128 and the number of the signal, 2."""
+    ended = SimpleNamespace(run=lambda: code)
+    monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
+    monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", lambda *_: ended)
+    (tmp_path / "robot.json").write_text('{"ticks": 7}')
+    robot = SimpleNamespace(begun=begun, last_words=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
+    plan = SimpleNamespace(
+        services=list, robot_process=lambda: robot, wallet=None, own_session=lambda: None, fleet="f", names=("r1",),
+        recording=tmp_path / "drive.mcap", summary=tmp_path / "robot.json", other_summaries={},
+    )  # fmt: skip
+    drive = (plan, SimpleNamespace(hurried=hurried), lambda *_: nullcontext(lambda: None))
+    if error is None:
+        found = up.driven(*drive)
+        assert found["ticks"] == 7
+        assert found["services"] == [{"name": "robot", "pid": 1, "restarts": 2}]
+    elif error == "130":
+        with pytest.raises(click.exceptions.Exit) as raised:
+            up.driven(*drive)
+        assert raised.value.exit_code == 130
+        assert "drive.mcap" in capsys.readouterr().err
+    else:
+        with pytest.raises(SafedpaError, match=error):
+            up.driven(*drive)
+
+
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.processes
-def test_two_robots_drive_side_by_side(tmp_path: Path) -> None:
+def test_two_robots_drive_side_by_side(tmp_path):
     options = ("--robots", "2", "--headless", "--lockstep", "--seconds", "4", "--json", "--out", str(tmp_path))
     command = [sys.executable, "-m", "safedpa_services", "up", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)

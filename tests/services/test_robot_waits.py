@@ -6,13 +6,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from safedpa.bus.loop.process import Stop
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.supervisor import Supervisor
 
 _ROBOT = """
 import argparse, pathlib, time
@@ -59,7 +57,7 @@ def is_ready(folder: Path, times: str) -> Callable[[], bool]:
     return lambda: (folder / "ready").exists() and (folder / "ready").read_text() == times
 
 
-def test_it_does_nothing_before_it_is_told_to_begin(robot: Child, tmp_path: Path) -> None:
+def test_a_robot_does_nothing_before_it_is_asked_to_begin(robot: Child, tmp_path: Path) -> None:
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     time.sleep(0.3)
@@ -70,7 +68,7 @@ def test_it_does_nothing_before_it_is_told_to_begin(robot: Child, tmp_path: Path
     wait_for((tmp_path / "began").exists)
 
 
-def test_once_begun_whatever_takes_its_place_does_not_wait(robot: Child, tmp_path: Path) -> None:
+def test_a_restarted_robot_does_not_wait_once_the_first_had_begun(robot: Child, tmp_path: Path) -> None:
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     robot.kill()
@@ -81,7 +79,7 @@ def test_once_begun_whatever_takes_its_place_does_not_wait(robot: Child, tmp_pat
     assert (tmp_path / "ready").read_text() == "onceagain"
 
 
-def test_who_is_asked_to_end_while_it_waits_ends_without_having_begun(robot: Child, tmp_path: Path) -> None:
+def test_a_robot_asked_to_end_while_it_waits_ends_without_having_begun(robot: Child, tmp_path: Path) -> None:
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     robot.terminate()
@@ -90,64 +88,8 @@ def test_who_is_asked_to_end_while_it_waits_ends_without_having_begun(robot: Chi
     assert not (tmp_path / "began").exists()
 
 
-def test_the_end_of_the_process_is_a_word_too() -> None:
+def test_the_end_of_the_process_ends_the_waiting() -> None:
     stop = Stop()
     stop.set("the supervisor is gone")
     stop.await_word()
     assert stop()
-
-
-class Named:
-    """A process of which only what happens to it is kept."""
-
-    essential, waits, exit_code, pid, restarts = True, False, None, 0, 0
-
-    def __init__(self, name: str, said: list[str], *, waits: bool = False) -> None:
-        self.name, self._said, self.waits, self.begun = name, said, waits, False
-
-    def start(self) -> None:
-        self.pid = 1
-        self._said.append(f"{self.name} starts")
-
-    def begin(self) -> None:
-        self.begun = True
-        self._said.append(f"{self.name} begins")
-
-    def terminate(self) -> None:
-        return
-
-    def end(self, patience: float) -> None:
-        del patience
-
-
-class Slow:
-    """A watch that hears of a service in the third turn."""
-
-    def __init__(self, said: list[str]) -> None:
-        self.health: dict[str, Any] = {}
-        self._said, self._turns = said, 0
-
-    def listen(self, wait: float) -> None:
-        del wait
-        self._turns += 1
-        if self._turns == 3:
-            self._said.append("filter heard")
-            self.health["filter"] = None
-
-    def has_hung(self, *arguments: object) -> bool:
-        return False
-
-    def stop_robot(self) -> bool:
-        return False
-
-
-@pytest.mark.parametrize("waits", [True, False])
-def test_no_robot_begins_before_every_service_was_heard(waits: bool) -> None:
-    said: list[str] = []
-    service: Any = Named("filter", said)
-    robots: list[Any] = [Named(name, said, waits=waits) for name in ("r1", "r2")]
-    watch: Any = Slow(said)
-    turns = iter([False] * 8 + [True] * 20)
-    Supervisor([service], robots[0], watch, lambda: next(turns), lambda: None, others=[(robots[1], watch)]).run()
-    early = ["r1 starts", "r2 starts"] if waits else []
-    assert said == [*early, "filter starts", "filter heard", "r1 begins", "r2 begins"]

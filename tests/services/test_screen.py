@@ -7,9 +7,7 @@ import json
 import socket
 import sys
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from tests.services.messages import finding_of, health_of, state_of, verdict_of
@@ -25,21 +23,21 @@ PAGE = "http://127.0.0.1:8080/live?token=t"
 
 
 @pytest.fixture
-def watch() -> Watch:
+def watch():
     return Watch(Bus(MemoryTransport(MemoryBroker()), "fleet"))
 
 
-def child_of(folder: Path, code: int | None = None, *, heartbeat: bool = True, restarts: int = 0) -> Any:
+def child_of(folder, code=None, *, heartbeat=True, restarts=0):
     """What the view reads of a child."""
     log = folder / "policy.log"
     return SimpleNamespace(name="policy", pid=4711, restarts=restarts, exit_code=code, heartbeat=heartbeat, log=log)
 
 
-def drawn(watch: Watch, child: Any) -> list[str]:
+def drawn(watch, child):
     """The view's lines."""
     console = terminal(file=io.StringIO(), width=200)
     console.print(view_of(watch, [], child, ["a hint"], ["a warning"]))
-    return console.file.getvalue().splitlines()  # type: ignore[attr-defined, no-any-return]
+    return console.file.getvalue().splitlines()
 
 
 # the view
@@ -56,9 +54,7 @@ def drawn(watch: Watch, child: Any) -> list[str]:
         (None, None, True, "starting"),
     ],
 )
-def test_the_table_tells_of_each_process_whether_it_lives(
-    watch: Watch, clock: Any, silent: float | None, code: int | None, heartbeat: bool, shown: str, tmp_path: Path
-) -> None:
+def test_the_table_tells_of_each_process_whether_it_lives(watch, clock, silent, code, heartbeat, shown, tmp_path):
     """There are four heartbeats a second: a second of silence is shown."""
     if silent is not None:
         watch.health["policy"] = (health_of("policy", steps=31, stale=5, refused=3, step_microseconds=42.0), 100.0)
@@ -69,7 +65,7 @@ def test_the_table_tells_of_each_process_whether_it_lives(
     assert row[3:] == (["2"] if silent is None else ["31", "5", "3", "42", "us", "2"])
 
 
-def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch: Watch, tmp_path: Path) -> None:
+def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch, tmp_path):
     assert drawn(watch, child_of(tmp_path))[0] == "waiting for the robot"
     watch.state = state_of(1.0, 2.0, 0.0, -0.75, robot_time=1.0, goals_reached=3, collisions=2)
     assert drawn(watch, child_of(tmp_path))[0].rstrip() == "    1.0 s  -0.75 m/s  goals 3  collisions 2"
@@ -81,7 +77,7 @@ def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch: Watch, tmp
     assert "+0.50  goals" in drawn(watch, child_of(tmp_path))[0]
 
 
-def test_a_standstill_is_explained_and_a_finding_is_shown(watch: Watch, tmp_path: Path) -> None:
+def test_a_standstill_is_explained_and_a_finding_is_shown(watch, tmp_path):
     watch.verdict = verdict_of("corrected")
     assert not [line for line in drawn(watch, child_of(tmp_path)) if "stands for" in line]
     watch.verdict = verdict_of("corrected", stands=7.0, standstill="the wall is near")
@@ -98,13 +94,11 @@ def test_a_standstill_is_explained_and_a_finding_is_shown(watch: Watch, tmp_path
 class Terminal(io.StringIO):
     """A stream that counts as a terminal."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
-def test_a_terminal_is_redrawn_four_times_a_second(
-    watch: Watch, clock: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_is_redrawn_four_times_a_second(watch, clock, tmp_path, monkeypatch):
     """However often the loop turns."""
     clock.now = 50.0
     out = Terminal()
@@ -123,9 +117,7 @@ def test_a_terminal_is_redrawn_four_times_a_second(
     assert all(0.24 <= later - earlier <= 0.31 for earlier, later in pairwise(moments))
 
 
-def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(
-    watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(watch, tmp_path, capsys):
     for quiet, said in ((True, ""), (False, "a hint\nlive view http://127.0.0.1:9090\n")):
         watch.health.clear()
         with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=quiet) as redraw:
@@ -137,12 +129,12 @@ def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(
 
 
 def test_the_page_is_told_once_it_answers_and_asking_takes_no_time_from_the_loop(
-    watch: Watch, clock: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    watch, clock, tmp_path, monkeypatch, capsys
+):
     """It is asked four times a second, for a twentieth of a second at most, and not again once it answered."""
     asked: list[float] = []
 
-    def connected(address: tuple[str, int], seconds: float) -> Any:
+    def connected(address, seconds):
         assert address == ("127.0.0.1", 8080)
         asked.append(clock.now)
         clock.now += seconds
@@ -166,10 +158,10 @@ def test_the_page_is_told_once_it_answers_and_asking_takes_no_time_from_the_loop
 # warnings
 
 
-def test_a_warning_is_shown_within_half_a_second_and_its_like_five_seconds_later(clock: Any, tmp_path: Path) -> None:
+def test_a_warning_is_shown_within_half_a_second_and_its_like_five_seconds_later(clock, tmp_path):
     clock.now, told, child = 100.0, list[tuple[float, str]](), child_of(tmp_path)
 
-    def warn(kind: str) -> None:
+    def warn(kind):
         event = {"time": 1.0, "level": "warning", "kind": kind, "sentence": f"{kind} happened", "service": "policy"}
         with child.log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(event) + "\n")

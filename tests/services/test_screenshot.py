@@ -6,9 +6,7 @@ import io
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -22,7 +20,7 @@ LATER = 2.0
 
 
 @pytest.fixture
-def photographed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def photographed(tmp_path, monkeypatch):
     """photographed(script): the error of the command with a viewer that runs this script, and how long it took."""
     pytest.importorskip("rerun")
     program = tmp_path / "rerun_cli" / "rerun"
@@ -32,10 +30,10 @@ def photographed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.delitem(sys.modules, "rerun_cli", raising=False)
     later, clock = [0.0], time.monotonic
 
-    def sleep(_: float) -> None:
+    def sleep(_):
         later[0] += LATER
 
-    def run(script: str) -> tuple[str, float]:
+    def run(script):
         program.write_text(f"#!/bin/sh\n{script}\n")
         program.chmod(0o755)
         recording = tmp_path / "drive.rrd"
@@ -57,30 +55,26 @@ def photographed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         ("echo noise; exit 1", "drive.rrd: no picture could be made ("),
     ],
 )
-def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(
-    photographed: Any, script: str, said: str
-) -> None:
+def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(photographed, script, said):
     error, _ = photographed(script)
     assert said in error
     assert "noise" not in error
     assert "\n" not in error
 
 
-def test_a_viewer_that_does_nothing_is_given_up_within_a_minute(photographed: Any) -> None:
+def test_a_viewer_that_does_nothing_is_given_up_within_a_minute(photographed):
     error, took = photographed("exec sleep 600")
     assert "no picture could be made" in error
     assert 10.0 <= took <= 60.0
 
 
 @pytest.mark.parametrize("said", ["", "Traceback\n"])
-def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(
-    said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(said, tmp_path, monkeypatch):
     """It has reported the reason itself."""
     pytest.importorskip("playwright")
     done: list[str] = []
 
-    def started(command: list[str], **_: Any) -> Any:
+    def started(command, **_):
         done.append(command[3])
         return SimpleNamespace(
             stdout=io.StringIO(said), terminate=lambda: done.append("terminate"), wait=lambda _: done.append("wait")

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -18,17 +15,17 @@ SILENT, DRIVES, BRAKES = None, "", "brakes: no action for 12 ticks"
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+def served(monkeypatch, tmp_path):
     """served(details): the lines of a drive in which the robot told these details in turn; nothing is started."""
     broker = MemoryBroker()
     robot = Bus(MemoryTransport(broker), "fleet")
 
-    def run(turns: list[Any]) -> list[str]:
+    def run(turns):
         class Supervisor:
-            def __init__(self, _services: Any, _robot: Any, watch: Any, _stop: Any, on_turn: Any, _: Any) -> None:
+            def __init__(self, _services, _robot, watch, _stop, on_turn, _):
                 self.watch, self.on_turn = watch, on_turn
 
-            def run(self) -> int:
+            def run(self):
                 for turn in turns:
                     if turn is not SILENT:
                         robot.publish(*turn)
@@ -51,16 +48,16 @@ def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
         signal.signal(number, handler)
 
 
-def beat(detail: str) -> tuple[Any, ...]:
+def beat(detail):
     return HEALTH, "own", health_of("robot", detail=detail), "robot"
 
 
-def test_nothing_is_said_before_the_robot_is_heard_and_its_driving_is_said_once(served: Any) -> None:
+def test_nothing_is_said_before_the_robot_is_heard_and_its_driving_is_said_once(served):
     assert served([SILENT]) == []
     assert served([SILENT, *[(STATE, "own", state_of())] * 5]) == ["robot own: the filter drives"]
 
 
-def test_braking_by_itself_is_said_and_so_is_driving_on(served: Any) -> None:
+def test_braking_by_itself_is_said_and_so_is_driving_on(served):
     drives = "robot own: the filter drives"
     details = [DRIVES, DRIVES, BRAKES, BRAKES, DRIVES, DRIVES]
     assert served([beat(detail) for detail in details]) == [drives, f"robot own: {BRAKES}", drives]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -32,32 +31,33 @@ class Process:
     begun_at: float | None = None
 
     @property
-    def exit_code(self) -> int | None:
+    def exit_code(self):
         return self.code if self.pid and self.clock.now >= self.ends_at else None
 
-    def start(self) -> None:
+    def start(self):
         self.pid = 7
+        self.done.append((self.name, "started"))
 
-    def begin(self) -> None:
+    def begin(self):
         self.pid, self.begun, self.begun_at = 7, True, self.clock.now
 
-    def restart_if_due(self) -> bool:
+    def restart_if_due(self):
         self.done.append((self.name, "restarted"))
         self.restarts += 1
         self.ends_at = inf
         return True
 
-    def last_words(self) -> str:
+    def last_words(self):
         return f"{self.name} says why"
 
-    def kill(self) -> None:
+    def kill(self):
         self.done.append((self.name, "killed"))
         self.ends_at, self.code = self.clock.now, KILLED
 
-    def terminate(self) -> None:
+    def terminate(self):
         self.done.append((self.name, "asked"))
 
-    def end(self, patience: float) -> None:
+    def end(self, patience):
         self.done.append((self.name, patience))
 
 
@@ -73,20 +73,20 @@ class Watch:
     orders: list[float] = field(default_factory=list)
 
     @property
-    def health(self) -> dict[str, object]:
+    def health(self):
         return {name: object() for name, at in self.heard_at.items() if self.clock.now >= at}
 
-    def listen(self, wait: float) -> None:
+    def listen(self, wait):
         self.clock.now += wait
 
-    def has_hung(self, service: str, pid: int, seconds: float) -> bool:
+    def has_hung(self, service, pid, seconds):
         return pid == 7 and self.silent.get(service, 0.0) > seconds
 
-    def stop_robot(self) -> bool:
+    def stop_robot(self):
         self.orders.append(self.clock.now)
         return self.takes_orders
 
-    def stands(self) -> bool:
+    def stands(self):
         return self.clock.now >= self.stands_at
 
 
@@ -103,10 +103,10 @@ class Loop:
     done: list[tuple[str, Any]] = field(default_factory=list)
     turned: list[float] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.watch = Watch(self.clock)
 
-    def add(self, name: str, *, heard_at: float = 0.0, **fields: Any) -> Process:
+    def add(self, name, *, heard_at=0.0, **fields):
         """A robot or a service, by its name."""
         made = Process(self.clock, self.done, name, **fields)
         if name == "robot":
@@ -118,7 +118,7 @@ class Loop:
         self.watch.heard_at[name] = heard_at
         return made
 
-    def run(self) -> int:
+    def run(self):
         services: Any = self.services
         robot: Any = self.robot
         watch: Any = self.watch
@@ -129,12 +129,12 @@ class Loop:
             lambda: at.now >= self.hurried_at, others,
         ).run()  # fmt: skip
 
-    def happened(self, what: str) -> list[str]:
+    def happened(self, what):
         return [name for name, happened in self.done if happened == what]
 
 
 @pytest.fixture
-def loop(clock: Any) -> Callable[..., Loop]:
+def loop(clock):
     return lambda **fields: Loop(clock, **fields)
 
 
@@ -144,9 +144,7 @@ def loop(clock: Any) -> Callable[..., Loop]:
 @pytest.mark.parametrize(
     ("essential", "restarts", "longest"), [(True, 0, 120.0), (True, 1, 30.0), (True, 2, 30.0), (False, 0, None)]
 )
-def test_a_start_is_given_up_when_an_essential_service_stays_silent(
-    loop: Any, essential: bool, restarts: int, longest: float | None
-) -> None:
+def test_a_start_is_given_up_when_an_essential_service_stays_silent(loop, essential, restarts, longest):
     """One that still starts has two minutes, one that died meanwhile half a minute."""
     made = loop(stopped_at=500.0)
     made.add("robot", ends_at=200.0)
@@ -162,19 +160,22 @@ def test_a_start_is_given_up_when_an_essential_service_stays_silent(
     assert ("policy", "asked") in made.done, "what was started is ended"
 
 
-def test_all_robots_begin_once_every_essential_service_is_heard(loop: Any) -> None:
+@pytest.mark.parametrize("waits", [True, False])
+def test_all_robots_begin_once_every_essential_service_is_heard(loop, waits):
+    """Those that can wait are started with the services, to get ready meanwhile."""
     made = loop(stopped_at=3.0)
-    robots = [made.add("robot", waits=True), made.add("robot 2", waits=True)]
+    robots = [made.add("robot", waits=waits), made.add("robot 2", waits=waits)]
     made.add("policy", heard_at=1.0)
     made.add("safety_filter", heard_at=2.0)
     made.add("dashboard", heard_at=inf, essential=False)
     assert made.run() == 0
     assert [robot.begun_at for robot in robots] == pytest.approx([2.0, 2.0], abs=0.06)
-    assert all(robot.pid == 7 for robot in robots), "they were started early, to get ready meanwhile"
+    early = ["robot", "robot 2"] if waits else []
+    assert made.happened("started") == [*early, "policy", "safety_filter", "dashboard"]
 
 
 @pytest.mark.parametrize("stopped_at", [0.0, 1.0, 30.0])
-def test_a_stop_while_services_start_ends_the_start_and_no_robot_begins(loop: Any, stopped_at: float) -> None:
+def test_a_stop_while_services_start_ends_the_start_and_no_robot_begins(loop, stopped_at):
     made = loop(stopped_at=stopped_at)
     made.add("robot", waits=True)
     made.add("policy", heard_at=inf)
@@ -185,7 +186,7 @@ def test_a_stop_while_services_start_ends_the_start_and_no_robot_begins(loop: An
     assert made.watch.orders == [], "a robot that does not drive needs no order to stop"
 
 
-def test_a_service_that_runs_already_is_not_started_twice(loop: Any) -> None:
+def test_a_service_that_runs_already_is_not_started_twice(loop):
     made = loop()
     router = made.add("router", pid=7)
     router.start = lambda: pytest.fail("started twice")
@@ -210,8 +211,8 @@ def test_a_service_that_runs_already_is_not_started_twice(loop: Any) -> None:
 )
 @pytest.mark.parametrize("second", [False, True])
 def test_a_dead_service_is_restarted_unless_it_refused_its_input_before_any_robot_drove(
-    loop: Any, code: int, drives: bool, essential: bool, outcome: str, second: bool
-) -> None:
+    loop, code, drives, essential, outcome, second
+):
     """Which of several robots drives makes no difference."""
     made = loop(stopped_at=2.0)
     made.add("robot", begun=drives and not second, waits=True)
@@ -240,9 +241,7 @@ def test_a_dead_service_is_restarted_unless_it_refused_its_input_before_any_robo
         (KILLED, False, "restarted"),
     ],
 )
-def test_the_end_of_the_robot_ends_the_loop_and_its_death_restarts_it(
-    loop: Any, code: int, ever_heard: bool, outcome: Any
-) -> None:
+def test_the_end_of_the_robot_ends_the_loop_and_its_death_restarts_it(loop, code, ever_heard, outcome):
     made = loop(stopped_at=5.0)
     made.add("robot", ends_at=1.0, code=code, heard_at=0.5 if ever_heard else inf)
     if outcome == "fails":
@@ -260,9 +259,7 @@ def test_the_end_of_the_robot_ends_the_loop_and_its_death_restarts_it(
 @pytest.mark.parametrize(
     ("essential", "silent", "killed"), [(True, 11.0, 1), (True, 9.0, 0), (False, 11.0, 0), (True, 0.0, 0)]
 )
-def test_an_essential_service_is_killed_and_restarted_after_ten_seconds_of_silence(
-    loop: Any, essential: bool, silent: float, killed: int
-) -> None:
+def test_an_essential_service_is_killed_and_restarted_after_ten_seconds_of_silence(loop, essential, silent, killed):
     made = loop()
     made.add("policy", essential=essential)
     made.watch.silent["policy"] = silent
@@ -275,9 +272,7 @@ def test_an_essential_service_is_killed_and_restarted_after_ten_seconds_of_silen
     ("other_ends_at", "stopped_at", "waited"),
     [(0.0, inf, 0.0), (3.0, inf, 2.0), (inf, inf, 5.0), (inf, 2.0, 1.0), (inf, 1.0, 0.0)],
 )
-def test_other_robots_have_five_seconds_after_the_first_ones_end(
-    loop: Any, other_ends_at: float, stopped_at: float, waited: float
-) -> None:
+def test_other_robots_have_five_seconds_after_the_first_ones_end(loop, other_ends_at, stopped_at, waited):
     made = loop(stopped_at=stopped_at)
     made.add("robot", ends_at=1.0)
     made.add("robot 2", ends_at=other_ends_at)
@@ -302,8 +297,8 @@ def test_other_robots_have_five_seconds_after_the_first_ones_end(
     ],
 )
 def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
-    loop: Any, stands_at: float, takes_orders: bool, hurried_at: float, robot_ends_at: float, braked_for: float
-) -> None:
+    loop, stands_at, takes_orders, hurried_at, robot_ends_at, braked_for
+):
     """Five seconds to a standstill, eight for the robot's process, six for a service; none of it in a hurry."""
     made = loop(stopped_at=1.0, hurried_at=hurried_at)
     made.add("router")
@@ -315,13 +310,13 @@ def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
     assert max(made.turned) - 1.0 == pytest.approx(braked_for, abs=0.06)
     assert len(made.watch.orders) == (hurried_at > 1.0)
     robot, others = (0.0, 0.0) if hurried_at < inf else (8.0, 6.0)
-    assert made.done == [
+    assert [event for event in made.done if event[1] != "started"] == [
         ("robot", "asked"), ("robot", robot), ("policy", "asked"), ("policy", others),
         ("policy", others), ("recorder", others), ("router", others),
     ]  # fmt: skip
 
 
-def test_a_robot_that_has_ended_gets_no_order_to_stop(loop: Any) -> None:
+def test_a_robot_that_has_ended_gets_no_order_to_stop(loop):
     made = loop(stopped_at=9.0)
     made.add("robot", ends_at=1.0)
     made.watch.stands_at = inf
@@ -330,11 +325,11 @@ def test_a_robot_that_has_ended_gets_no_order_to_stop(loop: Any) -> None:
     assert max(made.turned) < 1.1
 
 
-def test_everything_is_ended_when_a_turn_fails(loop: Any) -> None:
+def test_everything_is_ended_when_a_turn_fails(loop):
     made = loop()
     made.add("policy")
 
-    def fails(_: float) -> None:
+    def fails(_):
         raise KeyError("a defect of the view")
 
     made.turned = type("Turns", (), {"append": staticmethod(fails)})()

@@ -23,17 +23,17 @@ WORK = ("adaptation", argparse.Namespace(model="car", orders=""), "r1", OFFER, S
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def told(monkeypatch):
     """Ticks and messages that the service saw, in their order; a message as its step and from which tick on."""
     seen: list[Any] = []
     step, hear = AdaptationNode.step, AdaptationNode.hear
 
-    def stepped(self: AdaptationNode, robot: str, state: Any, inputs: Any) -> Any:
+    def stepped(self, robot, state, inputs):
         assert state.robot_time == pytest.approx(0.05 * state.tick)
         seen.append(state.tick)
         return step(self, robot, state, inputs)
 
-    def heard(self: AdaptationNode, robot: str, message: Any) -> None:
+    def heard(self, robot, message):
         seen.append((message.step, message.from_tick))
         hear(self, robot, message)
 
@@ -51,14 +51,12 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         ([1.0] * 4 + [20.0] * 6, "20.0"),
     ],
 )
-def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(
-    told: list[Any], milliseconds: list[float], usual: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(told, milliseconds, usual, monkeypatch):
     """The median of ten ticks at 20 Hz, of the processor's time. It is offered at one tick and taken at the next."""
     now, costs, step = [0.0], list(milliseconds), AdaptationNode.step
     monkeypatch.setattr(time, "process_time", lambda: now[0])
 
-    def costly(self: AdaptationNode, robot: str, state: Any, inputs: Any) -> Any:
+    def costly(self, robot, state, inputs):
         if self.model_of(robot) == NEW or ("take", 72) in told:
             now[0] += 1e-3 * costs.pop(0)
         return step(self, robot, state, inputs)
@@ -74,9 +72,7 @@ def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(
 
 
 @pytest.mark.parametrize(("answer", "said"), [(None, "it gave no answer"), ("refused", "it does not fit")])
-def test_a_service_that_refuses_or_does_not_answer_is_asked_no_further(
-    told: list[Any], answer: str | None, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_service_that_refuses_or_does_not_answer_is_asked_no_further(told, answer, said, monkeypatch):
     message = TakeoverMessage(
         **STAMP, service="adaptation", change=4, fingerprint=NEW, state=answer or "", reason="it does not fit"
     )

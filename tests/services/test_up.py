@@ -17,7 +17,6 @@ import pytest
 
 from safedpa.bus import VerdictMessage
 from safedpa.records import read_messages
-from safedpa_services.command_line import safedpa
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
@@ -180,26 +179,6 @@ def _left(folder: Path) -> list[int]:
         except OSError:
             continue
     return left
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--seconds", "-1"), "--seconds"),
-        (("--rate", "0"), "--rate"),
-        (("--model", "no_such_model"), "no_such_model"),
-        (("--model", "dfki_pendulum"), "wanted a car with target_speed, steer"),
-        (("--load", "piano"), "piano"),
-        (("--name", "a/b"), "a/b"),
-    ],
-)
-def test_bad_input_is_one_line_and_code_2(
-    tmp_path: Path, options: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert safedpa.run(["up", "--headless", "--out", str(tmp_path), *options]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
 
 
 def test_bad_input_ends_the_process_with_code_2(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import subprocess
 import urllib.error
 import urllib.request
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -16,13 +15,13 @@ from safedpa_services.web.viewer import Viewer
 
 
 @pytest.fixture
-def fetched(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+def fetched(clock, monkeypatch):
     """fetched(seconds, since, code): the first file of a program that answers after ``seconds``, from ``since`` on."""
 
-    def run(seconds: float, since: float = 0.0, code: int | None = None) -> Any:
+    def run(seconds, since=0.0, code=None):
         killed: list[int] = []
 
-        def urlopen(_address: str, timeout: float) -> Any:
+        def urlopen(_address, timeout):
             if clock.now < since:
                 raise urllib.error.URLError("connection refused")
             clock.now += min(seconds, timeout)
@@ -30,7 +29,7 @@ def fetched(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
                 raise urllib.error.URLError("timed out")
             return io.BytesIO(b"viewer")
 
-        def started(*_: Any, **__: Any) -> Any:
+        def started(*_, **__):
             return SimpleNamespace(poll=lambda: code, kill=lambda: killed.append(1), wait=lambda: None)
 
         monkeypatch.setattr(urllib.request, "urlopen", urlopen)
@@ -51,7 +50,7 @@ def fetched(clock: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.parametrize(("seconds", "since"), [(0.01, 0.0), (5.0, 0.0), (0.01, 12.0), (10.0, 12.0)])
-def test_a_program_that_takes_its_time_is_waited_for(fetched: Any, seconds: float, since: float) -> None:
+def test_a_program_that_takes_its_time_is_waited_for(fetched, seconds, since):
     """It is 30 MB, unpacked on a machine that is busy."""
     assert fetched(seconds, since) == b"viewer"
 
@@ -60,8 +59,8 @@ def test_a_program_that_takes_its_time_is_waited_for(fetched: Any, seconds: floa
     ("seconds", "since", "code", "longest"), [(1e9, 0.0, None, 60.0), (0.01, 1e9, None, 60.0), (0.01, 0.0, 1, 0.0)]
 )
 def test_a_program_that_does_not_answer_is_given_up_within_a_minute_and_one_that_ended_at_once(
-    fetched: Any, clock: Any, seconds: float, since: float, code: int | None, longest: float
-) -> None:
+    fetched, clock, seconds, since, code, longest
+):
     with pytest.raises(SafedpaError, match="did not serve its viewer"):
         fetched(seconds, since, code)
     assert clock.now <= longest

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.services.messages import finding_of, health_of, state_of, verdict_of
@@ -20,18 +18,18 @@ CORRIDOR = (0.1, 0.1)
 
 
 @pytest.fixture
-def broker() -> MemoryBroker:
+def broker():
     return MemoryBroker()
 
 
 @pytest.fixture
-def loop(broker: MemoryBroker) -> Bus:
+def loop(broker):
     """The bus as robot and services have it."""
     return Bus(MemoryTransport(broker), "fleet")
 
 
 @pytest.fixture
-def watch(broker: MemoryBroker) -> Watch:
+def watch(broker):
     return Watch(Bus(MemoryTransport(broker), "fleet"))
 
 
@@ -52,8 +50,8 @@ def watch(broker: MemoryBroker) -> Watch:
     ],
 )
 def test_a_robot_stands_once_its_filter_stopped_it_and_a_car_once_its_wheels_stand_too(
-    watch: Watch, loop: Bus, state: Any, status: str | None, stands: bool
-) -> None:
+    watch, loop, state, status, stands
+):
     if state is not None:
         loop.publish(STATE, "r1", state)
     if status is not None:
@@ -62,7 +60,7 @@ def test_a_robot_stands_once_its_filter_stopped_it_and_a_car_once_its_wheels_sta
     assert watch.stands() is stands
 
 
-def test_a_repeated_verdict_counts_once_and_other_robots_do_not_count(watch: Watch, loop: Bus) -> None:
+def test_a_repeated_verdict_counts_once_and_other_robots_do_not_count(watch, loop):
     for epoch, tick, robot in ((1, 0, "r1"), (1, 0, "r1"), (1, 1, "r1"), (2, 1, "r1"), (2, 2, "r2"), (2, 1, "r1")):
         loop.publish(VERDICT, robot, verdict_of("passed", epoch=epoch, tick=tick))
         watch.listen(0.0)
@@ -78,9 +76,7 @@ def test_a_repeated_verdict_counts_once_and_other_robots_do_not_count(watch: Wat
     ("heard", "pid", "silent", "hung"),
     [(True, 4711, 10.5, True), (True, 4711, 9.5, False), (True, 7, 10.5, False), (False, 4711, 10.5, False)],
 )
-def test_only_the_process_that_fell_silent_has_hung(
-    watch: Watch, loop: Bus, clock: Any, heard: bool, pid: int, silent: float, hung: bool
-) -> None:
+def test_only_the_process_that_fell_silent_has_hung(watch, loop, clock, heard, pid, silent, hung):
     """One that was started in its place has its time to begin."""
     if heard:
         loop.publish(HEALTH, "r1", health_of("policy"), "policy")
@@ -99,12 +95,10 @@ def test_only_the_process_that_fell_silent_has_hung(
         (False, Answer(ok=True, sentence="so be it"), False),
     ],
 )
-def test_an_order_to_stop_is_taken_when_the_filter_says_so(
-    watch: Watch, loop: Bus, state: bool, answer: Answer | None, taken: bool
-) -> None:
+def test_an_order_to_stop_is_taken_when_the_filter_says_so(watch, loop, state, answer, taken):
     asked: list[tuple[str, str]] = []
 
-    def heard(robot: str, request: Any) -> Answer:
+    def heard(robot, request):
         asked.append((robot, request.do))
         assert answer is not None
         return answer
@@ -118,14 +112,14 @@ def test_an_order_to_stop_is_taken_when_the_filter_says_so(
     assert asked == ([("r1", "stop")] if state and answer else [])
 
 
-def test_a_robot_whose_bus_is_closed_takes_no_order(watch: Watch, loop: Bus) -> None:
+def test_a_robot_whose_bus_is_closed_takes_no_order(watch, loop):
     loop.publish(STATE, "r1", state_of())
     watch.listen(0.0)
     watch.bus.close()
     assert watch.stop_robot() is False
 
 
-def test_an_order_to_stop_is_waited_for_a_few_seconds_at_most(watch: Watch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_order_to_stop_is_waited_for_a_few_seconds_at_most(watch, monkeypatch):
     waited: list[float] = []
     monkeypatch.setattr(watch.bus, "request", lambda _robot, _what, seconds, _kind: waited.append(seconds))
     watch.state = state_of()
@@ -133,7 +127,7 @@ def test_an_order_to_stop_is_waited_for_a_few_seconds_at_most(watch: Watch, monk
     assert 1.0 <= waited[0] <= 4.0
 
 
-def test_the_summary_has_the_robots_account_and_counts_interventions(tmp_path: Path) -> None:
+def test_the_summary_has_the_robots_account_and_counts_interventions(tmp_path):
     account, other, missing = tmp_path / "robot.json", tmp_path / "robot-r2.json", tmp_path / "none.json"
     account.write_text(json.dumps({"ticks": 12}))
     other.write_text(json.dumps({"ticks": 11}))

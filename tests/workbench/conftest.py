@@ -9,11 +9,9 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ from safedpa.bus.transport import ports
 from safedpa.dynamics import PhysicsModel, Setting, save_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa.records.run import Run
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "throttle", "steer")
@@ -30,13 +27,13 @@ NOISE = np.array([0.002, 0.002, 0.003, 0.015])
 """m, m, rad, m/s; of the measured states."""
 
 
-def _plain() -> PhysicsModel:
+def _plain():
     return PhysicsModel(
         KinematicBicycle("throttle"), [], {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
     )
 
 
-def _rows(model: PhysicsModel, seconds: float, seed: int) -> list[list[float]]:
+def _rows(model, seconds, seed):
     draw = np.random.default_rng(seed)
     count = round(seconds / 0.05)
     steer = np.repeat(draw.uniform(-0.4, 0.4, count // 8 + 1), 8)
@@ -50,27 +47,27 @@ def _rows(model: PhysicsModel, seconds: float, seed: int) -> list[list[float]]:
     return rows
 
 
-def _written(path: Path, rows: list[list[float]], columns: tuple[str, ...] = COLUMNS) -> Path:
+def _written(path, rows, columns=COLUMNS):
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([columns, *rows])
     return path
 
 
 @pytest.fixture(scope="session")
-def finished() -> Iterator[Callable[[Coroutine[Any, Any, Any]], Any]]:
+def finished():
     """Runs a coroutine to its end, on a thread of its own: the browser's tests leave a running loop in this one."""
     with ThreadPoolExecutor(1) as pool:  # the story itself is given up: else its thread were waited for without an end
         yield lambda story: pool.submit(asyncio.run, asyncio.wait_for(story, 240.0)).result()
 
 
 @pytest.fixture(scope="session")
-def plain() -> PhysicsModel:
+def plain():
     """A car with throttle and no effect."""
     return _plain()
 
 
 @pytest.fixture(scope="session")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+def drives(tmp_path_factory):
     """A model file, and two recordings of a car with quadratic drag that the model does not have."""
     folder = tmp_path_factory.mktemp("drives")
     truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
@@ -80,33 +77,33 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
 
 
 @pytest.fixture(scope="session")
-def short_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short_drive(tmp_path_factory):
     """12 s with the same hidden drag: a third of the search, for tests of what a page does with what was found."""
     truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
     return _written(tmp_path_factory.mktemp("short") / "short.csv", _rows(truth, 12.0, 1))
 
 
 @pytest.fixture(scope="session")
-def short_drives(drives: tuple[Path, list[Path]], short_drive: Path) -> tuple[Path, list[Path]]:
+def short_drives(drives, short_drive):
     """The model file and two recordings of 12 s, for tests that look at a page or a report of more than one drive."""
     truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
     return drives[0], [short_drive, _written(short_drive.with_name("shorter.csv"), _rows(truth, 12.0, 2))]
 
 
 @pytest.fixture(scope="session")
-def complete_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def complete_drive(tmp_path_factory):
     """A recording that the model without any effect explains."""
     return _written(tmp_path_factory.mktemp("complete") / "complete.csv", _rows(_plain(), 60.0, 3))
 
 
 @pytest.fixture(scope="session")
-def runs(drives: tuple[Path, list[Path]], plain: PhysicsModel) -> list[Run]:
+def runs(drives, plain):
     """The recordings with the hidden drag."""
     return [load_run(path, plain.system) for path in drives[1]]
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     """Headless Chromium; skips where there is none. Ends with its file: while it lives, no other loop runs here."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
@@ -126,34 +123,34 @@ _PATIENCE_MS = 240_000
 class PatientBrowser:
     """Opens pages that have patience."""
 
-    def __init__(self, started: Any) -> None:
+    def __init__(self, started):
         self._started = started
 
-    def new_context(self, **options: Any) -> Any:
+    def new_context(self, **options):
         context = self._started.new_context(**options)
         context.set_default_timeout(_PATIENCE_MS)
         return context
 
-    def new_page(self, **options: Any) -> Any:
+    def new_page(self, **options):
         page = self._started.new_page(**options)
         page.set_default_timeout(_PATIENCE_MS)
         return page
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     """The marker of tests that need Chromium."""
     config.addinivalue_line("markers", "browser: opens the page in a headless browser")
 
 
 @pytest.fixture
-def serve(free_port: int, tmp_path: Path) -> Iterator[Callable[..., str]]:
+def serve(free_port, tmp_path):
     """Starts ``safedpa workbench`` with arguments; returns its address."""
     with _workbenches(free_port, tmp_path) as start:
         yield start
 
 
 @pytest.fixture(scope="module")
-def shown_workbench(short_drives: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def shown_workbench(short_drives, tmp_path_factory):
     """The address of a workbench with two recordings, for tests that look at it and decide nothing."""
     model, recordings = short_drives
     with _workbenches(ports.free_port(), tmp_path_factory.mktemp("shown")) as start:
@@ -161,10 +158,10 @@ def shown_workbench(short_drives: tuple[Path, list[Path]], tmp_path_factory: pyt
 
 
 @contextmanager
-def _workbenches(free_port: int, folder: Path) -> Iterator[Callable[..., str]]:
+def _workbenches(free_port, folder):
     started = []
 
-    def start(*arguments: object) -> str:
+    def start(*arguments):
         program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
         options = ["--no-browser", "--port", str(free_port), "--out", str(folder / "out")]
         # the framework behaves differently where it takes itself to be under test
@@ -237,21 +234,21 @@ serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2]))
 
 
 @pytest.fixture
-def live(free_port: int, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def live(free_port, tmp_path):
     """A live page beside a drive that is played: the server's process and its address."""
     with _live_server(free_port, tmp_path) as started:
         yield started
 
 
 @pytest.fixture(scope="module")
-def shown_live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def shown_live(tmp_path_factory):
     """The address of such a page, for tests that look at it and decide nothing: it rests between two ticks."""
     with _live_server(ports.free_port(), tmp_path_factory.mktemp("live"), seconds=1.0) as (_, address):
         yield address
 
 
 @contextmanager
-def _live_server(free_port: int, folder: Path, seconds: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def _live_server(free_port, folder, seconds=0.01):
     """A tick every so many ``seconds``, once there are enough to be drawn."""
     source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")

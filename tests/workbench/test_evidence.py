@@ -8,7 +8,7 @@ from safedpa.diagnosis.document import Candidate, Value
 from safedpa_services.workbench.evidence import card_of
 
 
-def candidate(score: float | None, error: float | None = 0.2, std: float | None = 0.05) -> Candidate:
+def candidate(score, error=0.2, std=0.05):
     numbers = {"coefficient": Value(0.5, std, "1/m")}
     return Candidate(0, "quadratic_drag", numbers, error, score, (), "rejected", "")
 
@@ -24,8 +24,8 @@ def candidate(score: float | None, error: float | None = 0.2, std: float | None 
     ],
 )
 def test_a_gain_of_two_standard_errors_speaks_for_a_candidate_and_a_smaller_one_against_it(
-    score: float | None, spoken_for: str, spoken_against: str
-) -> None:
+    score, spoken_for, spoken_against
+):
     """By chance alone one of 44 gains is larger than two standard errors, one of 740 than three."""
     card = card_of("car", candidate(score), 0.5, None, {})
     gained = [line for line in card.speaks_for if "standard errors" in line]
@@ -45,9 +45,7 @@ def test_a_gain_of_two_standard_errors_speaks_for_a_candidate_and_a_smaller_one_
         (None, "", "too little to be tried"),
     ],
 )
-def test_a_falling_error_speaks_for_a_candidate_and_any_other_against_it(
-    error: float | None, spoken_for: str, spoken_against: str
-) -> None:
+def test_a_falling_error_speaks_for_a_candidate_and_any_other_against_it(error, spoken_for, spoken_against):
     card = card_of("car", candidate(4.0, error), 0.5, None, {})
     fell = [line for line in card.speaks_for if "→" in line]
     stayed = [line for line in card.speaks_against if "error on data" in line or "tried" in line]
@@ -59,7 +57,7 @@ def test_a_falling_error_speaks_for_a_candidate_and_any_other_against_it(
 @pytest.mark.parametrize(
     ("std", "known", "rough"), [(0.05, "10 %", ""), (0.1, "", ""), (0.2, "", "40 %"), (None, "", "999 %")]
 )
-def test_a_parameter_is_well_known_or_roughly(std: float | None, known: str, rough: str) -> None:
+def test_a_parameter_is_well_known_or_roughly(std, known, rough):
     """Of 0.5: 0.05 are a tenth, 0.2 two fifths; one without a deviation is not known at all."""
     card = card_of("car", candidate(4.0, 0.2, std), 0.5, None, {})
     assert [line.partition("known to ")[2] for line in card.speaks_for if "known to" in line] == [known] * bool(known)

@@ -35,7 +35,7 @@ def book():
     return made
 
 
-def test_the_error_figure_shows_the_last_two_minutes_with_their_marks(book):
+def test_error_evidence_and_marks_are_those_of_the_last_two_minutes(book):
     figure = error_figure(book, LIGHT)
     band, error = figure["data"]
     assert error["x"] == band["x"] == [181.0, 240.0, 299.0]
@@ -46,6 +46,15 @@ def test_the_error_figure_shows_the_last_two_minutes_with_their_marks(book):
     assert [shape["line"]["dash"] for shape in shapes] == ["solid", "dot", "solid"]
     assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
     assert figure["layout"]["yaxis"]["range"] == pytest.approx([0.0, 1.15 * 5.98])
+    figure = evidence_figure(book, LIGHT)
+    threshold, evidence = figure["data"]
+    assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
+    assert threshold["y"] == [13.8] * 3
+    assert evidence["y"] == pytest.approx([1.6 * 13.8] * 3), "what is far above is cut: the threshold stays in sight"
+    assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
+    low, high = figure["layout"]["yaxis"]["range"]
+    assert low < 0.0
+    assert high > 1.6 * 13.8
 
 
 def test_a_drive_of_less_than_two_minutes_is_shown_whole(book):
@@ -57,18 +66,6 @@ def test_a_drive_of_less_than_two_minutes_is_shown_whole(book):
     figure, evidence = error_figure(book, LIGHT), evidence_figure(book, LIGHT)
     assert [shape["x0"] for shape in figure["layout"]["shapes"]] == [0.0, 100.0]
     assert figure["layout"]["xaxis"]["range"] == evidence["layout"]["xaxis"]["range"] == [0.0, 110.0]
-
-
-def test_the_evidence_figure_shows_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
-    figure = evidence_figure(book, LIGHT)
-    threshold, evidence = figure["data"]
-    assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
-    assert threshold["y"] == [13.8] * 3
-    assert evidence["y"] == pytest.approx([1.6 * 13.8] * 3), "what is far above is cut, or the threshold is lost"
-    assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
-    low, high = figure["layout"]["yaxis"]["range"]
-    assert low < 0.0
-    assert high > 1.6 * 13.8
 
 
 def test_the_field_shows_the_path_of_the_last_twenty_seconds(book):

@@ -22,18 +22,18 @@ pytest.importorskip("nicegui")
 FULL = "the disk is full: make room"
 
 
-def _full(*_: Any, **__: Any) -> None:
+def _full(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_is_called_so(number: int) -> None:
+def test_a_full_disk_is_called_so(number):
     assert why_not_written(OSError(number, os.strerror(number))) == FULL
     assert why_not_written(OSError(errno.EACCES, "Permission denied")) == "Permission denied"
     assert why_not_written(OSError()) == "OSError"
 
 
-def test_nothing_is_left_of_a_file_that_found_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_left_of_a_file_that_found_no_room(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", _full)
     with pytest.raises(RecordingError, match=FULL):
         write_session(Kept(Choice("car", ("run.csv",))), tmp_path)
@@ -43,7 +43,7 @@ def test_nothing_is_left_of_a_file_that_found_no_room(tmp_path: Path, monkeypatc
         writable(tmp_path / "new", create=True)
 
 
-def test_no_view_is_begun_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_view_is_begun_without_room(tmp_path, monkeypatch):
     many = SimpleNamespace(begin=[0], run=[0], select=lambda rows: rows)
     windows = type("Windows", (), {**vars(many), "__len__": lambda _: 1, "select": lambda _, rows: rows})()
     session: Any = SimpleNamespace(comparison=SimpleNamespace(windows=windows), start=0)

@@ -37,7 +37,7 @@ class Link:
 
     title, ended = "fleet f", False
 
-    def __init__(self, *answers: Told) -> None:
+    def __init__(self, *answers):
         self.answers, self.asked, self.untold = list(answers), list[Any](), set[object]()
         book = RobotBook("r1")
         book.take(state_of(tick=20, robot_time=1.0), 1.0)
@@ -45,21 +45,21 @@ class Link:
         book.take(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
         self.book = SimpleNamespace(robots={"r1": book}, last_refusal="")
 
-    async def ask(self, robot: str, request: Any) -> Told:
+    async def ask(self, robot, request):
         self.asked.append((robot, request))
         return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
 
 
-def told(answer: Answer) -> Told:
+def told(answer):
     return Told(answer, answer.sentence)
 
 
 @pytest.fixture
-def shown(finished: Any) -> Any:
+def shown(finished):
     """shown(link, do): what ``do(page, tab)`` returns of a live page that shows the robot and knows its candidates."""
 
-    def run(link: Link, do: Any) -> Any:
-        async def story() -> Any:
+    def run(link, do):
+        async def story():
             with Tab() as tab:
                 made: Any = link
                 page = LivePage(made)
@@ -73,7 +73,7 @@ def shown(finished: Any) -> Any:
     return run
 
 
-def can_be_read(notice: dict[str, Any]) -> bool:
+def can_be_read(notice):
     """Whether it stays long enough, and goes by itself."""
     return bool(1000.0 * len(notice["message"]) / LETTERS_A_SECOND <= notice["timeout"] <= LONGEST_COVERED)
 
@@ -88,12 +88,10 @@ def can_be_read(notice: dict[str, Any]) -> bool:
         ("accept drag", "accept", Told(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
     ],
 )
-def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(
-    shown: Any, button: str, do: str, answer: Told, words: str, kind: str
-) -> None:
+def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(shown, button, do, answer, words, kind):
     link = Link(told(STATUS), answer, told(STATUS))
 
-    async def decide(_: Any, tab: Tab) -> list[dict[str, Any]]:
+    async def decide(_, tab):
         tab.all(ui.input)[0].value = "ann"
         await tab.click(button)
         return tab.popped_up
@@ -107,8 +105,8 @@ def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(
     assert [request.do for _, request in link.asked] == ["status", do, "status"]
 
 
-def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_of_now(shown: Any) -> None:
-    async def look(page: Any, tab: Tab) -> list[str]:
+def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_of_now(shown):
+    async def look(page, tab):
         await page.ask_status()
         first = [line for line in tab.lines if line.startswith("If you accept: ")]
         (wind,) = [element for element in tab.all(ui.html) if element.content == "wind"]
@@ -120,11 +118,11 @@ def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_
     assert "is being computed" in wind
 
 
-def test_the_end_of_a_change_pops_up_once(shown: Any) -> None:
+def test_the_end_of_a_change_pops_up_once(shown):
     pending = replace(STATUS, pending="change 1")
     over = replace(STATUS, sentence="change 1 was refused: the filter cannot have it")
 
-    async def wait(page: Any, tab: Tab) -> list[dict[str, Any]]:
+    async def wait(page, tab):
         assert any(line.endswith("(change 1 …)") for line in tab.lines)
         for _ in range(3):
             await page.ask_status()
@@ -135,16 +133,16 @@ def test_the_end_of_a_change_pops_up_once(shown: Any) -> None:
     assert can_be_read(notice)
 
 
-def test_without_an_earlier_model_there_is_no_way_back(shown: Any) -> None:
-    async def look(_: Any, tab: Tab) -> bool:
+def test_without_an_earlier_model_there_is_no_way_back(shown):
+    async def look(_, tab):
         return bool(tab.button(BACK).visible)
 
     assert not shown(Link(told(replace(STATUS, earlier=0))), look)
     assert shown(Link(told(STATUS)), look)
 
 
-def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_seconds(shown: Any) -> None:
-    async def look(_: Any, tab: Tab) -> list[float]:
+def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_seconds(shown):
+    async def look(_, tab):
         return [timer.interval for timer in tab.all(ui.timer)]
 
     picture, status = shown(Link(told(STATUS)), look)
@@ -152,14 +150,12 @@ def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_s
     assert 0.5 <= status <= 3.0
 
 
-def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(
-    finished: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def light() -> bool:
+def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(finished, tmp_path, monkeypatch):
+    async def light():
         return False
 
     class Troubled(Bench):
-        def listen(self, tab: object, heard: Any) -> None:
+        def listen(self, tab, heard):
             super().listen(tab, heard)
             heards.append(heard)
 
@@ -168,7 +164,7 @@ def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(
     bench = Troubled(Choice(), tmp_path)
     bench.trouble = "the worker was ended: start it again"
 
-    async def story() -> list[dict[str, Any]]:
+    async def story():
         with Tab() as tab:
             await page.Page(bench, RerunDoor(), Shelf.of((), ())).begin()
             opened: Any = object()

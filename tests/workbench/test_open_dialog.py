@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("nicegui")
 from nicegui import ui
+from nicegui.elements.upload_files import SmallFileUpload
 from tests.workbench.tab import Tab
 
 from safedpa.records import McapRecorder
@@ -26,7 +25,7 @@ OF_DART = "elapsed time sensors,vicon time,vicon x,vicon y,vicon yaw,throttle,st
 BUS = "needs no column map"
 
 
-def opened(folder: Path) -> OpenDialog:
+def opened(folder):
     return OpenDialog(lambda _: asyncio.sleep(0), folder, Shelf.of((), (folder,)))
 
 
@@ -46,8 +45,8 @@ def opened(folder: Path) -> OpenDialog:
     ],
 )
 def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_was_chosen(
-    header: str | None, chosen: str, map_then: str, read_as: list[str | None], tmp_path: Path, finished: Any
-) -> None:
+    header, chosen, map_then, read_as, tmp_path, finished
+):
     path = tmp_path / ("run.mcap" if header is None else "run.csv")
     if header is None:
         with McapRecorder(path):
@@ -55,7 +54,7 @@ def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_
     else:
         path.write_text(f"{header}\n" + "0," * header.count(",") + "0\n", encoding="utf-8")
 
-    async def story() -> tuple[str, list[Any], bool]:
+    async def story():
         with Tab() as tab:
             dialog = opened(tmp_path)
             (columns,) = tab.all(ui.select)
@@ -72,13 +71,11 @@ def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_
 
 
 @pytest.mark.parametrize(("model", "named"), [("", True), ("car", False), ("", False)])
-def test_without_a_model_or_a_recording_no_columns_are_shown(
-    model: str, named: bool, tmp_path: Path, finished: Any
-) -> None:
+def test_without_a_model_or_a_recording_no_columns_are_shown(model, named, tmp_path, finished):
     path = tmp_path / "run.csv"
     path.write_text(OF_DART, encoding="utf-8")
 
-    async def story() -> list[Any]:
+    async def story():
         with Tab() as tab:
             opened(tmp_path).show(Choice(model, (str(path),) if named else ()))
             return [select.value for select in tab.all(ui.select)]
@@ -87,10 +84,10 @@ def test_without_a_model_or_a_recording_no_columns_are_shown(
 
 
 @pytest.mark.parametrize("name", ["/\x1b[2J\u202eodom:x", "/<script>alert(1)</script>:x", "/" + "a" * 5000])
-def test_a_topic_of_a_bag_is_offered_as_text_and_kept_as_it_is(name: str, plain: Any, finished: Any) -> None:
+def test_a_topic_of_a_bag_is_offered_as_text_and_kept_as_it_is(name, plain, finished):
     from safedpa_services.workbench.column_form import guessed
 
-    async def story() -> dict[str, str]:
+    async def story():
         with Tab() as tab:
             ColumnsTable(lambda: None).show(guessed(plain.system, [name]), RawRows((name,), ()))
             return dict(tab.all(ui.select)[0].options)
@@ -101,77 +98,61 @@ def test_a_topic_of_a_bag_is_offered_as_text_and_kept_as_it_is(name: str, plain:
     assert len(options[name]) < 300
 
 
-class Sent(ui.upload.FileUpload):
-    """A file whose last byte comes when ``others`` have come."""
+class Sent(SmallFileUpload):
+    """A file whose last byte comes when those ``after`` which it comes are there."""
 
-    def __init__(self, name: str, text: str, after: tuple[Sent, ...] = ()) -> None:
-        super().__init__(name, "text/csv")
-        self._text, self._after, self.there = text, after, asyncio.Event()
+    def __init__(self, name, text, *after):
+        super().__init__(name, "text/csv", text.encode())
+        self._after, self.there = after, asyncio.Event()
 
-    async def save(self, path: str | Path) -> None:
+    async def save(self, path):
         for other in self._after:
             await other.there.wait()
-        Path(path).write_text(self._text, encoding="utf-8")
+        await super().save(path)
         self.there.set()
 
-    async def read(self) -> bytes:
-        return self._text.encode()
 
-    async def text(self, encoding: str = "utf-8") -> str:
-        return self._text
-
-    async def iterate(self, *, chunk_size: int = 1) -> AsyncIterator[bytes]:  # type: ignore[override]
-        yield self._text.encode()
-
-    def size(self) -> int:
-        return len(self._text)
+def two_of_one_name():
+    return [Sent("drive.csv", "first"), Sent("drive.csv", "second")]
 
 
-@pytest.fixture
-def kept(finished: Any, tmp_path: Path) -> Any:
-    """kept(sent): texts and names of the files that were kept after ``sent()`` came together, and what is said."""
-
-    def run(sent: Callable[[], list[Sent]]) -> tuple[list[str], list[str], str]:
-        before = set(map(str, (tmp_path / "uploads").glob("*")))
-
-        async def story() -> tuple[str, list[str]]:
-            with Tab() as tab:
-                opened(tmp_path)
-                (upload,), (paths,) = tab.all(ui.upload), tab.all(ui.textarea)
-                files = sent()
-                await upload.handle_uploads(files)
-                await tab.until(lambda: len((paths.value or "").splitlines()) == len(files))
-                return " ".join(tab.lines), paths.value.splitlines()
-
-        said, paths = finished(story())
-        files = sorted((tmp_path / "uploads").iterdir())
-        assert {str(path) for path in files} - set(paths) == before
-        return [path.read_text(encoding="utf-8") for path in files], [path.name for path in files], said
-
-    return run
+def the_longer_one_comes_last():
+    short = Sent("short.csv", "second")
+    return [Sent("long.csv", "first", short), short]
 
 
-def test_uploads_of_one_name_are_both_kept(kept: Any) -> None:
-    texts, names, said = kept(lambda: [Sent("drive.csv", "first"), Sent("drive.csv", "second")])
-    assert texts == ["first", "second"]
-    assert names == ["001_drive.csv", "002_drive.csv"]
-    assert all(name in said for name in names)
+@pytest.mark.parametrize(
+    ("sent", "names"),
+    [
+        (two_of_one_name, ["001_drive.csv", "002_drive.csv"]),
+        (the_longer_one_comes_last, ["001_long.csv", "002_short.csv"]),
+    ],
+)
+@pytest.mark.parametrize("older", [None, "002_drive.csv"])
+def test_uploads_that_come_together_are_all_kept_and_named_and_replace_no_older_file(
+    sent, names, older, tmp_path, finished
+):
+    uploads = tmp_path / "uploads"
+    if older is not None:
+        uploads.mkdir()
+        (uploads / older).write_text("older", encoding="utf-8")
 
+    async def story():
+        with Tab() as tab:
+            opened(tmp_path)
+            (upload,), (paths,) = tab.all(ui.upload), tab.all(ui.textarea)
+            files = sent()
+            await upload.handle_uploads(files)
+            await tab.until(lambda: len((paths.value or "").splitlines()) == len(files))
+            return " ".join(tab.lines), [Path(line) for line in paths.value.splitlines()], [one.name for one in files]
 
-def test_each_upload_is_named_whichever_comes_last(kept: Any) -> None:
-    def sent() -> list[Sent]:
-        short = Sent("short.csv", "short")
-        return [Sent("long.csv", "long", (short,)), short]
-
-    texts, names, said = kept(sent)
-    assert texts == ["long", "short"]
-    assert "Uploaded: long.csv" in said
-    assert "Uploaded: short.csv" in said
-    assert names == ["001_long.csv", "002_short.csv"]
-
-
-def test_an_upload_never_replaces_an_older_file(kept: Any, tmp_path: Path) -> None:
-    (tmp_path / "uploads").mkdir()
-    (tmp_path / "uploads" / "002_drive.csv").write_text("old", encoding="utf-8")
-    texts, _, _ = kept(lambda: [Sent("drive.csv", "new")])
-    assert texts == ["old", "new"]
+    said, paths, given = finished(story())
+    texts = {path.name: path.read_text(encoding="utf-8") for path in uploads.iterdir()}
+    assert texts.pop(older, "older") == "older"
+    assert sorted(texts) == sorted(path.name for path in paths)
+    assert sorted(texts.values()) == ["first", "second"]
+    if older is None:
+        assert sorted(texts) == names
+        assert [texts[name] for name in names] == ["first", "second"]
+    assert all(f"Uploaded: {name}" in said for name in given)
+    assert all(path.name in said for path in paths)

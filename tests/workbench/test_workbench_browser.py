@@ -1,4 +1,4 @@
-"""The workbench in a real browser: see where the model fails, add what it lacks, see the error fall, undo."""
+"""The workbench in a real browser: see where the model fails, add what it lacks, undo; drop files on it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.long, pytest.mark.slow]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""
 POLLING = 100
 """ms; a page that is asked at every picture that it draws computes nothing else."""
 MAP = ".panel:nth-of-type(2) .js-plotly-plot >> nth=0"
+ONE_BAR = "document.querySelectorAll('.stages .value').length === 1"
+FILES = """(named) => { const drag = new DataTransfer();
+  for (const [name, text] of named) drag.items.add(new File([text], name, {type: 'text/csv'}));
+  return drag; }"""
 
 
 class Watched:
@@ -50,6 +54,24 @@ class Watched:
         self.page.close()
 
 
+def dragged(page, at, *files):
+    """What a browser does when files are dragged over ``at`` and let go there."""
+    drag = page.evaluate_handle(FILES, [list(item) for item in files])
+    for kind in ("dragenter", "dragover"):
+        page.dispatch_event(at, kind, {"dataTransfer": drag})
+    onto = ".q-uploader__dnd" if at == ".q-uploader" else at  # the box covers itself while something is above it
+    page.wait_for_selector(onto, state="attached", timeout=PATIENCE)
+    page.dispatch_event(onto, "drop", {"dataTransfer": drag})
+
+
+def opened(browser, address):
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.complaints = []
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.goto(address)
+    return page
+
+
 def brushed(watched):
     """Draws a box over a part of the error map; returns what the page says of it, and the dots in the other figure."""
     page = watched.page
@@ -65,8 +87,6 @@ def brushed(watched):
     return said, page.evaluate(f"{last}.x.length")
 
 
-@pytest.mark.browser
-@pytest.mark.processes
 def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
     model, runs = drives
     watched = Watched(browser, serve(model, *runs))
@@ -90,8 +110,6 @@ def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
     watched.close()
 
 
-@pytest.mark.browser
-@pytest.mark.processes
 def test_everything_by_keyboard_and_saved(browser, serve, drives, short_drive, tmp_path):
     watched = Watched(browser, serve(drives[0], short_drive))
     page = watched.page
@@ -124,8 +142,6 @@ def test_everything_by_keyboard_and_saved(browser, serve, drives, short_drive, t
     watched.close()
 
 
-@pytest.mark.browser
-@pytest.mark.processes
 def test_a_foreign_log_is_mapped_in_the_page(browser, serve, drives, tmp_path):
     model, runs = drives
     text = runs[0].read_text(encoding="utf-8").replace("t,x,y,yaw,speed,", "time,pos_x,pos_y,heading,velocity,", 1)
@@ -142,9 +158,6 @@ def test_a_foreign_log_is_mapped_in_the_page(browser, serve, drives, tmp_path):
     watched.close()
 
 
-@pytest.mark.browser
-@pytest.mark.processes
-@pytest.mark.slow
 def test_the_real_car(browser, serve, data_folder):
     logs = sorted(Path(data_folder, "dart_rc_car").glob("91*/*.csv"))
     if not logs:
@@ -161,3 +174,36 @@ def test_the_real_car(browser, serve, data_folder):
     page.click("text=Undo")
     assert watched.wait_for_bars(2) == before
     watched.close()
+
+
+def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path):
+    model, runs = drives
+    page = opened(browser, serve("--folder", model.parent))
+    page.wait_for_selector(".q-uploader", timeout=PATIENCE)
+    page.fill("input[aria-label^='Model']", str(model))
+    page.press("input[aria-label^='Model']", "Tab")
+    dragged(page, ".q-uploader", *((path.name, path.read_text(encoding="utf-8")) for path in runs))
+    for path in runs:  # they travel side by side, so any may come first
+        page.wait_for_selector(f"text=/Uploaded: {path.name}, .* MB/", timeout=PATIENCE)
+    page.wait_for_selector("text=/drive_..csv .first of 2 files.: 800 rows in 1 stretch/", timeout=PATIENCE)
+    kept = {path.name[4:]: path.read_text(encoding="utf-8") for path in (tmp_path / "out" / "uploads").iterdir()}
+    assert kept == {path.name: path.read_text(encoding="utf-8") for path in runs}
+    page.locator(".q-dialog").get_by_role("button", name="Open", exact=True).click()  # a path may say 'open' too
+    page.wait_for_function(ONE_BAR, polling=POLLING, timeout=PATIENCE)
+    assert "2 recordings, 80 s" in page.locator(".what").inner_text()
+    assert page.complaints == []
+    page.close()
+
+
+def test_files_dropped_beside_the_box_do_not_take_the_page_away(browser, serve, drives, tmp_path):
+    model, runs = drives
+    page = opened(browser, serve(model, runs[0]))
+    page.wait_for_function(ONE_BAR, polling=POLLING, timeout=PATIENCE)
+    dragged(page, "main", (runs[1].name, runs[1].read_text(encoding="utf-8")))
+    page.wait_for_selector("text=/Uploaded: drive_2.csv/", timeout=PATIENCE)
+    assert str(tmp_path / "out" / "uploads" / "001_drive_2.csv") in page.input_value(".q-dialog textarea")
+    dragged(page, ".dialog-title", ("notes.txt", "no recording"))
+    page.wait_for_selector("text=/Not taken: wanted recordings .*csv/", timeout=PATIENCE)
+    assert len(list((tmp_path / "out" / "uploads").iterdir())) == 1
+    assert page.complaints == []
+    page.close()

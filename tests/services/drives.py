@@ -1,0 +1,23 @@
+"""Drives in real processes, by the command line in this process, which has imported what it needs."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import redirect_stdout
+
+from safedpa_services.command_line import safedpa
+
+
+def run(*words):
+    """The document that a command prints."""
+    said = io.StringIO()
+    with redirect_stdout(said):
+        assert safedpa.run([*words, "--json"]) == 0
+    assert said.getvalue().count("\n") == 1
+    return json.loads(said.getvalue())
+
+
+def drive(folder, *options):
+    """The summary of a drive in lockstep."""
+    return run("up", "--headless", "--lockstep", "--out", str(folder), *options)
