@@ -55,7 +55,7 @@ def test_when_nothing_is_left_its_thread_ends_and_the_next_work_has_another() ->
     assert done == [0, 1, 2]
 
 
-def test_one_that_fails_is_told_and_the_others_are_done(capsys: pytest.CaptureFixture[str]) -> None:
+def test_work_that_fails_is_reported_and_the_other_work_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     alarm, done = Alarm(), list[int]()
     before = alarm_threads()
     alarm(0.0, lambda: {}.pop(0))

@@ -88,7 +88,7 @@ def test_a_bundle_holds_at_most_256_messages_and_48_kib(sizes: list[int], counts
 
 @given(some.binary(max_size=200))
 @example(packed([("r", b"x"), ("s", b"")]))
-def test_what_is_no_bundle_is_refused(payload: bytes) -> None:
+def test_a_payload_that_is_no_bundle_is_refused(payload: bytes) -> None:
     try:
         found = unbundled(payload)
     except MessageError:
@@ -124,7 +124,7 @@ def test_of_topics_that_drop_nothing_every_message_of_a_bundle_is_kept(samples: 
     assert [item.robot for item in inbox.take(0.0)] == ["a", "b"] * 3
 
 
-def test_who_reads_what_is_for_it_alone_hears_no_bundle(samples: dict[str, Message]) -> None:
+def test_a_robot_that_reads_its_own_messages_only_hears_no_bundle(samples: dict[str, Message]) -> None:
     wire = Wire()
     robot = wire.bus().inbox((ACTION,), "a", alone=True)
     sent_together(wire, ACTION, samples["action"], ("a", "b"))
@@ -160,7 +160,7 @@ def test_of_robots_that_are_not_served_nothing_gets_in(samples: dict[str, Messag
         packed([("a", bytes(70_000))]),
     ],
 )
-def test_a_bundle_that_is_none_is_refused_once_and_makes_nobody_speak(payload: bytes) -> None:
+def test_a_malformed_bundle_is_refused_once_and_delivers_no_message(payload: bytes) -> None:
     wire = Wire()
     inbox = wire.bus().inbox((STATE,))
     wire.put(f"safedpa/f/{BUNDLE}/state", payload)
@@ -170,7 +170,7 @@ def test_a_bundle_that_is_none_is_refused_once_and_makes_nobody_speak(payload: b
 
 
 @pytest.mark.parametrize("name", ["*", BUNDLE])
-def test_nobody_is_called_many_robots(name: str, samples: dict[str, Message]) -> None:
+def test_no_robot_has_the_name_of_a_bundle_or_a_wildcard(name: str, samples: dict[str, Message]) -> None:
     wire = Wire()
     inbox = wire.bus().inbox((STATE,))
     wire.put(f"safedpa/f/{BUNDLE}/state", packed([(name, encode(samples["state"])), ("a", encode(samples["state"]))]))
@@ -200,7 +200,7 @@ def test_under_a_wildcard_no_bundle_is_opened(samples: dict[str, Message]) -> No
     assert all(isinstance(item, Refused) for item in inbox.take(0.0))
 
 
-def test_in_a_bundle_nobody_speaks_as_another_service_either(samples: dict[str, Message]) -> None:
+def test_in_a_bundle_no_service_speaks_as_another_either(samples: dict[str, Message]) -> None:
     wire = Wire()
     inbox = wire.bus().inbox((HEALTH,))
     health = dataclasses.replace(samples["health"], service="policy")  # type: ignore[call-arg]
@@ -208,7 +208,7 @@ def test_in_a_bundle_nobody_speaks_as_another_service_either(samples: dict[str, 
     assert all(isinstance(item, Refused) for item in inbox.take(0.0))
 
 
-def test_only_who_may_speak_for_every_robot_may_send_bundles_and_no_robot_may_read_one() -> None:
+def test_only_roles_that_serve_the_whole_fleet_may_send_bundles_and_no_robot_may_read_one() -> None:
     for role in ROLES.values():
         for topic in TOPICS.values():
             allowed = may_write(role, topic, BUNDLE)
@@ -224,7 +224,7 @@ def test_only_who_may_speak_for_every_robot_may_send_bundles_and_no_robot_may_re
     assert not [key for key in keys["robot.r1 reads"] if "*" in key.split("/")[2]]
 
 
-def test_who_links_a_router_for_some_robots_may_bring_no_bundle() -> None:
+def test_a_router_that_is_linked_for_some_robots_may_bring_no_bundle() -> None:
     table = access_control("f", ("r1",), {"router.hall": ("r1",)})
     keys = {rule["id"]: rule["key_exprs"] for rule in table["rules"]}
     brought = keys["router.hall brings"]

@@ -12,7 +12,7 @@ from safedpa.errors import BusError
 
 
 class Signs:
-    """Signs of life on a clock that a sleep moves; ``others`` by name: the look that sees them first, and their end [s].
+    """Signs of life on a clock that a sleep moves; ``others``: the look that sees each first, and its end [s].
 
     It stands in place of a transport.
     """

@@ -123,7 +123,7 @@ def test_a_batch_is_not_taken_before_its_quantum_is_over(
     assert 0.0 < slept[0] <= 0.05
 
 
-def test_what_is_held_goes_out_in_order_at_the_flush(samples: dict[str, Message]) -> None:
+def test_held_messages_go_out_in_order_at_the_flush(samples: dict[str, Message]) -> None:
     broker = MemoryBroker()
     bus, inbox = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f").inbox((ACTION, VERDICT))
     models = bus.inbox((MODEL,))

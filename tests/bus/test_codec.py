@@ -161,13 +161,13 @@ def test_a_missing_field_is_refused_unless_it_has_a_default(
         (b"\x91" * 5000, "no msgpack"),
     ],
 )
-def test_what_is_no_map_of_fields_is_refused(kind: type[Message], payload: bytes, reason: str) -> None:
+def test_a_payload_that_is_no_map_of_fields_is_refused(kind: type[Message], payload: bytes, reason: str) -> None:
     with pytest.raises(MessageError, match=reason):
         decode(kind, payload)
 
 
 @pytest.mark.parametrize("kind", LARGEST_BYTES)
-def test_what_is_too_large_is_refused_unread(kind: type[Message]) -> None:
+def test_a_payload_that_is_too_large_is_refused_unread(kind: type[Message]) -> None:
     with pytest.raises(MessageError, match=rf"{kind.__name__}: got \d+ bytes, wanted at most"):
         decode(kind, b"\xc1" * (LARGEST_BYTES[kind] + 1))
     with pytest.raises(MessageError, match="no msgpack"):
@@ -203,7 +203,7 @@ def test_on_both_roads_the_largest_number_is_carried_as_a_float(
         ("x" * 5_000, "'" + "x" * 36 + "..."),
     ],
 )
-def test_of_a_long_wrong_value_its_beginning_is_told(wrong: str, shown: str, samples: dict[str, Message]) -> None:
+def test_the_beginning_of_a_long_wrong_value_is_reported(wrong: str, shown: str, samples: dict[str, Message]) -> None:
     good = table_of(samples["action"])
     with pytest.raises(MessageError) as refused:
         decode(TOPICS["action"].message, msgpack.packb({**good, "robot_time": wrong}))
@@ -211,7 +211,7 @@ def test_of_a_long_wrong_value_its_beginning_is_told(wrong: str, shown: str, sam
 
 
 @pytest.mark.parametrize(("size", "by_field"), [(65_536, True), (65_537, False)])
-def test_what_is_wrong_in_64_kib_is_told_by_field_and_beyond_unopened(size: int, by_field: bool) -> None:
+def test_an_error_in_64_kib_is_reported_by_field_and_a_larger_payload_is_not_opened(size: int, by_field: bool) -> None:
     table = {"ok": 1, "sentence": "so be it", "document": "x" * 65_000}
     padding = size - len(msgpack.packb(table))
     payload = msgpack.packb({**table, "document": "x" * (65_000 + padding)})

@@ -17,7 +17,7 @@ def linked(transport: ZenohTransport, count: int) -> set[str]:
     return found
 
 
-def test_beside_a_guest_at_the_socket_of_this_user_a_guest_from_the_network_is_cut_off(
+def test_a_guest_from_the_network_is_cut_off_and_one_at_the_socket_of_this_user_is_not(
     free_port: int, tmp_path: Path
 ) -> None:
     """A socket in a folder has a path and no port. Whoever ends what is expired names both, and the one is ended."""

@@ -148,7 +148,7 @@ def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samp
     assert node.told == [("r", None), ("r", 0, True)]
 
 
-def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
+def test_messages_that_came_while_it_waited_are_not_lost(
     broker: Any, clock: Clock, state_at: Any, samples: Any
 ) -> None:
     node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
@@ -215,6 +215,19 @@ def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
     assert [robot for robot, _ in bus.about] == ["r", "q", "r"]
 
 
+def test_without_any_answer_the_loop_wakes_up_when_the_patience_ends(broker: Any, clock: Clock, state_at: Any) -> None:
+    node = Curious()
+    loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
+    Bus(MemoryTransport(broker), "test").publish(STATE, "r", state_at(0, lockstep=False))
+    loop.turn(0.0)
+    clock.now = 0.8
+    loop.turn(0.0)
+    assert loop.patience(1.0) == pytest.approx(0.1)
+    for clock.now in (0.91, 1.0):
+        loop.turn(0.0)
+    assert node.told == [("r", None), ("r", 0, False)]
+
+
 def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_at: Any, samples: Any) -> None:
     node, loop, robot = service
     for epoch in (1, 2):
@@ -227,7 +240,7 @@ def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_
     assert node.told == [("r", None), ("r", 0, True)] * 2
 
 
-def test_a_node_that_holds_no_model_asks_nobody(broker: Any, clock: Clock, state_at: Any, samples: Any) -> None:
+def test_a_node_that_holds_no_model_asks_for_none(broker: Any, clock: Clock, state_at: Any, samples: Any) -> None:
     node = Indifferent()
     loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
     robot = Bus(MemoryTransport(broker), "test")

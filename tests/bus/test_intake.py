@@ -68,7 +68,7 @@ def test_what_comes_alone_comes_where_its_robot_is_served(serves: str | None, co
     assert opened(own, "safedpa/f/a/state", b"1") == ([("safedpa/f/a/state", b"1")] if comes else [])
 
 
-def test_two_ask_for_the_same_where_topic_fleet_robot_and_whom_they_serve_agree() -> None:
+def test_two_ask_for_the_same_where_topic_fleet_robot_and_the_robots_that_they_serve_agree() -> None:
     def serves(name: str) -> bool:
         return name == "a"
 
@@ -81,7 +81,7 @@ def test_two_ask_for_the_same_where_topic_fleet_robot_and_whom_they_serve_agree(
     assert not [other for other in others if usual.asks_as(other)]
 
 
-def test_who_speaks_as_every_service_is_refused_once_and_under_no_robots_name() -> None:
+def test_a_message_of_every_service_is_refused_once_and_under_no_robots_name() -> None:
     """As Zenoh delivers what was put under a wildcard; each robot would count a refusal that it did not bring about."""
     key, payload = f"safedpa/f/{BUNDLE}/health/*", packed([("a", b"1"), ("b", b"2")])
     inbox = Inbox()

@@ -24,7 +24,7 @@ class Heard:
         self.samples.append((key, payload))
 
 
-def test_what_services_say_to_each_other_is_heard_inside_once_and_outside() -> None:
+def test_messages_between_services_are_heard_inside_once_and_outside() -> None:
     broker = MemoryBroker()
     joint, outside = JointTransport(MemoryTransport(broker), INSIDE), Heard()
     MemoryTransport(broker).subscribe("safedpa/f/*/latent", outside)
@@ -37,7 +37,7 @@ def test_what_services_say_to_each_other_is_heard_inside_once_and_outside() -> N
     assert [one.samples, every.samples, other.samples, outside.samples] == [[sample], [sample], [], [sample]]
 
 
-def test_who_speaks_as_a_service_that_lives_here_is_not_heard() -> None:
+def test_a_stranger_that_speaks_as_a_service_of_this_process_is_not_heard() -> None:
     broker = MemoryBroker()
     joint, heard = JointTransport(MemoryTransport(broker), INSIDE), Heard()
     joint.subscribe("safedpa/f/*/latent", heard)
@@ -48,7 +48,7 @@ def test_who_speaks_as_a_service_that_lives_here_is_not_heard() -> None:
     assert heard.samples == [("safedpa/f/r/state", b"state")]
 
 
-def test_what_comes_under_odd_keys_does_no_harm() -> None:
+def test_messages_under_odd_keys_do_no_harm() -> None:
     heard, broker = Heard(), MemoryBroker()
     JointTransport(MemoryTransport(broker), INSIDE).subscribe("safedpa/f/*/state", heard)
     ((_, _, hand_on),) = broker.subscribers
@@ -103,7 +103,7 @@ def sent_to_several(
     return reading, [inbox.take(0.0) for inbox in inboxes]
 
 
-def test_a_message_is_read_once_for_all_who_share_a_process(samples: dict[str, Message]) -> None:
+def test_a_message_is_read_once_for_all_services_of_a_process(samples: dict[str, Message]) -> None:
     state = encode(samples["state"])
     garbage, large = b"garbage", bytes(70_000)
     reading, taken = sent_to_several(3, [("a", state), ("b", garbage), ("c", state)])
@@ -118,7 +118,7 @@ def test_a_message_is_read_once_for_all_who_share_a_process(samples: dict[str, M
     assert [[type(item) for item in items] for items in refused] == [[Refused], [Refused]]
 
 
-def test_what_is_replaced_before_anybody_takes_it_is_never_read(samples: dict[str, Message]) -> None:
+def test_a_message_that_is_replaced_before_it_is_taken_is_never_read(samples: dict[str, Message]) -> None:
     broker, reading = MemoryBroker(), Reading()
     joint = JointTransport(MemoryTransport(broker), INSIDE)
     inboxes = [Bus(joint, "f", reading).inbox((STATE,)) for _ in range(2)]
@@ -129,7 +129,7 @@ def test_what_is_replaced_before_anybody_takes_it_is_never_read(samples: dict[st
     assert reading.read == [newest]
 
 
-def test_who_asks_for_other_robots_has_its_own(samples: dict[str, Message]) -> None:
+def test_a_service_that_asks_for_other_robots_gets_its_own(samples: dict[str, Message]) -> None:
     broker = MemoryBroker()
     joint = JointTransport(MemoryTransport(broker), INSIDE)
     asked: tuple[Callable[[str], bool] | None, ...] = (None, lambda robot: robot == "a", lambda robot: robot == "b")
@@ -160,7 +160,7 @@ def test_inside_a_bundle_is_opened_once_too_and_what_comes_alone_stays_alone(sam
     assert [item.bundled for inbox in inboxes for item in inbox.take(0.0) if isinstance(item, Received)] == [False] * 2
 
 
-def test_nobody_acts_before_every_service_has_it(samples: dict[str, Message]) -> None:
+def test_no_service_acts_before_every_service_has_the_message(samples: dict[str, Message]) -> None:
     broker = MemoryBroker()
     joint = JointTransport(MemoryTransport(broker), INSIDE)
     inboxes = [Bus(joint, "f").inbox((STATE,)) for _ in range(3)]

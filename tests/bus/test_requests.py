@@ -16,12 +16,12 @@ from safedpa.bus.wire.version import software_version
 from safedpa.errors import InputError
 
 
-def test_what_a_short_question_leaves_out_is_nothing() -> None:
+def test_a_short_request_has_empty_defaults() -> None:
     asked = decode(Request, msgpack.packb({"do": "status"}))
     assert asked == Request(do="status", effect="", model="", finding=0, who="", switches=())
 
 
-def test_what_a_short_answer_leaves_out_is_nothing() -> None:
+def test_a_short_answer_has_empty_defaults() -> None:
     given = decode(Answer, msgpack.packb({"ok": True, "sentence": "so be it"}))
     numbers = (given.change, given.epoch, given.from_tick, given.finding, given.earlier)
     assert numbers == (0, 0, 0, 0, 0)

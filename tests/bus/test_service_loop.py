@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -14,6 +15,7 @@ from safedpa.bus import (
     LATENT,
     SETUP,
     STATE,
+    SURROUNDINGS,
     VERDICT,
     ActionMessage,
     Bus,
@@ -102,6 +104,23 @@ def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
     assert real_time.node.steps[-1] == ("r", 5 + age, Stale(LATENT, age))
     health = real_time.health()["r"]
     assert (health.stale, health.detail) == (1, f"the latent is {age} ticks old")
+
+
+def test_a_heartbeat_counts_a_step_without_several_inputs_once_and_says_how_long_it_took(state_at: StateAt) -> None:
+    class Slow(Wisher):
+        inputs: ClassVar = (LATENT, SURROUNDINGS)
+
+        def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+            time.sleep(0.002)
+            return super().step(robot, state, inputs)
+
+    fleet = Fleet(state_at, lockstep=False, node=Slow())
+    fleet.state(0)
+    fleet.wait(0.02)
+    health = fleet.health()["r"]
+    assert (health.steps, health.stale) == (1, 1)
+    assert health.detail == "no latent has arrived; no surroundings has arrived"
+    assert 2_000.0 <= health.step_microseconds < 1_000_000.0
 
 
 @pytest.mark.parametrize(("lockstep", "age", "stepped"), [(False, 1, True), (False, 2, False), (True, 1, False)])
@@ -437,6 +456,15 @@ def test_an_action_waits_for_those_of_other_robots_five_milliseconds_at_most(
     assert node.after == [6] * 6
 
 
+def test_of_robots_that_speak_at_one_moment_those_that_do_not_wait_are_served_first(real_time: Fleet) -> None:
+    """A robot in lockstep waits for its action, the others drive on."""
+    for robot, lockstep in (("a", True), ("b", False), ("c", True), ("d", False)):
+        real_time.lockstep = lockstep
+        real_time.at_one_moment([robot])
+    real_time.loop.turn(0.0)
+    assert [robot for robot, _ in real_time.wished()] == ["b", "d", "a", "c"]
+
+
 def test_everything_published_in_a_turn_is_on_the_bus_when_it_ends(real_time: Fleet) -> None:
     """While batches are made, messages wait for the others of this turn, and for nothing else."""
     names = [f"r{number}" for number in range(9)]
@@ -543,3 +571,6 @@ def test_the_setup_is_published_at_once_and_every_five_seconds(known: bool, stat
         fleet.loop.turn(0.0)
         published += [fleet.clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, Received)]
     assert published == ([0.0, 5.0, 10.0] if known else [])
+    fleet.state(0)
+    fleet.wait(0.26)
+    assert len(heard.take(0.0)) == int(known), "a recording of a new robot has it from the first seconds on"

@@ -89,7 +89,7 @@ def test_a_message_gone_astray_is_not_delivered_and_that_is_reported(network: Ne
 
 
 @pytest.mark.processes
-def test_a_question_gone_astray_is_not_answered_nor_an_answer_taken(network: Network) -> None:
+def test_a_question_gone_astray_is_not_answered_and_an_answer_gone_astray_is_not_taken(network: Network) -> None:
     one, other, raw = network.one, network.other, network.raw
     asked: list[bytes] = []
 

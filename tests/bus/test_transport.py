@@ -106,7 +106,7 @@ class TransportContract(ABC):
         pair[0].put("safedpa/f/r/state", b"x", never_drop=False)
         assert until(lambda: heard.payloads == [b"x"])
 
-    def test_shows_who_is_alive_until_it_closes(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+    def test_shows_its_signs_of_life_until_it_closes(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
         one, other = pair
         other.declare_alive("safedpa/f/r/alive/policy/2")
         other.declare_alive("safedpa/f/r/alive/policy/1")

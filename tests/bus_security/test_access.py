@@ -29,7 +29,7 @@ def keys_of(control: dict[str, Any], subject: str, message: str, flow: str) -> s
 
 @given(NAMES)
 @settings(max_examples=20)
-def test_it_is_on_and_closed_and_every_rule_belongs_to_somebody(robots: list[str]) -> None:
+def test_it_is_on_and_closed_and_every_rule_belongs_to_a_role(robots: list[str]) -> None:
     control = access_control("f", robots)
     assert control["enabled"] is True
     assert control["default_permission"] == "deny"
@@ -44,7 +44,7 @@ def test_it_is_on_and_closed_and_every_rule_belongs_to_somebody(robots: list[str
 
 @given(NAMES)
 @settings(max_examples=20)
-def test_who_may_put_names_its_robots_one_by_one(robots: list[str]) -> None:
+def test_the_right_to_put_names_robots_one_by_one(robots: list[str]) -> None:
     control = access_control("f", robots)
     for role in set(roles_of(robots)) - {"router"}:
         assert not any("*" in key for key in keys_of(control, role, "put", "ingress"))
@@ -140,7 +140,7 @@ def rights_of(subject: str, robots: list[str], message: str, flow: str) -> set[s
     return keys_of(access_control("f", robots), subject, message, flow)
 
 
-def test_who_lives_says_so_under_its_own_name_and_nobody_else() -> None:
+def test_a_process_shows_that_it_lives_under_its_own_name_only() -> None:
     """A robot of itself, a service of the whole fleet; who only asks is no member."""
     robots = ["r1", "r2"]
     for role in set(roles_of(robots)) - {"router", "operator", "healthcheck"}:
@@ -154,7 +154,7 @@ LOOKING = {"dashboard", "workbench", "operator", "healthcheck"}
 
 
 @pytest.mark.parametrize("role", sorted(set(roles_of(())) - {"router"}))
-def test_who_shows_or_asks_may_look_who_lives_and_no_other_service(role: str) -> None:
+def test_pages_and_operators_may_see_who_lives_and_no_other_service_may(role: str) -> None:
     everybody = {"safedpa/f/*/alive/*/*"} if role in LOOKING else set()
     for message in ("liveliness_query", "declare_liveliness_subscriber"):
         assert rights_of(role, ["r"], message, "ingress") == everybody

@@ -41,7 +41,7 @@ def foreign(tmp_path: Path) -> Path:
     return authority.folder
 
 
-def test_a_foreign_authority_gets_nobody_in(network: Any, foreign: Path) -> None:
+def test_a_certificate_of_a_foreign_authority_is_refused(network: Any, foreign: Path) -> None:
     network.start(guarded=True)
     with pytest.raises(BusError, match="could not open"):
         attempt(network.endpoint, Certificates(foreign, "safety_filter"))
@@ -50,14 +50,14 @@ def test_a_foreign_authority_gets_nobody_in(network: Any, foreign: Path) -> None
         attempt(network.endpoint, Certificates(foreign, "safety_filter"))
 
 
-def test_nobody_trusts_a_router_of_a_foreign_authority(network: Any, foreign: Path) -> None:
+def test_a_router_of_a_foreign_authority_is_not_trusted(network: Any, foreign: Path) -> None:
     network.opened(ZenohSettings("router", (network.endpoint,), (), Certificates(foreign, "router")))
     gets_in(network.endpoint, Certificates(foreign, "safety_filter"))  # the twin: its own believe it
     with pytest.raises(BusError, match="could not open"):
         attempt(network.endpoint, network.card("safety_filter"))
 
 
-def test_an_expired_certificate_gets_nobody_in(network: Any) -> None:
+def test_an_expired_certificate_is_refused(network: Any) -> None:
     network.start(guarded=True)
     authority = Authority(network.folder, network.fleet)
     authority.issue("expiring", 1.0)
@@ -89,14 +89,14 @@ def tls_client(network: Any, role: str | None) -> bytes:
         return secured.recv(16)
 
 
-def test_without_a_certificate_nobody_gets_in(network: Any) -> None:
+def test_a_process_without_a_certificate_is_refused(network: Any) -> None:
     network.start(guarded=True)
     assert tls_client(network, "safety_filter")  # the router hangs up in its own protocol: it got that far
     with pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
         tls_client(network, None)
 
 
-def test_plain_text_gets_nobody_in(network: Any, free_port: int) -> None:
+def test_plain_text_is_refused(network: Any, free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     network.start(guarded=True)
     with pytest.raises(BusError, match="could not open"):

@@ -54,7 +54,7 @@ def may_write(network: Any, role: str, topic: Topic, robot: str, service: str) -
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_who_may_put_is_exactly_the_writer_column(network: Any, guarded: bool) -> None:
+def test_the_right_to_put_is_exactly_the_writer_column(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     ear = network.ear(network.raw("recorder"), *(key_of(network.fleet, "*", topic, "*") for topic in ALL))
     said = {key_of(network.fleet, "r1", topic, "any") for topic in ALL}
@@ -82,7 +82,7 @@ WILDCARDS = ("safedpa/f/*/action", "safedpa/f/r1/*", "safedpa/f/**", "safedpa/*/
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_nobody_puts_under_wildcards(network: Any, guarded: bool) -> None:
+def test_no_role_puts_under_wildcards(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
     for role in roles(network):
@@ -96,7 +96,7 @@ def test_nobody_puts_under_wildcards(network: Any, guarded: bool) -> None:
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_nobody_deletes_not_even_the_writer(network: Any, guarded: bool) -> None:
+def test_no_role_deletes_not_even_the_writer(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
     attacker = network.raw("safety_filter")
@@ -122,7 +122,7 @@ def may_read(role: str, topic: Topic, robot: str) -> bool:
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_who_hears_what_is_exactly_who_needs_it(network: Any, guarded: bool) -> None:
+def test_each_role_hears_exactly_what_it_needs(network: Any, guarded: bool) -> None:
     router = network.start(guarded=guarded)
     keys = {(topic, robot): key_of(network.fleet, robot, topic, "any") for topic in ALL for robot in network.robots}
     ears = {}
@@ -169,7 +169,7 @@ MAY_ASK = {
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_who_may_ask(network: Any, guarded: bool) -> None:
+def test_only_the_roles_of_the_table_may_ask(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     diagnosis, safety_filter = network.join("diagnosis"), network.join("safety_filter")
     perception = network.join("perception")
@@ -208,7 +208,7 @@ def test_who_may_ask(network: Any, guarded: bool) -> None:
 
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
-def test_nobody_answers_for_the_diagnosis_or_the_filter(network: Any, guarded: bool) -> None:
+def test_no_other_role_answers_for_the_diagnosis_or_the_filter(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     asked_of = {REQUEST: "diagnosis", ORDER: "safety_filter", SENSE: "perception"}
     lies = {(role, kind) for role in roles(network) for kind, honest in asked_of.items() if role != honest}
@@ -250,7 +250,7 @@ def test_a_name_cannot_be_taken_from_a_robot_by_others(network: Any, guarded: bo
 
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
 @pytest.mark.parametrize("role", ["intruder", "policy", "robot.r2"])
-def test_being_a_router_or_a_peer_helps_nobody(network: Any, role: str, guarded: bool) -> None:
+def test_joining_as_a_router_gives_no_role_more_rights(network: Any, role: str, guarded: bool) -> None:
     network.start(guarded=guarded)
     ear = network.ear(network.raw("robot.r1"), "safedpa/f/r1/action")
     attacker = network.raw(role, mode="router")

@@ -26,7 +26,7 @@ def events(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
     return [json.loads(line) for line in capsys.readouterr().err.splitlines()]
 
 
-def test_a_denial_is_told_with_name_and_key(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_denial_is_reported_with_name_and_key(capsys: pytest.CaptureFixture[str]) -> None:
     refusals = Refusals()
     refusals.hear(decision(FRESH, "un", "Put (ingress)", "safedpa/f/denial-1/action"))
     assert refusals.total == 0, "a decision alone is none: many are made in advance"
@@ -113,7 +113,7 @@ def test_a_handshake_that_failed_is_a_refusal_and_other_warnings_are_handed_on(
     assert refusals.total == (1 if kinds == ["bus.handshake_refused"] else 0)
 
 
-def test_a_refusal_whose_reason_was_lost_is_told_all_the_same() -> None:
+def test_a_refusal_whose_reason_was_lost_is_counted_all_the_same() -> None:
     refusals = Refusals()
     refusals.hear(END.format("10"))
     assert refusals.counts == {"bus.held_back": 1}
@@ -140,7 +140,7 @@ def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
     assert refusals.total == sum(line == END.format("1") for line in lines)
 
 
-def test_a_certificate_shown_by_two_is_told_once_it_lasts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys: pytest.CaptureFixture[str]) -> None:
     members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
     cut: list[set[str]] = []
     twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
@@ -156,13 +156,13 @@ def test_a_certificate_shown_by_two_is_told_once_it_lasts(capsys: pytest.Capture
     assert twins.look() == []
 
 
-def test_of_two_that_were_there_together_nobody_is_cut_off() -> None:
+def test_of_two_that_were_there_together_neither_is_cut_off() -> None:
     """The router began anew: nobody knows which is the copy."""
     twins = Twins(lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off"))
     assert [twins.look() for _ in range(5)][-1] == ["policy"]
 
 
-def test_of_two_that_come_while_the_router_begins_nobody_is_cut_off() -> None:
+def test_of_two_that_come_while_the_router_begins_neither_is_cut_off() -> None:
     """Both knock again and again while there is no router; which of them is heard first says nothing."""
     members: list[tuple[str, str]] = []
     twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
@@ -173,7 +173,7 @@ def test_of_two_that_come_while_the_router_begins_nobody_is_cut_off() -> None:
     assert [twins.look() for _ in range(6)][-1] == ["policy"]
 
 
-def test_whose_link_was_lost_is_no_newcomer() -> None:
+def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
     """A router that stood still loses all links at once; they come back in any order, and the copy may be quicker."""
     members = [("a", "policy")]
     cut: list[set[str]] = []
@@ -187,7 +187,7 @@ def test_whose_link_was_lost_is_no_newcomer() -> None:
     assert cut == [{"copy"}]
 
 
-def test_of_two_that_were_there_together_nobody_is_cut_off_after_the_router_stood_still() -> None:
+def test_of_two_that_were_there_together_neither_is_cut_off_after_the_router_stood_still() -> None:
     members = [("a", "policy"), ("b", "policy")]
     twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
     for _ in range(10):

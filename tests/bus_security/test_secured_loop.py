@@ -115,7 +115,7 @@ def attack(network: Any, stop: threading.Event) -> None:
         filtering.put("safedpa/f/r1/action", TOO_LARGE)
 
 
-def test_it_drives_as_if_nobody_attacked(network: Any, stack: ExitStack) -> None:
+def test_it_drives_as_without_an_attack(network: Any, stack: ExitStack) -> None:
     routing = router(stack, network)
     services = [start(stack, f"safedpa_services.{name}", *member(network, name)) for name in SERVICES]
     stop = threading.Event()
@@ -153,7 +153,7 @@ def test_it_drives_as_if_nobody_attacked(network: Any, stack: ExitStack) -> None
 
 
 @pytest.mark.long
-def test_nobody_is_denied_what_he_needs(network: Any, stack: ExitStack, tmp_path: Path) -> None:
+def test_no_role_is_denied_what_it_needs(network: Any, stack: ExitStack, tmp_path: Path) -> None:
     """Every process of a fleet, with its own role: the router denies none of them anything."""
     routing = router(stack, network)
     for name in (*SERVICES, "diagnosis"):
@@ -180,7 +180,7 @@ def test_a_copied_certificate_is_seen(network: Any, stack: ExitStack) -> None:
     assert routing.of("bus.twice")[0]["service"] == "safety_filter"
 
 
-def test_a_refused_handshake_is_told(network: Any, stack: ExitStack) -> None:
+def test_a_refused_handshake_is_reported(network: Any, stack: ExitStack) -> None:
     routing = router(stack, network)
     import socket
 

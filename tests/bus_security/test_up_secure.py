@@ -41,7 +41,7 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
     assert "bus.handshake_refused" in kinds
 
 
-def test_the_certificates_are_gone_afterwards_and_nobody_can_make_more() -> None:
+def test_the_certificates_are_gone_afterwards_and_no_more_can_be_made() -> None:
     with throw_away_certificates("f", "r1") as wallet:
         keys = [path.name for path in wallet.folder.glob("*.key.pem")]
         assert keys == ["operator.key.pem"], "those of processes are handed to them and lie nowhere"
