@@ -185,6 +185,17 @@ def test_messages_of_a_folder_are_packed_by_zstd_or_not_at_all(
         folder_bag(tmp_path / "bag", form, mode)
 
 
+@pytest.mark.parametrize("name", ["a.db3", "'a.db3'", '"a.db3"', '"a\\u002edb3"', "folder/a.db3"])
+def test_the_files_of_a_folder_are_named_in_yaml(name: str, tmp_path: Path) -> None:
+    """Of a path the last part counts: a name leads to no other folder."""
+    folder_bag(tmp_path / "bag", '""', '""', encoded(0.5))
+    text = METADATA.format(form='""', mode='""').replace("- a.db3", f"- {name}\n    - 'it''s lost.db3'\n    - 'x.db3")
+    (tmp_path / "bag" / "metadata.yaml").write_text(text, encoding="utf-8")
+    log = FolderBag(tmp_path / "bag")
+    assert [data for _, _, data in log.messages(("/a",))] == [encoded(0.5)]
+    assert ["1 of the bag's 2 files are not there (it's lost.db3)" in one.message for one in log.findings] == [True]
+
+
 def test_packed_messages_are_unpacked_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SAFEDPA_LIMITS", "bag_message_bytes=2000")
     packed = [zstandard.ZstdCompressor().compress(b" " * size) for size in (2000, 2001)]
