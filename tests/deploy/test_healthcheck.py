@@ -11,98 +11,54 @@ from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage, MemoryBroker, Memo
 from safedpa_services.healthcheck.__main__ import HealthCheck
 
 
-class Service:
-    """Sends heartbeats of a policy by hand."""
-
-    def __init__(self, broker: MemoryBroker) -> None:
-        self._bus = Bus(MemoryTransport(broker), "fleet")
-
-    def beat(
-        self, at: float, steps: int, state: str = "running", robot: str = "r1", service: str = "policy", pid: int = 7
-    ) -> None:
-        message = HealthMessage(
-            epoch=1,
-            tick=steps,
-            robot_time=0.0,
-            publish_time=at,
-            service=service,
-            pid=pid,
-            state=state,
-            detail="disk full" if state == "failing" else "",
-            steps=steps,
-        )
-        self._bus.publish(HEALTH, robot, message, service)
+def beat(bus: Bus, at: float, steps: int, **other: object) -> None:
+    """A heartbeat of the policy of robot r1, but for what is given."""
+    robot = str(other.pop("robot", "r1"))
+    plain = {"service": "policy", "pid": 7, "state": "running", "detail": ""}
+    message = HealthMessage(epoch=1, tick=steps, robot_time=0.0, publish_time=at, steps=steps, **{**plain, **other})
+    bus.publish(HEALTH, robot, message, message.service)
 
 
-@pytest.fixture
-def broker() -> MemoryBroker:
-    return MemoryBroker()
+READY = {"state": "ready", "robot": NO_ROBOT}
+FAILING = {"state": "failing", "detail": "disk full"}
+SILENT = "policy: no two heartbeats within 0 s"
 
 
-@pytest.fixture
-def service(broker: MemoryBroker) -> Service:
-    return Service(broker)
+@pytest.mark.parametrize(
+    ("beats", "said"),
+    [
+        ([(1.0, 10, {}), (1.25, 15, {})], ""),
+        ([(1.0, 0, READY), (1.25, 0, READY)], ""),
+        ([], SILENT),
+        ([(1.0, 10, {}), (1.0, 10, {})], SILENT),
+        ([(1.0, 10, {}), (1.25, 10, {})], "policy: alive, but it made no step after step 10"),
+        ([(1.0, 10, FAILING), (1.25, 15, FAILING)], "policy: failing, disk full"),
+        ([(1.0, 10, {"pid": 7}), (1.25, 15, {"pid": 8})], SILENT),
+        ([(1.0, 10, {"service": "adaptation"}), (1.25, 15, {"service": "adaptation"})], SILENT),
+    ],
+    ids=[
+        "steps that grow", "waiting for a robot", "silence", "one heartbeat twice", "alive without steps", "failing",
+        "two processes", "another service",
+    ],
+)  # fmt: skip
+def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(
+    beats: list[tuple[float, int, dict[str, object]]], said: str
+) -> None:
+    broker = MemoryBroker()
+    check, bus = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy"), Bus(MemoryTransport(broker), "fleet")
+    for at, steps, other in beats:
+        beat(bus, at, steps, **other)
+    assert check.run(0.0) == said
 
 
-@pytest.fixture
-def check(broker: MemoryBroker) -> HealthCheck:
-    return HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy")
-
-
-def test_steps_that_grow_between_two_heartbeats_are_healthy(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10)
-    service.beat(1.25, 15)
-    assert check.run(0.0) == ""
-
-
-def test_a_service_that_waits_for_a_robot_is_healthy_without_steps(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 0, "ready", NO_ROBOT)
-    service.beat(1.25, 0, "ready", NO_ROBOT)
-    assert check.run(0.0) == ""
-
-
-def test_silence_is_not_healthy(check: HealthCheck) -> None:
-    assert check.run(0.0) == "policy: no two heartbeats within 0 s"
-
-
-def test_one_heartbeat_is_no_progress_even_when_it_comes_twice(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10)
-    service.beat(1.0, 10)
-    assert "no two heartbeats" in check.run(0.0)
-
-
-def test_a_loop_that_breathes_but_does_not_step_is_not_healthy(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10)
-    service.beat(1.25, 10)
-    assert check.run(0.0) == "policy: alive, but it made no step after step 10"
-
-
-def test_a_service_that_says_failing_is_not_healthy(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10, "failing")
-    service.beat(1.25, 15, "failing")
-    assert check.run(0.0) == "policy: failing, disk full"
-
-
-def test_heartbeats_of_two_processes_prove_nothing_together(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10, pid=7)
-    service.beat(1.25, 15, pid=8)
-    assert "no two heartbeats" in check.run(0.0)
-
-
-def test_another_service_does_not_count(service: Service, check: HealthCheck) -> None:
-    service.beat(1.0, 10, service="adaptation")
-    service.beat(1.25, 15, service="adaptation")
-    assert "no two heartbeats" in check.run(0.0)
-
-
-def test_another_robot_does_not_count(broker: MemoryBroker, service: Service) -> None:
+def test_another_robot_does_not_count() -> None:
+    broker = MemoryBroker()
+    bus = Bus(MemoryTransport(broker), "fleet")
     check = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy", "r2")
-    service.beat(1.0, 10)
-    service.beat(1.25, 15)
-    assert "no two heartbeats" in check.run(0.0)
-    service.beat(1.0, 10, robot="r2")
-    service.beat(1.25, 15, robot="r2")
-    assert check.run(0.0) == ""
+    for robot, said in (("r1", SILENT), ("r2", "")):
+        beat(bus, 1.0, 10, robot=robot)
+        beat(bus, 1.25, 15, robot=robot)
+        assert check.run(0.0) == said
 
 
 @pytest.mark.processes

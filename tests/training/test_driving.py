@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from safedpa.networks import Weights
 from safedpa.robots.car.barriers import car_barriers
@@ -14,12 +14,9 @@ from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.training.car_task import EPISODE_TICKS, CarShelter, Driving, Rewards
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import scales
 from safedpa_sim.training.vector_environment import PracticeEnvironment
-from safedpa_sim.training.weights_export import export_weights
 
 CARS = 64
 
@@ -30,15 +27,8 @@ def configuration() -> Configuration:
 
 
 @pytest.fixture(scope="module")
-def weights(configuration: Configuration) -> Weights:
-    """Networks that nobody trained: mu gives some z for every environment."""
-    cars = BatchedCars(configuration)
-    zeros = torch.zeros(configuration.latents)
-    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        sizes = AffineSizes(3, 4, 2, len(cars.entries), configuration.latents, 8, 8)
-        return export_weights(AffineNetworks("car", sizes, vectors), cars, configuration, {})
+def weights(configuration: Configuration, untrained: Callable[[Configuration], Weights]) -> Weights:
+    return untrained(configuration)
 
 
 def straight(driving: Driving, speed: float) -> np.ndarray:

@@ -12,11 +12,11 @@ import torch
 from click.testing import CliRunner
 
 from safedpa.errors import InputError
-from safedpa.networks import Description, EnvironmentEntry, HistoryEncoder, LearnedNetworks, Weights, save_weights
+from safedpa.networks import HistoryEncoder, LearnedNetworks, Weights, save_weights
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.robots.car.observation import observation_length
 from safedpa_services.command_line.export import command
-from safedpa_sim.training.networks import Dense, HistoryNetwork, affine_networks, history_network
+from safedpa_sim.training.networks import Dense, affine_networks, history_network
 from safedpa_sim.training.onnx_export import NETWORKS, export_onnx
 
 DRAW = np.random.default_rng(4)
@@ -24,45 +24,20 @@ LATENTS = 4
 AGREE = 1e-5
 
 
-def random_layers(name, *sizes):
-    for index, (inputs, outputs) in enumerate(pairwise(sizes)):
-        yield f"{name}.{index}.weight", DRAW.normal(0.0, 1.0 / np.sqrt(inputs), (outputs, inputs))
-        yield f"{name}.{index}.bias", DRAW.normal(0.0, 0.1, outputs)
-
-
 @pytest.fixture(scope="module")
-def weights():
-    torch.manual_seed(0)
+def weights(random_car_weights):
+    """With a policy, and a narrow range of latents, whose ends are reached."""
     observations = observation_length(LATENTS)
     tensors = {
-        **dict(random_layers("mu", 2, 64, LATENTS)),
-        **dict(random_layers("f", 3 + LATENTS, 256, 256, 4)),
-        **dict(random_layers("g", 3 + LATENTS, 256, 256, 8)),
-        **dict(random_layers("policy", observations, 128, 128, 2)),
-        **{name: tensor.numpy() for name, tensor in HistoryNetwork(9, 52, LATENTS).state_dict().items()},
-        "feature_middle": [0.0, 0.0, 0.75],
-        "feature_scale": [1.0, 1.0, 1.55],
-        "action_middle": [0.7, 0.0],
-        "action_scale": [1.3, 0.34],
-        "increment_scale": [0.04, 0.007, 0.035, 0.15],
-        "environment_middle": [0.8, 2.0],
-        "environment_scale": [0.8, 1.5],
         "latent_low": np.full(LATENTS, -0.1),
         "latent_high": np.full(LATENTS, -0.05),
-        "latent_nominal": np.zeros(LATENTS),
         "observation_middle": DRAW.normal(size=observations),
         "observation_scale": DRAW.uniform(0.5, 2.0, observations),
     }
-    described = Description(
-        "car",
-        0.05,
-        ("x", "y", "yaw", "speed"),
-        ("target_speed", "steer"),
-        LATENTS,
-        52,
-        (EnvironmentEntry("towed_load.mass_ratio", 0.0, 1.6), EnvironmentEntry("towed_load.deceleration", 0.5, 3.5)),
-    )
-    return Weights({name: np.asarray(tensor, dtype=np.float32) for name, tensor in tensors.items()}, described)
+    for index, (inputs, outputs) in enumerate(pairwise((observations, 128, 128, 2))):
+        tensors[f"policy.{index}.weight"] = DRAW.normal(0.0, 1.0 / np.sqrt(inputs), (outputs, inputs))
+        tensors[f"policy.{index}.bias"] = DRAW.normal(0.0, 0.1, outputs)
+    return random_car_weights(4, LATENTS, 50, 256).with_tensors(tensors)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +80,7 @@ def test_environment_encoder_agrees(weights, run):
 
 
 def test_history_encoder_agrees_and_keeps_its_range(weights, run):
-    rows = DRAW.normal(size=(6, 52, 9))
+    rows = DRAW.normal(size=(6, 50, 9))
     latent = run("phi", rows=rows)
     np.testing.assert_allclose(latent, HistoryEncoder(weights).encode(rows), atol=AGREE)
     with torch.no_grad():

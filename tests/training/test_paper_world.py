@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,26 +23,12 @@ from safedpa_sim.training import car_task, stages
 from safedpa_sim.training.car_task import Driving, evaluate, practice
 from safedpa_sim.training.configuration import Configuration, Practising, load_configuration, parse_configuration
 from safedpa_sim.training.configuration import configurations as shipped
-from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.phase_1b import PolicyCheckpoint, train_policy
 from safedpa_sim.training.scenes import draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.stages import stages_of
-from safedpa_sim.training.transitions import scales
-from safedpa_sim.training.weights_export import export_weights
 
 BODY = np.array(footprint(None), dtype=np.float32)
-
-
-def untrained(configuration: Configuration) -> Weights:
-    """Networks that nobody trained: mu gives some z for every environment."""
-    cars = BatchedCars(configuration)
-    zeros = torch.zeros(configuration.latents)
-    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        sizes = AffineSizes(3, 4, 2, len(cars.entries), configuration.latents, 8, 8)
-        return export_weights(AffineNetworks("car", sizes, vectors), cars, configuration, {})
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +39,7 @@ def small() -> Configuration:
 
 
 @pytest.fixture(scope="module")
-def weights(small: Configuration) -> Weights:
+def weights(small: Configuration, untrained: Callable[[Configuration], Weights]) -> Weights:
     return untrained(small)
 
 

@@ -151,14 +151,6 @@ def test_it_reports_progress_up_to_the_end(tmp_path: Path, monkeypatch: pytest.M
     assert all(note.startswith("loss ") for *_, note in told)
 
 
-def test_a_checkpoint_is_written_along_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written: list[int] = []
-    write = phase_1a.write_checkpoint
-    monkeypatch.setattr(phase_1a, "write_checkpoint", lambda *a: (written.append(a[2]), write(*a)))
-    train_affine(with_pairs(5 * 256, checkpoint_seconds=0.0), tmp_path)
-    assert written == [1, 2, 3, 4, 5]
-
-
 def test_a_checkpoint_of_another_configuration_is_not_gone_on_from(tmp_path: Path) -> None:
     first, _ = train_affine(with_pairs(4 * 256), tmp_path / "alone")
     other = replace(with_pairs(8 * 256, checkpoint_seconds=0.0), seed=3)

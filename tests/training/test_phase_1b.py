@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,7 @@ from safedpa.policy import LearnedPolicy
 from safedpa_sim.training import car_task
 from safedpa_sim.training.car_task import evaluate
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.phase_1b import train_policy
-from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.transitions import scales
-from safedpa_sim.training.weights_export import export_weights
 
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
@@ -44,16 +40,9 @@ def brief_evaluations() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def weights() -> Weights:
-    """Networks that nobody trained: mu gives some z for every environment."""
+def weights(untrained: Callable[[Configuration], Weights]) -> Weights:
     torch.set_num_threads(1)
-    cars = BatchedCars(SMALL)
-    zeros = torch.zeros(SMALL.latents)
-    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        sizes = AffineSizes(3, 4, 2, len(cars.entries), SMALL.latents, 8, 8)
-        return export_weights(AffineNetworks("car", sizes, vectors), cars, SMALL, {})
+    return untrained(SMALL)
 
 
 WHOLE = car_task.EPISODE_TICKS

@@ -98,23 +98,20 @@ def test_no_effect_is_named_because_of_it(name, good, monkeypatch):
     assert report.verdict == ("unexplained" if severe else "nothing_missing")
 
 
-def test_what_comes_late_is_aligned_on_request(good, tmp_path):
-    log, files = good
-    model = load_model(log.model)
+def mapped(model, head="", **columns):
+    """A column map of the names as they are, but for the columns that are given."""
     names = ("t", *model.system.state_names, *model.system.action_names)
-    lines = "\n".join(f'{name} = "{name}"' for name in names if name != "speed")
-    text = f'format = 1\nrobot = "car"\n[columns]\n{lines}\nspeed = {{ from = "speed", shift = 0.3 }}\n'
-    run = load_run(files["speed_late"], model.system, parse_column_map(text))
-    assert "time_offset" not in {item.kind for item in run.findings}
+    lines = "\n".join(f"{name} = {columns.get(name, json.dumps(name))}" for name in names)
+    return parse_column_map(f'format = 1\nrobot = "car"\n{head}\n[columns]\n{lines}\n')
 
 
-def test_what_was_cut_is_kept_on_request(good):
+def test_what_comes_late_is_aligned_and_what_was_cut_is_kept_on_request(good):
     log, files = good
     model = load_model(log.model)
-    names = ("t", *model.system.state_names, *model.system.action_names)
-    lines = "\n".join(f'{name} = "{name}"' for name in names)
-    text = f'format = 1\nrobot = "car"\nkeep = ["frozen"]\n[columns]\n{lines}\n'
-    cut, kept = (load_run(files["frozen_speed"], model.system, item) for item in (None, parse_column_map(text)))
+    late = mapped(model, speed='{ from = "speed", shift = 0.3 }')
+    assert "time_offset" not in {item.kind for item in load_run(files["speed_late"], model.system, late).findings}
+    keep = mapped(model, 'keep = ["frozen"]')
+    cut, kept = (load_run(files["frozen_speed"], model.system, item) for item in (None, keep))
     assert len(cut.t) < len(kept.t)
     assert any("kept, as the map says" in item.message for item in kept.findings)
 

@@ -50,22 +50,36 @@ def test_the_hidden_effect_named_first():
     assert outcome.error_ratio == pytest.approx(1.05)
 
 
-def test_another_effect_instead():
-    outcome = judge(Case("ordinary", 1, DRAG), document(["viscous_drag"]))
-    assert not outcome.right
-    assert not outcome.first_named
-    assert outcome.wrong == ("viscous_drag",)
-    assert outcome.deviations == ()
+ONE, NONE = Case("ordinary", 1, DRAG), Case("none", 1, {})
+PAYLOAD = {"payload": {"mass_ratio": 0.3}}
+CHAIR = Case("towing", 1, {"towed_load": {"mass_ratio": 0.8, "deceleration": 1.5}}, load="chair")
 
 
-def test_a_group_counts_where_it_is_reported():
-    case = Case("fifth", 1, DRAG)
-    said = judge(case, document(["viscous_drag"], groups={"viscous_drag": ["quadratic_drag"]}))
-    assert said.right
-    assert not said.all_named
-    assert said.wrong == ()
-    pair = judge(case, document(["viscous_drag"], groups={"viscous_drag": ["quadratic_drag + payload"]}))
-    assert pair.right
+@pytest.mark.parametrize(
+    ("case", "added", "verdict", "group", "right", "wrong"),
+    [
+        (ONE, ["viscous_drag"], "effect_missing", "", False, ("viscous_drag",)),
+        (ONE, ["viscous_drag"], "effect_missing", "quadratic_drag", True, ()),
+        (ONE, ["viscous_drag"], "effect_missing", "quadratic_drag + payload", True, ()),
+        (NONE, [], "nothing_missing", "", True, ()),
+        (NONE, [], "unexplained", "", False, ()),
+        (NONE, ["payload"], "effect_missing", "", False, ("payload",)),
+        (Case("hard", 1, PAYLOAD, hard=True), [], "nothing_missing", "", True, ()),
+        (Case("ordinary", 1, PAYLOAD), [], "nothing_missing", "", False, ()),
+        (CHAIR, ["towed_load", "steering_lag", "battery_sag"], "effect_missing", "", True, ("battery_sag",)),
+    ],
+    ids=[
+        "another effect", "a group that is reported", "a pair that is reported", "nothing hidden", "unexplained",
+        "false alarm", "taken up by a free gain", "missed", "what the pymunk car has by itself",
+    ],
+)  # fmt: skip
+def test_an_answer_is_judged_by_what_is_hidden(case, added, verdict, group, right, wrong):
+    outcome = judge(case, document(added, verdict, {added[0]: [group]} if group else None))
+    assert (outcome.right, outcome.wrong) == (right, wrong)
+    if case is ONE:
+        assert not outcome.first_named
+        assert not outcome.all_named
+        assert outcome.deviations == ()
 
 
 def test_equal_effects_must_be_reported_not_guessed():
@@ -78,39 +92,16 @@ def test_equal_effects_must_be_reported_not_guessed():
     assert said.right
 
 
-def test_what_a_free_gain_takes_up_is_not_missed():
-    case = Case("hard", 1, {"payload": {"mass_ratio": 0.3}}, hard=True)
-    assert judge(case, document((), "nothing_missing")).right
-    assert not judge(Case("ordinary", 1, case.effects), document((), "nothing_missing")).right
-
-
-def test_nothing_hidden():
-    case = Case("none", 1, {})
-    assert judge(case, document((), "nothing_missing")).right
-    assert not judge(case, document((), "unexplained")).right
-    alarm = judge(case, document(["payload"]))
-    assert not alarm.right
-    assert alarm.wrong == ("payload",)
-
-
-def test_what_the_pymunk_car_has_by_itself_is_not_wrong():
-    case = Case("towing", 1, {"towed_load": {"mass_ratio": 0.8, "deceleration": 1.5}}, load="chair")
-    outcome = judge(case, document(["towed_load", "steering_lag", "battery_sag"]))
-    assert outcome.right
-    assert outcome.wrong == ("battery_sag",)
-
-
 @pytest.mark.parametrize(
     ("gain", "wrong"), [(0.98, ()), (0.95, ()), (0.92, ("steering_gain",)), (1.03, ("steering_gain",))]
 )
 def test_a_steering_gain_is_part_of_a_load_where_it_is_the_load_s(gain, wrong):
-    case = Case("towing", 1, {"towed_load": {"mass_ratio": 0.8, "deceleration": 1.5}}, load="chair")
     found = document(["towed_load", "steering_gain"])
     found["parameters"] = {"steering_gain.gain": {"value": gain, "std": 0.01, "unit": "1"}}
-    assert judge(case, found).wrong == wrong
+    assert judge(CHAIR, found).wrong == wrong
     found["parameters"]["steering_gain.end"] = {"value": 0.1, "std": 0.01, "unit": "1"}
-    assert judge(case, found).wrong == ("steering_gain",), "one that varies is another claim"
-    bare = judge(Case("ordinary", 1, case.effects), found)
+    assert judge(CHAIR, found).wrong == ("steering_gain",), "one that varies is another claim"
+    bare = judge(Case("ordinary", 1, CHAIR.effects), found)
     assert bare.wrong == ("steering_gain",), "without a load there is none"
 
 
