@@ -145,7 +145,7 @@ def test_a_change_repeats_bit_for_bit(changing_node: Any, untouched: Drive) -> N
 
 
 def test_an_offer_that_is_dropped_changes_nothing(changing_node: Any, untouched: Drive) -> None:
-    """Not one bit of the drive: preparing beside the model in force has no effect on it."""
+    """Not one bit of the drive: preparing a model has no effect on the one in force."""
     candidate = offset_candidate("car")
     broken = dataclasses.replace(candidate, margin=candidate.margin.replace(candidate.fingerprint, "0123456789ab"))
     run = Drive(changing_node, "car", 40, accept(broken))

@@ -40,7 +40,7 @@ SERVICES = ("adaptation", "policy", "safety_filter")
 PATIENCE = 240.0
 """s; on a busy machine processes that live for each other take their time."""
 DRIVE_SECONDS = "3600"
-"""The robot drives for longer than anybody has patience."""
+"""The robot drives for longer than any test waits."""
 
 COORDINATOR = """
 import argparse, sys
@@ -82,7 +82,7 @@ run_process(work, parser)
 
 
 class Loop:
-    """The processes of one robot's loop and a coordinator; the test listens, asks, kills and starts anew."""
+    """The processes of one robot's loop and a coordinator; the test listens, asks, kills and restarts."""
 
     def __init__(self, folder: Path, endpoint: str) -> None:
         self.folder = folder
@@ -237,7 +237,7 @@ def loop(tmp_path: Path, free_port: int) -> Iterator[Loop]:
         loop.close()
 
 
-def test_after_a_process_is_killed_amid_a_change_all_agree_and_the_car_is_safe(loop: Loop) -> None:
+def test_whoever_is_killed_amid_a_change_all_agree_in_the_end_and_the_car_is_safe(loop: Loop) -> None:
     """The worst moments: after the offer, when some have loaded it, and after the decision, before its tick."""
     kills = [("adaptation", "offer"), ("diagnosis", "offer"), ("policy", "take"), ("diagnosis", "take")]
     for name, moment in [*kills, ("safety_filter", "take")]:

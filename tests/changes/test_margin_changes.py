@@ -87,7 +87,7 @@ class Standing:
         return ModelMessage(**stamp, step=step, change=1, fingerprint=NEW, replaces=fingerprint(CAR), **more)
 
 
-def test_the_change_of_the_margin_is_announced_before_it_is_used() -> None:
+def test_the_change_of_the_margin_is_told_before_it_is_used() -> None:
     car = Standing()
     car.turn()
     car.offer()

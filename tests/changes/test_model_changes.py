@@ -131,7 +131,7 @@ def test_roll_back_returns_to_the_version_before_and_no_further(fleet: Any) -> N
     assert "none to go back to" in answer.sentence
 
 
-def test_of_two_people_the_first_wins_and_the_second_gets_the_reason(fleet: Any) -> None:
+def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> None:
     assert fleet.ask("accept", "drag", who="alice").ok
     for who in ("bob", "carol"):
         second = fleet.ask("accept", "wind", who=who)

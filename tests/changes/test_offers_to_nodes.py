@@ -126,7 +126,7 @@ def test_a_document_with_another_fingerprint_is_refused(ticking: Ticking) -> Non
 
 @pytest.mark.parametrize(("document_of", "current"), [("car_fix", "car_learned"), ("car", "car_learned")])
 def test_networks_do_not_travel(document_of: str, current: str) -> None:
-    """Other weights lie in the same folder, and could be loaded; but nobody checked this change for them."""
+    """Other weights lie in the same folder, and could be loaded; but this change was not checked for them."""
     model = load_model(document_of)
     with pytest.raises(InputError, match=r"networks\.digest: got .*, the model in force has"):
         offered_model(offer(write_model(model), fingerprint(model)), load_model(current))
@@ -272,7 +272,7 @@ def test_a_service_that_was_restarted_begins_with_what_is_in_force(driving_state
     assert ticking.node.model_of("r1") == NEW
 
 
-def test_services_report_to_each_other_what_they_agreed_on(ticking: Ticking) -> None:
+def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
     assert ticking.node.agreed("r1") is None, "nobody agreed on the model of its own options"
     ticking.node.hear("r1", offer())
     ticking.turn()

@@ -111,7 +111,7 @@ for k in range(2000):
         painter.arrange(view.fields)
     painter.draw(frames)
     time.sleep(0.05)
-sys.stdin.read()  # what was drawn is shown for as long as somebody looks
+sys.stdin.read()  # what was drawn is shown until its input ends
 """
 
 

@@ -59,7 +59,7 @@ def test_the_lane_of_models_changes_with_the_model_and_goes_back_with_it(look, t
     assert lanes == [States("model 1"), None, States("model 2"), States("model 1")]
 
 
-def test_every_step_of_a_change_is_told_with_who_and_why(look, tick_of):
+def test_every_step_of_a_change_is_logged_with_its_author_and_reason(look, tick_of):
     view = FleetView(look)
     _entries(view, *tick_of(0))
     for step, words in (("offer", "offered"), ("take", "from tick 50 on"), ("drop", "dropped")):

@@ -132,7 +132,7 @@ def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of
     assert farthest == pytest.approx(0.4 + 0.15 + braking_of(FilterSettings()).distance(2.0))
 
 
-def test_actions_stand_beside_wishes_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):
+def test_actions_are_drawn_with_wishes_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):
     verdict = replace(tick_of(0)[2][1], status="fallback", h_now=0.0, h_next=0.0, wish=())
     view = FleetView(look)
     entries = _entries(view.take([_received(STATE, tick_of(0)[0][1]), _received(VERDICT, verdict)], 0.0))
@@ -161,7 +161,7 @@ def test_the_verdict_is_written_down_when_its_status_changes_and_not_otherwise(l
     assert notes == lanes == ["passed", "corrected", "passed", "corrected"]
 
 
-def test_refused_bytes_are_told_a_few_times_and_counted(look, tick_of):
+def test_refused_bytes_are_logged_a_few_times_and_counted(look, tick_of):
     view = FleetView(look)
     view.take([_received(*tick_of(0)[0])], 0.0)
     refused = [Refused("safedpa/fleet/r1/state", "r1", "no msgpack"), Refused("rubbish", "", "no key")] * 40

@@ -35,7 +35,7 @@ def state() -> StateMessage:
     return CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
 
 
-def test_every_disc_is_drawn_as_wide_as_it_is_told() -> None:
+def test_every_disc_is_drawn_with_the_radius_of_its_message() -> None:
     drawn = {entry.path[-1]: entry.shape for entry in seen_entries(SEEN)}
     points, movers, hidden = drawn["at_rest"], drawn["may_move"], drawn["hidden"]
     assert isinstance(points, Discs)
@@ -64,7 +64,7 @@ def test_what_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> None:
     assert points.centres == ((1.0, 2.0),)
 
 
-def test_the_page_tells_the_age_of_each_source_and_what_is_wrong_with_one() -> None:
+def test_the_page_shows_the_age_of_each_source_and_what_is_wrong_with_one() -> None:
     page = NowPage(look_of(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
     page.take(replace(SEEN, amiss=("the source laser is frozen",)), 0.0)
@@ -85,7 +85,7 @@ MARKED = replace(
 )
 
 
-def test_zones_are_drawn_as_they_count_and_told_with_who_switched() -> None:
+def test_zones_are_drawn_by_their_kind_and_listed_with_the_person_who_switched_one() -> None:
     drawn = {entry.path[-1]: entry.shape for entry in seen_entries(MARKED)}["zones"]
     assert isinstance(drawn, Lines)
     assert drawn.strips == (

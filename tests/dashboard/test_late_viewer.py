@@ -87,7 +87,7 @@ class Viewer:
         return found
 
     def all_chunks(self, enough, patience=_PATIENCE_SECONDS):
-        """What there is once ``enough`` of it is there, or where nobody can say what comes last, nothing more comes."""
+        """What there is once ``enough`` of it is there; without ``enough``, once nothing more comes."""
         counts = [0, 0]
 
         def settled(found):

@@ -40,7 +40,7 @@ def _drive(view, tick_of, ticks, **changes):
     return frames
 
 
-def test_while_there_is_no_robot_the_page_says_who_is_there_and_what_was_refused(look, tick_of):
+def test_without_a_robot_the_page_lists_services_and_refused_messages(look, tick_of):
     view = FleetView(look, "depot")
     heartbeat = replace(tick_of(0)[3][1], service="policy")
     view.take([_received(HEALTH, heartbeat, NO_ROBOT), Refused("safedpa/depot/r1/state", "r1", "version 9")], 0.0)
@@ -61,14 +61,14 @@ def test_what_is_missing_is_named_with_what_it_is_for(look, tick_of):
     assert "silent for 4 s" in told[-1]
 
 
-def test_a_robot_that_stands_is_said_to_stand_with_the_reason_and_the_cure(look, tick_of):
+def test_a_stationary_robot_is_shown_with_the_reason_and_the_cure(look, tick_of):
     stood = {"stands": 7.0, "standstill": "boxed in: obstacle_0 allow no action that would move it"}
     told = _pages(_drive(FleetView(look), tick_of, range(30), state={}, verdict=stood))[-1]
     assert "**Stands for 7 s**, boxed in: obstacle\\_0" in told
     assert "another goal or more room" in told
 
 
-def test_the_end_is_said_until_a_robot_speaks_again(look, tick_of):
+def test_the_end_is_shown_until_a_state_arrives_again(look, tick_of):
     view = FleetView(look)
     _drive(view, tick_of, range(30), state={}, verdict={})
     assert "**The drive has ended.**" in _pages(view.end("The drive has ended.", 2.0))[-1]

@@ -59,7 +59,7 @@ class Fleet:
         self._ids: dict[str, str] = {}
 
     def compose(self, *words: str, timeout: float = 180.0) -> str:
-        # Another loopback address than the usual one: a dashboard that somebody looks at stays where it is.
+        # Another loopback address than the usual one: a dashboard that is in use stays where it is.
         settings = {"SAFEDPA_LOAD": self._loads, "SAFEDPA_ADDRESS": "127.0.0.77"}
         return run(*self._program, *words, timeout=timeout, environment=settings).stdout
 

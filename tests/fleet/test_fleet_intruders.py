@@ -48,7 +48,7 @@ class Attempt:
         return did
 
     def moved_nobody(self) -> str:
-        """Every action that a robot applied was its filter's; nobody collided; the victim is driven on."""
+        """Every action that a robot applied was its filter's; no robot collided; the victim is driven on."""
         victim = self.before["robots"][VICTIM]["checked"]
         after = self.watch.until(lambda told: told["robots"][VICTIM]["checked"] > victim + 40, 90.0)
         assert after is not None, "the victim is not driven any more"
@@ -86,7 +86,7 @@ def captured(fleet: Fleet, watch: Watch) -> str:
 
 
 @pytest.mark.parametrize("how", ["bare", "plain", "foreign"])
-def test_without_a_certificate_of_the_fleet_nobody_enters(
+def test_without_a_certificate_of_the_fleet_a_client_is_refused(
     how: str, attempt: Attempt, rows: list[tuple[str, ...]]
 ) -> None:
     did = attempt.make("healthcheck-key", "enter", "--how", how)
@@ -108,7 +108,7 @@ def test_a_certificate_of_the_wrong_role_commands_nothing(
     rows.append((f"{topic} with the certificate of {role}", moved, told))
 
 
-def test_a_replayed_capture_is_denied_to_who_could_hear_it(
+def test_a_client_that_may_listen_cannot_replay_a_capture(
     attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
 ) -> None:
     did = attempt.make("recorder-key", "replay", "--role", "recorder", given=captured)
@@ -117,7 +117,7 @@ def test_a_replayed_capture_is_denied_to_who_could_hear_it(
     rows.append(("replayed capture, certificate of recorder", attempt.moved_nobody(), told))
 
 
-def test_a_replayed_capture_moves_nobody_even_with_the_key_of_the_filter(
+def test_a_replayed_capture_moves_no_robot_even_with_the_key_of_the_filter(
     attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
 ) -> None:
     did = attempt.make("safety-filter-key", "replay", "--role", "safety_filter", given=captured)
@@ -158,7 +158,7 @@ def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
 
 
 def test_a_stranger_with_the_key_and_the_tick_would_be_seen(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
-    """The twin of all above: who holds the filter's key is the filter, and the check that nobody was moved can fail."""
+    """The twin of all above: a client with the filter's key is the filter, and the check that no robot moved can fail."""
     attempt.make("safety-filter-key", "act", "--role", "safety_filter", "--how", "brake")
     seen = attempt.watch.until(lambda told: told["robots"][VICTIM]["foreign"] > 0, 10.0)
     assert seen is not None

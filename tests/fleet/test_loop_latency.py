@@ -1,4 +1,4 @@
-"""The loop in containers has its own time from sense to act, beside a bare chain of containers."""
+"""The loop in containers has its own time from sense to act, compared with a bare chain of containers."""
 
 from __future__ import annotations
 

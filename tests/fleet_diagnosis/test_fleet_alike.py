@@ -30,7 +30,7 @@ def test_two_towed_loads_are_two_groups(make_tried, make_robot):
     assert members(cars) == [["t0", "t1"], ["t2", "t3"]]
 
 
-def test_numbers_that_nobody_knows_well_make_no_groups(make_tried, make_robot):
+def test_uncertain_numbers_make_no_groups(make_tried, make_robot):
     loads = [0.8, 1.3]
     cars = [make_robot(f"t{i}", make_tried("towed_load", std=0.1, mass_ratio=m)) for i, m in enumerate(loads)]
     assert members(cars) == [["t0", "t1"]]
@@ -54,14 +54,14 @@ def test_opposite_offsets_are_two_faults(make_tried, make_robot):
     assert len(members(cars)) == 2
 
 
-def test_gains_are_told_apart_by_their_change(make_tried, make_robot):
+def test_gains_are_distinguished_by_their_change(make_tried, make_robot):
     from safedpa.fleet.outcome import Number, Tried
 
     gains = [Tried("steering_gain", {"gain": Number(value, 0.001, "1")}, 9.0) for value in (0.95, 0.85)]
     assert len(members([make_robot(f"g{i}", item) for i, item in enumerate(gains)])) == 2
 
 
-def test_what_cannot_be_told_apart_takes_the_name_that_most_have(make_tried, make_robot):
+def test_indistinguishable_effects_take_the_most_frequent_name(make_tried, make_robot):
     from dataclasses import replace
 
     rolling = [
@@ -79,7 +79,7 @@ def test_what_cannot_be_told_apart_takes_the_name_that_most_have(make_tried, mak
     assert renamed[3].found[0].numbers["deceleration"].value == 0.46
 
 
-def test_a_robot_that_can_tell_keeps_its_name_and_tells_for_its_group(make_tried, make_robot):
+def test_a_robot_that_can_distinguish_effects_names_those_of_its_group(make_tried, make_robot):
     sure = make_robot("a", make_tried("rolling_resistance", deceleration=0.45))
     unsure = make_robot("b", make_tried("rolling_resistance", equals=("towed_load",), deceleration=0.45))
     towed = make_robot("c", make_tried("towed_load", mass_ratio=0.4))

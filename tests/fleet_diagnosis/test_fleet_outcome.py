@@ -60,7 +60,7 @@ def test_where_blocks_did_not_decide_the_filters_deviations_count_a_third(score,
     assert found.evidence == pytest.approx(evidence)
 
 
-def test_where_nothing_was_found_the_best_candidate_is_told():
+def test_where_nothing_was_found_the_best_candidate_is_reported():
     found = outcome_of(RESULT, report(candidate(0, "payload", 1.2), candidate(0, "understeer", None)))
     assert (found.found, found.evidence) == ((), 1.2)
     assert math.isnan(found.last["understeer"].score)

@@ -73,7 +73,7 @@ def test_the_command_prints_which_robots_lack_what(small_fleet, capsys):
 
 @pytest.fixture
 def task(small_fleet, tmp_path) -> Task:
-    """One robot with copies of its recordings, the model beside them."""
+    """One robot with copies of its recordings, and the model next to them."""
     own = tmp_path / "recordings" / "car_000"
     shutil.copytree(small_fleet.folder / "recordings" / "car_000", own)
     shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")

@@ -111,7 +111,7 @@ def test_without_ray_it_says_what_to_install(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "ray", None)
     recording = tmp_path / "fleet" / "r1" / "run.csv"
     recording.parent.mkdir(parents=True)
-    recording.write_text("t\n0\n", encoding="utf-8")  # nobody comes to reading it
+    recording.write_text("t\n0\n", encoding="utf-8")  # it is never read
     arguments = ["car", "--fleet", str(tmp_path / "fleet"), "--out", str(tmp_path / "out"), "--ray"]
     assert safedpa.run(["diagnose", *arguments]) == 2
     assert "pip install 'safedpa[cluster]'" in capsys.readouterr().err

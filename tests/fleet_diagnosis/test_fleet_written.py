@@ -1,4 +1,4 @@
-"""A robot's result takes the place of the one before as a whole, and leaves nothing beside it."""
+"""A robot's result replaces the one before as a whole, and leaves no other file."""
 
 from __future__ import annotations
 

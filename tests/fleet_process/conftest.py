@@ -116,7 +116,7 @@ def stack() -> Callable[..., Stack]:
 
 @pytest.fixture(scope="session")
 def undisturbed() -> dict[str, str]:
-    """Trajectories of the cars a, b and c over two seconds, when nobody disturbs them."""
+    """Trajectories of the cars a, b and c over two seconds without a disturbance."""
     alone = Stack(("a", "b", "c"))
     alone.drive(2.0)
     assert alone.fleet is not None

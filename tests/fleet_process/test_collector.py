@@ -1,4 +1,4 @@
-"""The cycle collector sleeps through the turns of a fleet, and finds cycles that nobody should make."""
+"""The cycle collector sleeps through the turns of a fleet, and finds cycles that should not be made."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_doubling_and_bisection_find_the_largest_fleet(largest: int, begin: int)
     assert len(tried) == len(set(tried)) <= 16
 
 
-def test_the_kernel_tells_what_a_process_used_until_it_is_gone() -> None:
+def test_the_kernel_reports_what_a_process_used_until_it_is_gone() -> None:
     used = usage_of(os.getpid())
     assert used is not None
     assert used.cpu_seconds > 0.0
@@ -94,6 +94,6 @@ def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("options", [("--robots", "0"), ("--robots", "2000"), ("--seconds", "0.1"), ("--rate", "900")])
-def test_odd_wishes_are_refused_in_words(options: tuple[str, str]) -> None:
+def test_invalid_options_are_refused_with_a_reason(options: tuple[str, str]) -> None:
     with pytest.raises(InputError, match="wanted"):
         CliRunner().invoke(command, ["fleet", *options], catch_exceptions=False)

@@ -27,7 +27,7 @@ def test_served_in_time_nothing_is_late(stack: Make) -> None:
     assert 0 <= account["sense_to_act_us"]["p50"] <= account["sense_to_act_us"]["longest"] <= 45_000
 
 
-def test_without_services_every_tick_is_late_and_none_of_it_is_the_simulations_fault(stack: Make) -> None:
+def test_without_services_every_tick_is_late_but_not_by_the_simulation(stack: Make) -> None:
     fleet = stack(NAMES, nodes=())
     fleet.services = []
     fleet.drive(1.0)
@@ -132,7 +132,7 @@ def test_a_collision_is_reported_with_robot_position_and_what_the_watchdog_did(s
         car.world.advance = advance
 
     car.world.advance = bump
-    fleet.services = []  # nobody answers: the watchdog brakes, and the bump comes in the first such tick
+    fleet.services = []  # no answer: the watchdog brakes, and the bump comes in the first such tick
     fleet.drive(0.2)
     (told,) = fleet.fleet.account()["collision_list"]
     assert (told["robot"], told["load"], told["part"], told["what"]) == ("b", "box", "car", "wall east")

@@ -1,4 +1,4 @@
-"""One robot that is broken, hostile or in a hurry beside three that are not: these drive on, bit for bit."""
+"""One robot is broken, hostile or in a hurry: the three others drive on, bit for bit."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_what_one_robot_sends_changes_nothing_for_the_others(
     assert fleet.fleet.late == 0
     actions = fleet.bus().inbox((ACTION,), "strange")
     fleet.drive(0.2, poison)
-    for item in actions.take(0.0):  # whoever can be answered at all is told to stand
+    for item in actions.take(0.0):  # every robot that can be answered is ordered to stand
         assert isinstance(item, Received)
         assert item.message.values == (0.0, 0.0)
 
@@ -220,7 +220,7 @@ def test_an_error_of_the_process_itself_ends_it(
 
 
 @pytest.mark.parametrize("method", ["prepare", "afterwards", "hear", "welcome"])
-def test_an_error_beside_the_step_is_the_same(
+def test_an_error_outside_the_step_is_handled_likewise(
     method: str, stack: Make, undisturbed: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fleet = stack(GOOD)

@@ -33,7 +33,7 @@ def bent(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
+def test_a_bent_linkage_is_found_named_accepted_and_corrected(bent):
     drive, _ = bent
     assert drive.changed == pytest.approx(26.0, abs=10.0)
     assert 0.0 < drive.raised - drive.changed <= 10.0
@@ -47,7 +47,7 @@ def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
 
 
 @pytest.mark.parametrize("period", [0.1, pytest.param(0.025, marks=pytest.mark.long)])
-def test_so_it_is_at_a_robot_of_another_rate_than_its_models(period):
+def test_the_same_holds_for_a_robot_of_another_rate_than_its_models(period):
     """Its margin is of its own steps; of the model's there are none in what it drove."""
     drive = drive_live("steering_offset", 1, 90.0, 26.0, period=period)
     assert drive.effect == CASES["steering_offset"]
@@ -58,7 +58,7 @@ def test_so_it_is_at_a_robot_of_another_rate_than_its_models(period):
 
 
 @pytest.mark.long
-def test_everything_of_it_stands_in_the_recording(bent):
+def test_the_recording_holds_every_step_of_it(bent):
     drive, path = bent
     messages = [item for _, _, item in read_messages(path, [], (FINDING, MODEL, TAKEOVER))]
     steps = [item.step for item in messages if hasattr(item, "step")]
@@ -104,8 +104,8 @@ def test_bad_options_are_refused_with_a_reason(options, words, tmp_path: Path, m
     assert words in str(done.exception) + done.output
 
 
-def test_services_in_one_process_live_by_the_robots_clock():
-    """However long the machine takes for a tick: nobody is taken for silent, and the same drive says the same."""
+def test_services_in_one_process_use_the_robots_clock():
+    """However long the machine takes for a tick: no service is taken for silent, and the drive repeats."""
     model = load_model("car_measured")
     nodes = [
         AdaptationNode(model),

@@ -27,7 +27,7 @@ REPORT = json.dumps(
 
 
 class Driven:
-    """A node beside a car whose steering is bent; services that agree with every offer."""
+    """The node of a car whose steering is bent, and services that agree with every offer."""
 
     def __init__(self, car, worker, rows, state_of, verdict_of, **more):
         self.node, self.worker = DiagnosisNode(write_model(car), worker, **more), worker
@@ -103,7 +103,7 @@ def test_an_accepted_effect_is_prepared_on_the_newest_data_offered_and_taken(dri
     assert driven.ask("status").candidates == ()
 
 
-def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
+def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted_candidate(
     car, worker, drive_of, state_of, verdict_of, margin_of
 ):
     rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
@@ -128,7 +128,7 @@ def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
     assert driven.ask("status").earlier == 1
 
 
-def test_a_foreseen_model_that_cannot_be_made_and_a_margin_that_stays_are_told(margin_of):
+def test_a_foreseen_model_that_cannot_be_made_and_an_unchanged_margin_are_reported(margin_of):
     ahead, foretell = Foresight(), foretell_with("car")
     ahead.found = {
         "a": WorkOutcome(failure="too few rows"),
@@ -161,7 +161,7 @@ def test_a_refused_offer_leaves_the_model_and_the_finding(driven):
     assert driven.ask("status").candidates == ("steering_offset",)
 
 
-def test_a_model_that_cannot_be_prepared_is_told_and_nothing_is_offered(driven):
+def test_a_model_that_cannot_be_prepared_is_reported_and_not_offered(driven):
     driven.found("steering_offset", "steering_gain")
     driven.ask("accept", "steering_gain")
     driven.tick()

@@ -52,7 +52,7 @@ def prepare(car, drive_of):
 
 
 def awaited(worker):
-    """The outcome. The process yields to everybody, but here somebody waits: where it may, it stops yielding."""
+    """The outcome. The process has the lowest priority; where permitted, it gets an ordinary one here."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         outcome = worker.outcome("r1")

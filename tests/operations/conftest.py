@@ -110,5 +110,5 @@ VERDICT_FIELDS: dict[str, Any] = {
 
 @pytest.fixture
 def fleet() -> TalkingFleet:
-    """A fleet in which nobody has spoken yet."""
+    """A fleet that has sent nothing yet."""
     return TalkingFleet()

@@ -68,7 +68,7 @@ def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: 
     assert [(row["robot"], row["sentence"]) for row in document["concerns"]] == [("r9", "is not heard")]
 
 
-def test_the_age_of_each_source_is_told_and_what_is_wrong_with_one(fleet: Any) -> None:
+def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: Any) -> None:
     fleet.drive(2)
     robot = fleet.overview.robots["r1"]
     robot.state = dataclasses.replace(robot.state, sources=("front", "rear"))
@@ -86,16 +86,7 @@ def test_the_age_of_each_source_is_told_and_what_is_wrong_with_one(fleet: Any) -
     assert "switched: source rear off, by Ada" in sentences(fleet, "attention")
 
 
-def test_without_a_verdict_nobody_filters_however_young_the_listener_is(fleet: Any) -> None:
-    fleet.drive(1)
-    fleet.now = 0.5
-    robot = fleet.overview.robots["r1"]
-    robot.hear(robot.state, 0.5)
-    robot.verdict, robot.verdict_at = None, 0.0
-    assert "no verdict: nobody filters" in sentences(fleet, "trouble")
-
-
-def test_nobody_on_the_bus_is_not_healthy(fleet: Any) -> None:
+def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
     assert fleet.overview.nobody
     assert not document_of(fleet.overview)["healthy"]
 
@@ -117,7 +108,9 @@ def test_nobody_on_the_bus_is_not_healthy(fleet: Any) -> None:
         ({"state": {"collisions": 2}}, "attention", "2 collisions"),
     ],
 )
-def test_what_is_wrong_with_a_robot_is_told(fleet: Any, changes: dict[str, Any], level: str, told: str) -> None:
+def test_a_fault_of_a_robot_is_reported_and_the_worst_robot_comes_first(
+    fleet: Any, changes: dict[str, Any], level: str, told: str
+) -> None:
     fleet.drive(2, r2=changes)
     assert any(told in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
     assert document_of(fleet.overview)["healthy"] is (level != "trouble")
@@ -149,7 +142,7 @@ def test_a_recorder_that_fails_is_trouble_and_none_is_worth_a_look(fleet: Any) -
     assert "recorder: failing, disk full" in sentences(fleet, "trouble")
 
 
-def test_a_robot_that_falls_silent_is_trouble_and_one_that_said_goodbye_is_not(fleet: Any) -> None:
+def test_a_robot_that_falls_silent_is_trouble_and_one_that_ended_in_order_is_not(fleet: Any) -> None:
     fleet.drive(2)
     fleet.beat("robot", "r1", pid=2001, state="braked")
     fleet.overview.listen(0.0)

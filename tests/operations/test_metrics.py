@@ -109,10 +109,8 @@ def test_counts_are_those_of_what_was_said(talked: Any) -> None:
 @pytest.mark.parametrize(
     ("seconds", "told", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
 )
-def test_a_process_that_was_ended_is_told_of_for_half_a_minute(
-    fleet: Any, seconds: float, told: int, works: int
-) -> None:
-    """Each start is a process of its own: a service that starts anew for a week must not leave a row for each."""
+def test_a_process_that_ended_is_exported_for_half_a_minute(fleet: Any, seconds: float, told: int, works: int) -> None:
+    """Each start is a process of its own: a service that restarts for a week must not leave a row for each."""
     fleet.beat("router", pid=77, refused=3)
     collector = FleetCollector(fleet.overview)
     collector.listen(0.0)
@@ -131,7 +129,7 @@ def test_scraping_twice_counts_nothing_twice(talked: Any) -> None:
     assert exposed(collector) == first
 
 
-def test_every_family_is_told_and_none_that_is_not_described(talked: Any) -> None:
+def test_every_described_family_is_exported_and_no_other(talked: Any) -> None:
     collector = FleetCollector(talked.overview)
     collector.listen(0.0)
     text = exposed(collector)

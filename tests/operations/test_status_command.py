@@ -13,7 +13,7 @@ NOBODY = ("--fleet", "nobody-of-this-name", "--connect")
 
 @pytest.fixture
 def endpoint(free_port: int) -> str:
-    """Of a bus on which nobody speaks."""
+    """Of a bus without messages."""
     return f"tcp/127.0.0.1:{free_port}"
 
 
@@ -31,7 +31,7 @@ def run(*arguments: str) -> int:
     return code
 
 
-def test_nobody_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_bus_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("status", *NOBODY, empty_bus, "--seconds", "0.5") == 1
     output, errors = capsys.readouterr()
     assert output == ""
@@ -40,7 +40,7 @@ def test_nobody_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytest.Capt
     assert "--connect" in errors
 
 
-def test_nobody_in_json_is_not_healthy(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_bus_in_json_is_not_healthy(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("status", *NOBODY, empty_bus, "--seconds", "0.5", "--json") == 1
     document = json.loads(capsys.readouterr().out)
     assert not document["healthy"]
@@ -48,7 +48,7 @@ def test_nobody_in_json_is_not_healthy(empty_bus: str, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("command", ["stop", "go"])
-def test_an_order_that_no_filter_hears_is_told(
+def test_an_order_that_no_filter_hears_is_reported(
     command: str, empty_bus: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(command, *NOBODY, empty_bus) == 1

@@ -172,7 +172,7 @@ def test_the_state_message_of_a_car_has_no_corridor() -> None:
 
 @settings(max_examples=40)
 @given(st.lists(st.floats(-0.1, 0.3), min_size=1, max_size=60), st.integers(1, 20))
-def test_the_told_coverage_is_the_share_of_steps_in_which_the_margin_held(errors: list[float], window: int) -> None:
+def test_coverage_is_the_share_of_steps_in_which_the_margin_held(errors: list[float], window: int) -> None:
     margin = OnlineMargin(0.1, 0.9, window=window)
     assert margin.coverage is None
     held = []
