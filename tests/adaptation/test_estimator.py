@@ -115,7 +115,7 @@ def test_a_teleport_does_not_throw_it(jump: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize("planted", [0.0, 0.7])
-def test_a_car_that_stands_still_teaches_nothing(planted: float) -> None:
+def test_a_stationary_car_teaches_nothing(planted: float) -> None:
     drive = Drive(TOWED, EstimatorSettings(), noise=0.3 * NOISE)
     start = drive.estimator.deviations.copy()
     drive.run(60.0, (planted,), still)

@@ -115,7 +115,7 @@ def test_physics_has_no_history_encoder():
         HistoryEstimator(load_model("car"))
 
 
-def test_what_nobody_measured_is_known_to_half_of_its_range(random_car_weights):
+def test_what_was_never_measured_is_known_to_half_of_its_range(random_car_weights):
     """And entries that the networks do not estimate are what the file says."""
     weights = random_car_weights(3)
     low, high = np.array([-1.0, -2.0, 0.0, -4.0]), np.array([1.0, 2.0, 3.0, 0.5])

@@ -80,7 +80,7 @@ def test_nothing_is_pending_and_an_action_acts_at_once() -> None:
     assert model.felt([1.0, 0.2], (), period=0.05) == ([1.0, 0.2 + 0.1], ())
 
 
-def test_beside_one_that_remembers_both_stand_apart_in_their_order() -> None:
+def test_with_an_effect_that_remembers_both_are_applied_in_their_order() -> None:
     """The lag comes before the offset: what is felt is the mean of the way to the command, and the offset on top."""
     late = load_model("car").with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.1)})
     both = late.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.1)})

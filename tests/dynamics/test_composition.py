@@ -197,7 +197,7 @@ class _OwnDrag(RateEffect):
         return {**rates, "speed": rates["speed"] - drag}
 
 
-def test_slopes_of_somebody_else_s_effect_are_right_too() -> None:
+def test_slopes_of_a_users_effect_are_right_too() -> None:
     state, around = np.array([0.0, 0.0, 0.2, 3.0]), np.array([3.5, 0.1])
     values = {"coefficient": Setting(0.5)}
     own = load_model("car").with_effect(_OwnDrag(), values).affine(state, around=around)

@@ -163,7 +163,7 @@ def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
         ('[[effects]]\nname = "speed_sensor_scale"\nvaries = "scale with time"\n', "cannot depend on where and when"),
     ],
 )
-def test_a_mistake_is_told_in_one_line(text, said):
+def test_a_mistake_is_reported_in_one_line(text, said):
     with pytest.raises(ModelFileError) as error:
         parse_model(CAR + text)
     assert said in str(error.value)
@@ -199,7 +199,7 @@ def test_every_effect_that_may_have_a_law_can_be_asked(robot):
         (*LAWS[6], "until 20 s"),
     ],
 )
-def test_it_is_told_in_words(name, law, numbers, said):
+def test_a_law_is_described_in_words(name, law, numbers, said):
     model = car(name, law, numbers)
     item = model.effects[0]
     assert item.law.sentence(numbers, item.inner, model.system) == said

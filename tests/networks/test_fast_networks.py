@@ -100,7 +100,7 @@ def test_shipped_phi_agrees_with_torch(name):
     agree(newest, reference)
 
 
-def test_a_robot_of_many_begins_anew_alone(random_car_weights):
+def test_one_robot_of_many_starts_again_alone(random_car_weights):
     encoder = HistoryEncoder(with_history(random_car_weights(3), 52, 3))
     rows = np.random.default_rng(2).normal(size=(3, 90, encoder.row_length))
     streams, alone = HistoryStreams(encoder, 3), HistoryStreams(encoder)

@@ -52,7 +52,7 @@ def test_own_increments_lead_back(state, following):
 
 
 @given(STATES, st.floats(-9.0, 9.0), st.floats(-9.0, 9.0))
-def test_a_car_that_stands_elsewhere_moves_alike(random_car_weights, state, east, north):
+def test_a_car_at_another_position_moves_alike(random_car_weights, state, east, north):
     networks = LearnedNetworks(random_car_weights(1))
     latent = np.array([0.3, -0.2, 0.1, 0.5])
     moved = state + np.array([east, north, 0.0, 0.0])

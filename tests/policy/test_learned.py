@@ -90,7 +90,7 @@ def seen(state: StateMessage, latent: Any = (0.0, 0.0)) -> Any:
     return observe(*vectors, padded(state.obstacles), *rest)
 
 
-def test_an_observation_has_the_announced_length_and_is_told_in_numbers_of_size_one() -> None:
+def test_an_observation_has_the_announced_length_and_entries_of_size_one() -> None:
     observation = seen(STATE)
     assert observation.shape == (observation_length(LATENTS),)
     assert np.abs(observation).max() <= 1.5
@@ -160,7 +160,7 @@ def test_clearance_is_that_of_the_capsule() -> None:
     np.testing.assert_allclose(room, [0.3, 0.4, 0.1, -0.3], atol=1e-12)
 
 
-def test_only_the_nearest_obstacles_are_told_one_by_one_and_none_is_needed() -> None:
+def test_only_the_nearest_obstacles_are_observed_one_by_one_and_none_is_needed() -> None:
     far = tuple((3.0, -3.0 + 0.1 * index, 0.05) for index in range(7))
     near = ((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25), (0.5, 0.9, 0.2), (0.5, -1.5, 0.2))
     told = slice(OFFSET, OFFSET + 5 * OBSTACLES)

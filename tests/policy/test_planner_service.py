@@ -40,7 +40,7 @@ def plan(controller: str) -> Plan:
     )
 
 
-def test_the_policy_service_is_told_which_controller() -> None:
+def test_the_policy_service_is_started_with_the_chosen_controller() -> None:
     policy = next(child for child in plan("planner").services() if child.name == "policy")
     at = policy.arguments.index("--controller")
     assert policy.arguments[at + 1] == "planner"

@@ -73,7 +73,7 @@ def test_it_goes_around_a_wall_and_keeps_room_to_it() -> None:
             assert np.hypot(*apart.T).min() > 0.12 + 0.05
 
 
-def test_it_slows_down_for_who_may_hide_and_keeps_farther_away() -> None:
+def test_it_slows_down_and_keeps_farther_away_where_a_mover_may_hide() -> None:
     corner = tuple((1.5, float(y), 0.3, 1.5) for y in np.arange(0.9, 2.0, 0.1))
     free, careful = driven(6.0), driven(6.0, hidden=corner)
     assert min(y for _, y, _, _ in careful) < min(y for _, y, _, _ in free) - 0.1

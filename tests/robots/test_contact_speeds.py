@@ -39,7 +39,7 @@ def test_what_the_car_drives_into_is_driven_into_with_its_speed() -> None:
     assert hit.towards > 0.8
 
 
-def test_who_runs_into_a_load_from_behind_was_not_driven_towards() -> None:
+def test_a_car_that_runs_into_a_load_from_behind_was_not_driven_towards() -> None:
     person = Runs((-3.0, 0.0), 1.5)
     scene = Scene(0, load_named("box"), FIELD, (), (0.0, 0.0, 0.0))
     hit = first_contact(CarRobot(scene, senses=Senses((Laser(LaserSettings(), 0),), (person,))), 0.5)

@@ -86,7 +86,7 @@ def test_the_watchdog_holds_the_angle_in_a_wind_that_it_does_not_know(direction:
     assert abs(limp.angle - start) > math.radians(20.0), "limp it falls"
 
 
-def test_the_watchdog_holds_anew_where_the_next_torque_runs_out() -> None:
+def test_the_watchdog_holds_again_where_the_next_torque_runs_out() -> None:
     robot = PendulumRobot(task_named("balance"), seed=3)
     robot.advance()
     for _ in range(20):

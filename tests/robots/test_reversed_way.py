@@ -46,7 +46,7 @@ def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
     assert told[-1] > 0.0
 
 
-def test_another_load_hangs_as_nobody_knows_and_none_is_not_counted() -> None:
+def test_another_load_hangs_at_an_unknown_angle_and_none_is_not_counted() -> None:
     robot = CarRobot(Scene.random(3, "none"))
     drive(robot, 5, 1.0, 0.0)
     assert robot.state_message().reversed_way == -1.0
@@ -59,7 +59,7 @@ def test_another_load_hangs_as_nobody_knows_and_none_is_not_counted() -> None:
     assert robot.state_message().reversed_way == -1.0
 
 
-def test_a_filter_that_is_started_anew_sees_the_room_that_the_old_one_saw() -> None:
+def test_a_filter_that_is_started_again_sees_the_room_that_the_old_one_saw() -> None:
     robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
     old = CarScene(settings)
     for _ in range(25):
@@ -72,7 +72,7 @@ def test_a_filter_that_is_started_anew_sees_the_room_that_the_old_one_saw() -> N
     assert after.heights(state.values) == before.heights(state.values)
 
 
-def test_the_barriers_follow_the_load_as_if_they_were_built_anew() -> None:
+def test_the_barriers_follow_the_load_as_if_they_were_built_again() -> None:
     robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
     scene = CarScene(settings)
     for number, speed in enumerate([0.0, *[1.0] * 6, *[-0.5] * 8]):

@@ -43,14 +43,14 @@ def test_a_head_wind_takes_its_push_over_the_gain_off_the_speed() -> None:
     assert atan2(-windy.world.wind[1], -windy.world.wind[0]) == pytest.approx(0.3, abs=0.02)
 
 
-def test_a_steering_offset_turns_a_car_that_is_told_to_go_straight() -> None:
+def test_a_steering_offset_turns_a_car_that_is_commanded_straight_on() -> None:
     robot = driven("steering_offset", 4.0, (1.0, 0.0))
     earlier = driven("steering_offset", 3.0, (1.0, 0.0))
     rate = robot.values[2] - earlier.values[2]
     assert rate == pytest.approx(robot.values[3] * tan(0.08) / 0.32, rel=0.1)
 
 
-def test_nothing_is_hitched_to_a_car_that_stands_or_has_no_room() -> None:
+def test_nothing_is_hitched_to_a_stationary_car_or_without_room() -> None:
     assert driven("hitch", 3.0, (0.0, 0.0)).changed_at is None
     assert driven("hitch", 3.0, (1.0, 0.0), NARROW).changed_at is None
     assert driven("hitch", 3.0, (1.0, 0.0)).world.towed is not None

@@ -88,7 +88,7 @@ def test_a_load_that_touches_counts_as_the_load():
     assert [(collision.part, collision.what) for collision in robot.collisions] == [("load", "obstacle 0")]
 
 
-def test_passing_beside_an_obstacle_is_no_collision():
+def test_passing_close_to_an_obstacle_is_no_collision():
     radius = footprint(None)[2]
     robot = CarRobot(scene(obstacles=((1.0, 0.3 + radius + 0.005, 0.3),)))
     assert drive(robot, (1.0, 0.0), 60).collisions == []

@@ -62,7 +62,7 @@ def test_two_that_drive_at_each_other_touch_once_and_both_moved() -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_whoever_is_counted_first_the_touch_is_the_same(first: int) -> None:
+def test_a_contact_does_not_depend_on_the_order_of_the_cars(first: int) -> None:
     cars = [car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))]
     field = SharedField([cars[first], cars[1 - first]])
     live(field, 60, [(1.5, 0.0)] * 2)
@@ -71,7 +71,7 @@ def test_whoever_is_counted_first_the_touch_is_the_same(first: int) -> None:
     assert touch.speeds == pytest.approx((1.46, 1.46), abs=0.02)
 
 
-def test_one_that_stands_is_not_shoved_and_counts_as_standing() -> None:
+def test_a_stationary_car_is_not_shoved_and_counts_as_stationary() -> None:
     field = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))])
     live(field, 80, [(2.0, 0.0), (0.0, 0.0)])
     (touch,) = field.touches
@@ -160,7 +160,7 @@ def test_it_repeats_bit_for_bit_with_touches() -> None:
     assert fields[0].touches == fields[1].touches != []
 
 
-def test_who_touches_nobody_drives_as_alone() -> None:
+def test_a_car_that_touches_no_other_drives_as_if_alone() -> None:
     field, alone = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 2.0, 0.0))]), car((-2.0, 0.0, 0.0))
     for tick in range(40):
         action = (1.0, 0.3 * sin(0.3 * tick))

@@ -59,12 +59,12 @@ def test_the_body_is_stretched_to_where_the_car_is_driving_by_as_far_as_it_needs
         {"values": (np.inf, 0.0, 0.0, 0.0)},
     ],
 )
-def test_of_what_is_not_known_no_body_is_told(changed: dict[str, tuple[float, ...]]) -> None:
+def test_an_unknown_body_is_not_reported(changed: dict[str, tuple[float, ...]]) -> None:
     assert swept_capsule(replace(MESSAGE, **changed), SETTINGS) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("field", [FIELD, None])
-def test_barriers_of_a_load_that_was_moved_on_are_those_made_anew(field: tuple[float, ...] | None) -> None:
+def test_barriers_of_a_load_that_was_moved_on_are_those_of_a_new_stack(field: tuple[float, ...] | None) -> None:
     random = np.random.default_rng(1)
     before, after = (TowedReach(0.1, 0.5, 0.2, way, (0.1 * way, 0.2, way)) for way in (0.0, 0.4))
     old, new = (car_barriers(SETTINGS, FOOTPRINT, OBSTACLES, field, towed) for towed in (before, after))
@@ -95,7 +95,7 @@ def test_a_load_that_has_not_folded_claims_no_room() -> None:
             np.testing.assert_allclose(with_load.values(state), alone.values(state), rtol=0.0, atol=1e-12)
 
 
-def test_no_slope_exceeds_what_is_told_and_over_what_is_not_read_it_is_zero() -> None:
+def test_no_slope_exceeds_the_stated_bound_and_unread_states_have_slope_zero() -> None:
     braking, random = braking_of(SETTINGS), np.random.default_rng(3)
     for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 2.0), (60, 4)):
         part = ObstacleBarrier([(*random.uniform(-1.0, 1.0, 2), 0.1)], FOOTPRINT, braking)

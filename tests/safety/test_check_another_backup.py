@@ -19,7 +19,7 @@ def rollout(backup: Any) -> RolloutBarrier:
 
 
 @pytest.mark.parametrize(("foreign", "told"), [(False, ["h0"]), (True, ["r"])])
-def test_a_condition_that_breaks_under_the_backup_is_told_only_of_the_right_one(foreign: bool, told: list[str]) -> None:
+def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: bool, told: list[str]) -> None:
     """From 0.5 with -1 to 0.4: a condition of 0.9 x 0.5 + 0.002 is missed, by whichever backup the rollout thinks of.
 
     But with another one than the filter's, every condition of the rollout is about something that is not done.
@@ -36,7 +36,7 @@ def test_a_condition_that_breaks_under_the_backup_is_told_only_of_the_right_one(
 
 
 @pytest.mark.parametrize("backup", ["stop", 0.0, (0.0, 0.0), [0.0, 0.0], np.zeros(2)])
-def test_a_backup_that_nobody_can_call_is_refused_when_it_is_given(backup: Any) -> None:
+def test_a_backup_that_cannot_be_called_is_refused_when_it_is_given(backup: Any) -> None:
     """Else it would be found out when it is needed."""
     with pytest.raises(InputError, match=rf"backup: got {type(backup).__name__}, wanted a function of the state"):
         check_backup(backup, 2)

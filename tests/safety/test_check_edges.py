@@ -132,7 +132,7 @@ def test_a_condition_that_some_action_just_keeps_is_not_missed() -> None:
     assert found.names == (), "all of them together, it says then"
 
 
-def test_an_effect_that_is_rounding_beside_h_is_none() -> None:
+def test_an_effect_within_the_rounding_of_h_is_ignored() -> None:
     (found,) = condition_issues(
         made(lambda x: 1e6 + 1e-6 * x[0]), [probe(0.5, h=1e6, residuals=[[-0.3], [-0.1]], kept=False)]
     )
@@ -226,7 +226,7 @@ def test_a_hundredth_of_the_largest_part_may_be_missing(gradient: tuple[float, f
     assert told in "".join(issue.sentence for issue in found)
 
 
-def test_the_entry_that_matters_most_in_a_tick_is_told_of_the_worst_state() -> None:
+def test_the_entry_that_matters_most_in_a_tick_is_reported_for_the_worst_state() -> None:
     """Entry 1 is off by less, but moves a thousand times as far; the state at 3 is the worst."""
     barrier = FunctionBarrier(lambda x: x[0] + x[1], lambda x: np.array([30.0, 1.5 + x[0]]), ("h",))
     probes = [probe(at, 0.0, h=at, moved=[0.001, 1.0]) for at in (1.0, 3.0, 2.0)]
@@ -275,7 +275,7 @@ def test_of_several_actions_those_that_do_something_are_taken() -> None:
     assert "got h = 0.994 at two ticks" in found.sentence
 
 
-def test_the_deepest_of_all_dips_is_told() -> None:
+def test_the_deepest_of_all_dips_is_reported() -> None:
     for deep in (((0.45, 3.0), (1.05, 2.5)), ((0.45, 2.5), (1.05, 3.0))):
         (found,) = tick_issues(made(walls(*deep), limits=(-1.0, 3.0)), [probe(0.0, h=1.0)])
         assert "and -1.5" not in found.sentence
@@ -297,26 +297,26 @@ def test_states_that_are_none_are_refused(states: Any) -> None:
         check_filter(made(first).safe, states)
 
 
-def test_a_backup_is_meant_to_keep_every_condition_unless_told_otherwise() -> None:
+def test_a_backup_is_meant_to_satisfy_every_condition_by_default() -> None:
     checked = made(first, backup=lambda x: [-1.0])
     assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
     assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stands=False).subjects
 
 
 @pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])
-def test_an_h_without_numbers_is_told(h: Callable[[Any], float]) -> None:
+def test_an_h_that_is_not_finite_is_reported(h: Callable[[Any], float]) -> None:
     """No comparison with NaN is true, so nothing was amiss."""
     safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(h)], SETTINGS)
     assert "got NaN or infinity from h at [0.6]" in str(check_filter(safe, [[0.6]]))
 
 
-def test_an_h_without_numbers_one_tick_on_is_told() -> None:
+def test_an_h_that_is_not_finite_one_tick_later_is_reported() -> None:
     blind = FunctionBarrier(lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0])
     safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [blind], SETTINGS)
     assert "got NaN or infinity from h one tick from [0.48]" in str(check_filter(safe, [[0.48]]))
 
 
-def test_what_the_filter_itself_refuses_is_told() -> None:
+def test_what_the_filter_itself_refuses_is_reported() -> None:
     def of(**given: Any) -> SafetyFilter:
         return SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(lambda x: 1.0 - x[0])], SETTINGS, **given)
 

@@ -158,7 +158,7 @@ def test_an_h_that_falls_under_the_backup() -> None:
     assert "under the backup" in found[0].sentence
 
 
-def test_a_condition_that_nobody_can_keep() -> None:
+def test_a_condition_that_no_action_can_satisfy_is_reported() -> None:
     """Relative degree one, but braking is overrated."""
     found = report(lambda x: float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 16.0 - 0.02 * max(x[1], 0.0)))
     assert "conditions" in found.subjects
@@ -228,7 +228,7 @@ def test_a_filter_that_is_switched_off_is_checked_all_the_same() -> None:
     assert report(settings=replace(SETTINGS, enabled=False, backup_action=(1.0,))).subjects == {"backup"}
 
 
-def test_what_raises_is_told_and_not_raised() -> None:
+def test_an_error_in_a_users_function_is_reported_and_not_raised() -> None:
     found = report(lambda x: 1.0 / 0.0 if x[0] > 0.6 else room(x))
     assert found.subjects == {"failure"}
     assert "ZeroDivisionError" in str(found)

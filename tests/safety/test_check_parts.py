@@ -34,7 +34,7 @@ def test_thresholds_and_what_is_slight() -> None:
     np.testing.assert_allclose(checked.slight(np.array([3.0, -4e6])), [0.0001 + 3e-9, 0.0001 + 4e-3])
 
 
-def test_a_residual_by_hand() -> None:
+def test_a_residual_follows_a_worked_example() -> None:
     """From 3 with a = -1 to 2.9: 2.9 - 0.9 x 3 - 0.002."""
     np.testing.assert_allclose(made(first).residual(np.array([3.0]), np.array([-1.0])), [0.198])
 
@@ -243,7 +243,7 @@ def wall(width: float) -> Callable[[Values], float]:
 
 
 @pytest.mark.parametrize(("width", "told"), [(0.05, True), (0.5, False)])
-def test_what_is_thinner_than_a_tick_is_told(width: float, told: bool) -> None:
+def test_a_hazard_thinner_than_a_tick_is_reported(width: float, told: bool) -> None:
     """It goes down with h by 0.25 to the right in a tick: over what is narrower it jumps."""
     checked = made(wall(width), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     found = tick_issues(checked, [probe(0.0, h=1.0)])
@@ -269,7 +269,7 @@ def test_what_dips_is_named_behind_others_of_several_values() -> None:
     assert issue.names == ("h1",)
 
 
-def test_who_is_outside_already_is_not_chased() -> None:
+def test_a_state_that_is_outside_already_is_not_followed() -> None:
     checked = made(wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     assert tick_issues(checked, [probe(0.0, h=-0.1)]) == []
 
@@ -294,7 +294,7 @@ def test_an_h_that_answers_with_its_time_squared() -> None:
     assert "does not answer to the action in one tick at any of 1 states" in late[0].sentence
 
 
-def test_a_condition_that_nobody_can_keep() -> None:
+def test_a_condition_that_no_action_can_satisfy_is_reported() -> None:
     stuck = [
         probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False),
         probe(0.7, h=0.7, residuals=[[-0.2], [-0.15]], kept=False),
@@ -396,7 +396,7 @@ def test_a_horizon_that_ends_while_h_falls() -> None:
 # all of it
 
 
-def test_what_raises_is_told() -> None:
+def test_an_error_in_a_users_function_is_reported() -> None:
     def fails(x: Values) -> float:
         if x[0] > 0.6:
             raise RuntimeError("too far")

@@ -19,7 +19,7 @@ def halved(x: Any, latent: Any = None) -> Any:
     return 0.5 * x, np.eye(1)
 
 
-def test_a_function_is_told_by_the_arguments_that_it_needs() -> None:
+def test_the_kind_of_a_function_follows_from_the_arguments_that_it_needs() -> None:
     assert ClosedLoop(halved, [1.0]).after(np.array([4.0]), np.array([1.0])) == [3.0]
     assert ClosedLoop(lambda x, a: x + 2.0 * a, [1.0]).after(np.array([4.0]), np.array([1.0])) == [6.0]
 
@@ -30,7 +30,7 @@ def test_an_actuator_that_changes_commands_and_remembers_nothing_is_taken() -> N
 
 
 @pytest.mark.parametrize("model", [halved, load_model("car")])
-def test_nobody_writes_into_what_the_next_one_sees(model: Any) -> None:
+def test_a_users_function_cannot_write_into_what_the_next_one_sees(model: Any) -> None:
     size, actions = (1, [0.0]) if model is halved else (4, [0.0, 0.0])
     loop = ClosedLoop(model, actions)
     for kept in (loop.after(np.ones(size), np.array(actions)), fixed(np.ones(size)), loop.action(np.ones(size))):
@@ -91,11 +91,11 @@ class Own(AbstractDynamics):
 
 
 @pytest.mark.parametrize("memory", [None, (), (None,), ((), None), (np.empty(0), [])], ids=str)
-def test_a_model_of_ones_own_may_say_in_any_way_that_nothing_is_remembered(memory: Any) -> None:
+def test_a_users_model_may_say_in_any_way_that_nothing_is_remembered(memory: Any) -> None:
     assert prediction_of(Own(memory)).system is not None
 
 
 @pytest.mark.parametrize("memory", [(0.0,), (None, (1.0,)), (np.zeros(1),), ({"steer": 0.1},)], ids=str)
-def test_a_model_of_ones_own_whose_actuators_remember_is_refused(memory: Any) -> None:
+def test_a_users_model_whose_actuators_remember_is_refused(memory: Any) -> None:
     with pytest.raises(InputError, match=r"^model: got one of 'car' whose actuators remember"):
         prediction_of(Own(memory))

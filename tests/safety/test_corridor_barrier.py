@@ -63,7 +63,7 @@ def test_a_time_that_is_none_is_refused(time: float) -> None:
         CorridorBarrier(0.0, 1.0, time)
 
 
-def test_whose_state_it_reads_is_known_where_no_entry_is_named() -> None:
+def test_without_named_entries_it_reads_a_pendulums_state() -> None:
     assert CorridorBarrier(-1.0, 1.0, 0.2).reads == ("angle", "rate")
     for named in ({"angle": 0}, {"rate": 1}, {"angle": 2, "rate": 3}):
         assert CorridorBarrier(-1.0, 1.0, 0.2, **named).reads == ()

@@ -117,7 +117,7 @@ def test_any_equations_in_any_order_make_a_stack(which: slice) -> None:
     assert stacked(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
-def test_beside_a_function_of_the_users_own_all_are_asked_one_by_one() -> None:
+def test_together_with_a_users_function_all_barriers_are_asked_one_by_one() -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     assert isinstance(stacked([*parts, FunctionBarrier(lambda x: 1.0)]), Barriers)
     assert isinstance(stacked([]), Barriers)
@@ -190,7 +190,7 @@ def test_a_barrier_travels_without_the_functions_that_were_made_of_it() -> None:
         assert (other.names, other.kind, other.reads) == (part.names, part.kind, part.reads)
 
 
-def test_the_same_parts_for_a_state_of_another_size_are_refused_anew() -> None:
+def test_the_same_parts_are_refused_again_for_a_state_of_another_size() -> None:
     parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), Stacks()
     for scene in (parts, stacks.of(parts, 4)):
         assert stacks.of(scene, 4).names

@@ -127,7 +127,7 @@ def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
 
 
 @pytest.mark.parametrize("stale", [None, 5, "state", {"state": 1}], ids=repr)
-def test_where_nobody_can_say_what_is_stale_the_state_is_not_trusted(car: PhysicsModel, stale: Any) -> None:
+def test_if_it_is_unclear_what_is_stale_the_state_is_not_trusted(car: PhysicsModel, stale: Any) -> None:
     safe = SafetyFilter.for_model(
         car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=lambda state: [0.1, 0.0 if state is None else 0.3]
     )
@@ -399,7 +399,7 @@ def test_checked_input_gives_plain_numbers_or_a_reason() -> None:
     assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")
 
 
-def test_one_range_may_stand_for_all_entries() -> None:
+def test_one_range_may_be_given_for_all_entries() -> None:
     broad = Plausible(np.array([0.0]), np.array([1.0]), ("a", "b"))
     assert checked_input("x", [0.5, 1.0], broad) == (0.5, 1.0)
     refused = checked_input("x", [0.5, 1.5], broad)

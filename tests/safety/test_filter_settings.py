@@ -199,7 +199,7 @@ def test_a_wish_may_be_believed_less_than_a_range_outside() -> None:
     assert parse_settings("plausible_wish = 0.5").plausible_wish == 0.5
 
 
-def test_bounds_of_nobody_in_particular_go_with_what_any_barrier_takes() -> None:
+def test_bounds_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None:
     """With bounds of its own a file speaks of no robot: numbers of any barrier are kept; one bound is enough."""
     both = "action_low = [-1.0]\naction_high = [1.0]\n"
     assert parse_settings(both + "corridor_seconds = 0.4").barriers == {"corridor_seconds": 0.4}

@@ -48,7 +48,7 @@ def test_an_action_brought_back_is_nearest_once_the_program_is_posed_from_there(
     ("seed", "bend", "most", "rows", "robot"),
     [(3, 1.5, 2.0, 2, 8), (5, 1.5, 2.0, 2, 16), (6, 0.5, 1.2, 3, 41), (8, 1.5, 2.0, 2, 53), (9, 0.5, 1.2, 3, 45)],
 )
-def test_what_is_kept_beside_the_least_broken_of_many_is_found(
+def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(
     seed: int, bend: float, most: float, rows: int, robot: int
 ) -> None:
     """Islands that neither the tangents nor the lattice meet, in front of a saturated actuator."""
@@ -88,7 +88,7 @@ def decided(low: float, state: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> tupl
     return found[0], found[1]
 
 
-def test_what_is_run_into_before_the_action_acts_is_told() -> None:
+def test_a_collision_before_the_action_acts_is_reported() -> None:
     verdict, free = decided(-0.2)
     assert (free.status, free.h_next) == (Status.passed, 1.0)
     assert (verdict.status, verdict.h_next) == (Status.relaxed, -0.2)
@@ -97,7 +97,7 @@ def test_what_is_run_into_before_the_action_acts_is_told() -> None:
 
 
 @pytest.mark.parametrize("low", [0.0, 0.3])
-def test_what_is_passed_narrowly_before_the_action_acts_is_told_and_nothing_is_given_up(low: float) -> None:
+def test_a_narrow_pass_before_the_action_acts_is_reported_and_nothing_is_given_up(low: float) -> None:
     verdict, _ = decided(low)
     assert (verdict.status, verdict.h_next, verdict.reason) == (Status.passed, low, "")
 

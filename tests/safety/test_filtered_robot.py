@@ -95,10 +95,12 @@ def at_rest_with(applied: tuple[float, float], verdict: VerdictMessage) -> Any:
     return LATE.held(start, np.array(verdict.action), memory, LATE.latent, 8, period=0.05)[0]
 
 
-@pytest.mark.parametrize(("epoch", "tick"), [(1, 8), (1, 4), (2, 8), (2, 0)])
-def test_after_lost_ticks_the_actuators_count_as_settled_at_what_is_applied(epoch: int, tick: int) -> None:
+@pytest.mark.parametrize(("last", "epoch", "tick"), [(5, 1, 8), (5, 1, 4), (7, 2, 8), (5, 2, 0)])
+def test_after_lost_ticks_or_a_restart_the_actuators_count_as_settled_at_what_is_applied(
+    last: int, epoch: int, tick: int
+) -> None:
     node = SafetyFilterNode(LATE, SETTINGS)
-    obeyed(node, range(6), LATE)
+    obeyed(node, range(last - 4, last + 1), LATE)
     verdict = answered(node, tick, LATE, applied=(0.25, -0.1), epoch=epoch)
     np.testing.assert_allclose(verdict.predicted, at_rest_with((0.25, -0.1), verdict), atol=1e-12)
 
@@ -185,6 +187,9 @@ def test_a_robot_stands_only_while_a_wish_should_move_it(
         state = state_at(tick, AT_REST, obstacles=((changed.get("obstacle", 6.0), 0.0, 0.1),))
         verdict = asked(node, state, latent_at(state), wish)
     assert (verdict.status, verdict.stands) == (status, pytest.approx(stands))
+    orders.answer("r", Request(do="stop", who="me"))
+    verdict = answered(node, 5, values=AT_REST)
+    assert (verdict.status, verdict.stands) == ("stopped", 0.0), "an order to stop ends a stand"
 
 
 def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None:

@@ -15,7 +15,7 @@ def broken() -> float:
 
 
 @pytest.mark.parametrize("now", [0.0, 12.5, -3.0, 1e15, -1e15])
-def test_a_time_is_told_as_it_is(now: float) -> None:
+def test_a_finite_time_is_passed_on_unchanged(now: float) -> None:
     assert FiniteClock(lambda: now)() == now
 
 

@@ -266,7 +266,7 @@ class Kindless(Own):
         (lambda: HigherOrderBarrier([], []), "rates: got 0 for 0 derivatives, wanted h and its"),
     ],
 )
-def test_mistakes_are_told_when_they_are_made(made: Callable[[], Any], words: str) -> None:
+def test_mistakes_are_reported_when_they_are_made(made: Callable[[], Any], words: str) -> None:
     with pytest.raises(InputError, match="wanted") as told:
         made()
     assert words in str(told.value)
@@ -274,7 +274,7 @@ def test_mistakes_are_told_when_they_are_made(made: Callable[[], Any], words: st
 
 
 @pytest.mark.parametrize("given", [FunctionBarrier(wall), 3, iter([FunctionBarrier(wall)])])
-def test_what_is_no_list_of_barriers_is_told_so(given: Any) -> None:
+def test_something_other_than_a_list_of_barriers_is_reported(given: Any) -> None:
     """It was a TypeError about an object without len()."""
     verdict = SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS).decide([0.0], [0.1], barriers=given)
     assert verdict.status is Status.fallback
@@ -312,7 +312,7 @@ def test_a_period_with_a_default_is_no_latent() -> None:
     assert free.decide([0.0], [0.1], [0.5]).h_next == 0.95
 
 
-def test_a_period_with_a_default_stays_beside_a_latent() -> None:
+def test_a_period_with_a_default_keeps_it_when_a_latent_is_given() -> None:
     """The third argument of affine and the fourth of step are nobody's: they keep their defaults."""
 
     def free(x: Any, latent: Any, dt: float = 0.5) -> Any:
@@ -326,7 +326,7 @@ def test_a_period_with_a_default_stays_beside_a_latent() -> None:
     assert (verdict.status, verdict.h_next) == (Status.passed, 0.9)
 
 
-def test_a_barrier_of_ones_own_falls_by_its_share_a_step() -> None:
+def test_a_users_barrier_falls_by_its_share_a_step() -> None:
     """h = 1 - x[0] = 1 may fall to 1 - eta, though one step could use it up."""
 
     class Room(AbstractBarrier):

@@ -282,7 +282,7 @@ def test_a_policy_that_writes_into_its_observation_moves_no_state(count: int) ->
         assert np.all(observation[..., 0] < 1.0)
 
 
-def test_mistakes_around_an_environment_are_told() -> None:
+def test_mistakes_around_an_environment_are_reported() -> None:
     with pytest.raises(InputError, match="safety_filter: got int, wanted a SafetyFilter"):
         GymnasiumSafetyFilter(Cart(), 3)
     env = GymnasiumSafetyFilter(many(2), filter_of(), lambda seen: seen[:2])

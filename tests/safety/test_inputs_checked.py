@@ -39,6 +39,6 @@ def test_the_entry_that_is_out_of_its_range_is_named_and_what_is_no_number_is_no
 
 
 @pytest.mark.parametrize("value", [np.array(1.0), np.zeros((5, 5)), np.zeros((1, 5)), np.zeros(4), [0.0] * 6, []])
-def test_another_shape_is_refused_and_told(value: Any) -> None:
+def test_another_shape_is_refused_and_reported(value: Any) -> None:
     told = checked_input("state", value, BELIEVED)
     assert told == Unusable(f"state has shape {np.shape(value)}, wanted (5,)")

@@ -267,12 +267,12 @@ def broken() -> float:
     [broken, lambda: None, lambda: float("nan"), lambda: float("inf"), lambda: 1e308, lambda: "noon", object],
     ids=["raises", "none", "nan", "infinity", "huge", "text", "object"],
 )
-def test_a_clock_that_fails_stops_nobody(clock: Callable[[], Any]) -> None:
+def test_a_clock_that_fails_stops_no_decision(clock: Callable[[], Any]) -> None:
     verdict = made(clock=clock).decide([0.0], [0.1])
     assert (verdict.status, verdict.microseconds) == (Status.passed, 0.0)
 
 
-def test_a_clock_of_ones_own_counts() -> None:
+def test_a_users_clock_is_used() -> None:
     ticks = iter((1.0, 1.5))
     assert made(clock=lambda: next(ticks)).decide([0.0], [0.1]).microseconds == 5e5
 
@@ -308,7 +308,7 @@ class Unprintable(Exception):  # noqa: N818 - what a user's own may be called
         raise RuntimeError("nor this")
 
 
-def test_an_error_that_cannot_be_told() -> None:
+def test_an_error_that_cannot_be_printed_is_answered_all_the_same() -> None:
     def raises(x: Any) -> float:
         raise Unprintable
 

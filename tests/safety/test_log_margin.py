@@ -84,7 +84,7 @@ def test_a_clock_that_jitters_leaves_steps_near_the_usual_one() -> None:
     assert found.calibration.transitions == 300
 
 
-def test_gaps_are_left_out_and_rows_that_stand_alone_tell_nothing() -> None:
+def test_gaps_and_single_rows_are_left_out() -> None:
     found, _ = told(log_of(np.full(600, 0.01), gaps=5), log_of(np.full(50, 0.2), "alone", gaps=1))
     assert found.period == pytest.approx(0.01)
     assert found.calibration.transitions == 480

@@ -306,7 +306,7 @@ def test_online_margin_never_undercuts_the_calibrated_one() -> None:
         assert online.update(error) == 0.02
 
 
-def test_online_steps_by_hand() -> None:
+def test_the_online_margin_follows_a_worked_example() -> None:
     online = OnlineMargin(0.1, 0.5, rate=0.5, window=3)
     assert online.update(0.3) == 0.3  # missed: alpha 0.25, rank 2 of 1: the largest
     assert online.update(0.4) == 0.8  # missed: alpha 0: twice the largest
@@ -358,7 +358,7 @@ def test_coverage_is_the_share_of_the_last_window() -> None:
     assert told == [0.0, 0.5, pytest.approx(2 / 3), 0.75, 1.0, 1.0, 0.75, 0.5]
 
 
-def test_two_hundred_errors_are_kept_unless_told_otherwise() -> None:
+def test_two_hundred_errors_are_kept_by_default() -> None:
     online = OnlineMargin(0.1, 0.9)
     online.update(5.0)
     for _ in range(199):

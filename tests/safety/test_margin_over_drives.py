@@ -17,7 +17,7 @@ from safedpa.safety.drive_calibration import calibration_from_drives, covered_sh
 from safedpa.safety.margin import margins_over_drives
 
 
-def test_by_hand() -> None:
+def test_margins_over_four_drives_are_the_stated_order_statistics() -> None:
     drives = [np.array([0.1, 0.5]), np.array([0.2, 0.2]), np.array([0.3]), np.array([0.0, 0.4])]
     step, drive = margins_over_drives(drives, 0.6)
     assert drive == 0.4  # the third of four largest errors: 5 x 0.6
@@ -134,7 +134,7 @@ def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
     ("text", "words"),
     [("drives = -1", "drives: got -1"), ("origin = 3", "origin: got 3"), ("drive = 3", "drive: got 3")],
 )
-def test_what_stands_in_the_file_is_checked(text: str, words: str, tmp_path: Path) -> None:
+def test_the_contents_of_a_margin_file_are_checked(text: str, words: str, tmp_path: Path) -> None:
     good = MarginCalibration({"a": 0.1}, 0.9, 50, "2026-11-22", "x").write()
     (tmp_path / "margin.toml").write_text(f"{text}\n{good}")
     with pytest.raises(InputError, match=words):

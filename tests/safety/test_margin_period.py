@@ -75,7 +75,7 @@ def test_one_that_does_not_say_is_of_the_models_own_steps() -> None:
     assert "A step is 2 times as long" in verdict.sentence
 
 
-def test_numbers_that_no_data_stand_behind_are_taken_as_they_are() -> None:
+def test_margins_that_were_not_calibrated_are_taken_as_they_are() -> None:
     _, verdict = answered(None, 0.5)
     assert verdict.margin == 0.01
     assert "times as long" not in verdict.sentence

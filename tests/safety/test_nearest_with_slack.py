@@ -73,7 +73,7 @@ def test_it_answers_as_quadprog_does_and_leaves_next_to_nothing_to_others() -> N
 
 @settings(max_examples=300, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_nothing_beside_it_and_nothing_elsewhere_costs_less(seed: int) -> None:
+def test_no_other_point_costs_less(seed: int) -> None:
     rows, wish, weights = drawn(np.random.default_rng(seed))
     found = nearest_with_slack(rows, (wish[0], wish[1]), (weights[0], weights[1]))
     if found is None:

@@ -76,7 +76,7 @@ def test_an_action_is_felt_at_once_where_nothing_waits_and_one_period_is_judged(
         assert Begin(STATE, (), STATE, None, waits, rows).at_once is at_once
 
 
-def test_dead_time_is_told_in_seconds() -> None:
+def test_dead_time_is_reported_in_seconds() -> None:
     for name, seconds in (("actuator_delay", 0.1), ("steering_delay", 0.2), ("drive_lag", 0.3)):
         assert Actuators(late(name, seconds)).dead_time(LATENT) == pytest.approx(seconds)
     assert Actuators(CAR).dead_time(LATENT) == 0.0

@@ -64,7 +64,7 @@ def test_a_learned_model_with_an_effect_is_not_known_to_be_affine() -> None:
     assert not Prediction.of_model(model).affine
 
 
-def test_whose_model_it_is() -> None:
+def test_a_prediction_knows_the_system_of_its_model() -> None:
     assert Prediction.of_model(load_model("car")).of_this_project
     assert not Prediction(line).of_this_project
 

@@ -51,7 +51,7 @@ def test_where_adaptation_was_silent_the_pair_is_left_out_and_the_others_stay() 
 
 
 @pytest.mark.parametrize("by", ["watchdog", "nobody"])
-def test_what_somebody_else_drove_teaches_nothing_about_the_filter(by: str) -> None:
+def test_steps_under_another_action_than_the_filters_are_left_out(by: str) -> None:
     found = RecordedTransitions([[tick(0), tick(1, by=by), tick(2)]])
     assert found.state[:, 0].tolist() == [1.0]
 

@@ -46,7 +46,7 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
     assert len(counting.asked) == 10
 
 
-def test_states_that_begin_alike_are_told_apart() -> None:
+def test_states_that_begin_alike_are_distinguished() -> None:
     counting = Counting()
     known = Remembered(counting)
     for state in ((1.0, 0.0), (1.0, 2.0), (0.0, 2.0), (3.0,), (1.0, 2.0)):

@@ -23,7 +23,7 @@ def test_it_rests_knows_nothing_and_says_why() -> None:
     assert (told["active"], told["wish"], told["known"], told["solver"]) == ([], None, False, "not run")
 
 
-def test_its_action_belongs_to_nobody_else() -> None:
+def test_its_action_is_a_copy() -> None:
     rest = np.zeros(2)
     verdict = resting_verdict(rest, "nobody is there")
     rest[0] = 9.0

@@ -40,7 +40,7 @@ def start(plane: Plane, *action: float) -> Outcome:
     return found
 
 
-def test_an_entry_that_stands_on_a_plateau_comes_back_to_its_edge() -> None:
+def test_an_entry_on_a_plateau_comes_back_to_its_edge() -> None:
     """Kept from 3 on, however far beyond: from 9 back towards 0, to a thirty-second of the way."""
     plane = Plane(lambda a: min(a[0] - 3.0, 1.0))
     found = retreated(plane, SIDES, (0.0, 0.0), start(plane, 9.0, 0.0))

@@ -119,7 +119,7 @@ def test_a_pendulum_needs_the_margin_that_its_payload_makes() -> None:
     assert margin_from_text(text).epsilon["corridor"] < 1e-9, "so an effect can be accepted while it swings"
 
 
-def test_a_robot_of_another_rate_gets_a_margin_of_its_own_steps_with_a_model_that_was_mended_on_the_road() -> None:
+def test_a_robot_of_another_rate_gets_a_margin_of_its_own_steps_with_a_corrected_model() -> None:
     """Of steps of 0.05 s there are none in its run, and one without a margin could not be accepted at all."""
     model, settings = incomplete_model(), settings_named("car")
     usual = margin_from_text(live_margin(model, settings, driven(oracle_model(HIDDEN["steering_offset"])), ()))

@@ -23,7 +23,7 @@ def test_every_example_runs_in_order(capsys: pytest.CaptureFixture[str]) -> None
     assert names["verdict"].status.value == "corrected"
 
 
-def test_the_first_example_is_five_lines_beside_the_users_own() -> None:
+def test_the_first_example_is_five_lines_plus_the_users_own() -> None:
     first = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
     own = [line for line in first if line.startswith(("f =", "g =", "h =", "import numpy"))]
     assert len([line for line in first if line and line not in own]) == 5

@@ -48,7 +48,7 @@ def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None
     assert (barrier.low, barrier.high, barrier.time) == (-0.5, 0.7, 0.25)
 
 
-def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> None:
+def test_it_is_kept_while_the_scene_stays_and_built_again_when_it_changes() -> None:
     scene = PendulumScene(SETTINGS)
     first = scene.of(state())
     assert scene.of(state()) is first
@@ -69,7 +69,7 @@ def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> No
         ({"field": (-1.0, 1.0, -1.0, 1.0)}, "a robot that does not drive"),
     ],
 )
-def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], message: str) -> None:
+def test_an_invalid_scene_is_described_every_time(other: dict[str, Any], message: str) -> None:
     scene = PendulumScene(SETTINGS)
     scene.of(state())
     for _ in range(2):

@@ -83,7 +83,7 @@ def test_of_what_was_held_the_age_is_counted_from_the_search() -> None:
 @pytest.mark.parametrize(
     ("h", "held"), [(0.19, True), (0.18999, True), (0.1899, False), (0.185, False), (0.1905, True)]
 )
-def test_what_is_worse_now_by_a_hundredth_is_searched_for_anew(h: float, held: bool) -> None:
+def test_an_action_that_is_worse_by_a_hundredth_is_searched_for_again(h: float, held: bool) -> None:
     """Nearer to the boundary another action may be the least unsafe one; a rise is welcome."""
     robot, other = Robot(step=-SLOW), Robot(step=-SLOW)
     robot.at(0.0)
@@ -94,7 +94,7 @@ def test_what_is_worse_now_by_a_hundredth_is_searched_for_anew(h: float, held: b
     assert found.h_next == pytest.approx(anew.h_next, abs=1e-5)
 
 
-def test_what_misses_more_now_is_searched_for_anew() -> None:
+def test_an_action_that_misses_more_is_searched_for_again() -> None:
     """h leads as high as before, and another margin asks for more."""
     robot, other = Robot(), Robot()
     robot.at(0.0)
@@ -190,7 +190,7 @@ def held_then(
         ([-inf, -inf], [-inf, -inf], False),
     ],
 )
-def test_each_condition_is_held_against_itself(h: list[float], residual: list[float], held: bool) -> None:
+def test_each_condition_is_compared_with_itself(h: list[float], residual: list[float], held: bool) -> None:
     then = Posed([1.0, 2.0], [-1.0, 0.5])
     assert (held_then(then, Posed(h, residual)) is not None) is held
 

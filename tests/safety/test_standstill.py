@@ -25,7 +25,7 @@ def stood(seconds: float, wished: float, driven: float, creep: float = 0.0, nois
     return standing
 
 
-def test_who_stands_while_something_is_wished_is_counted_and_told_after_five_seconds() -> None:
+def test_standing_despite_a_wish_is_counted_and_reported_after_five_seconds() -> None:
     assert stood(4.9, 0.005, 0.0).reason("corrected", ("obstacle 0",), False) == ""
     later = stood(6.0, 0.005, 0.0)
     assert later.seconds == pytest.approx(6.0)
@@ -166,7 +166,7 @@ def test_half_a_second_without_a_wish_is_forgiven() -> None:
         assert (standing.seconds == 0.25 * (1 + ticks)) is stands
 
 
-def test_who_is_held_by_its_margin_stands_for_that_though_a_last_little_push_failed() -> None:
+def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
     """Where the least unsafe action dies away, its last half second moves nobody; after that nothing pushes."""
     standing = Standstill((0,))
     for tick in range(200):
@@ -180,14 +180,14 @@ def test_who_is_held_by_its_margin_stands_for_that_though_a_last_little_push_fai
     assert pushing.reason("relaxed", ("wall",), True).startswith("dead band"), "it is pushed all the time"
 
 
-def test_who_moves_in_a_tick_without_a_wish_stands_no_longer() -> None:
+def test_moving_in_a_tick_without_a_wish_ends_a_stand() -> None:
     standing = stood(6.0, 0.005, 0.0)
     standing.measure((1.0, 0.0, 0.0), PERIOD)
     standing.measure((1.5, 0.0, 0.0), PERIOD)
     assert standing.seconds == 0.0
 
 
-def test_who_was_never_promised_anything_does_not_stand() -> None:
+def test_a_robot_without_any_promised_motion_does_not_stand() -> None:
     standing = Standstill((0,))
     standing.promise((1.0,), (1.0,), (1.0,))
     for _ in range(5):

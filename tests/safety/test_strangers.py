@@ -209,7 +209,7 @@ def test_what_each_barrier_reads() -> None:
         FunctionBarrier(lambda x: 1.0, reads="ab")
 
 
-def test_default_settings_around_functions_of_ones_own() -> None:
+def test_default_settings_around_a_users_functions_are_refused() -> None:
     """They would answer a one-action model with two entries."""
     one = [FunctionBarrier(lambda x: 1.0 - x[0])]
     with pytest.raises(InputError, match=r"made for the system 'car' \(x, y, yaw, speed; target_speed, steer\), which"):
@@ -395,7 +395,7 @@ def test_a_base_cannot_borrow_a_shipped_name(tmp_path: Path) -> None:
         load_own(path)
 
 
-def test_a_car_of_ones_own_with_the_same_states_and_actions_is_driven() -> None:
+def test_a_users_car_with_the_same_states_and_actions_is_driven() -> None:
     """Whoever has a car's states and actions may use a car's barriers, under a name of its own."""
     car = load_model("car")
     other = replace_system(car, replace(CAR, name="my_car"))

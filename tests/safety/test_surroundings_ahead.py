@@ -26,7 +26,7 @@ def seen(movers: tuple[tuple[float, ...], ...], hidden: tuple[tuple[float, ...],
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_whoever_goes_as_it_can_is_within_its_disc_and_may_touch_its_edge(seed: int) -> None:
+def test_every_way_a_mover_can_go_ends_within_its_disc_and_the_fastest_at_its_edge(seed: int) -> None:
     """Ways of ten legs in any directions at any speeds allowed; the straight one at full speed leads to the edge."""
     random = np.random.default_rng(seed)
     x, y, radius, speed = random.uniform((-5.0, -5.0, 0.0, 0.1), (5.0, 5.0, 1.0, 3.0)).tolist()
@@ -46,7 +46,7 @@ def test_whoever_goes_as_it_can_is_within_its_disc_and_may_touch_its_edge(seed: 
         assert hypot(far_x - middle_x, far_y - middle_y) + radius == pytest.approx(wide)
 
 
-def test_how_it_moves_and_what_stands_still_are_told_as_before() -> None:
+def test_speeds_and_stationary_points_are_passed_on_unchanged() -> None:
     before = seen(((1.0, 2.0, 0.3, 0.4, -0.5, 0.8), (0.0, 1.0, 0.2, 0.0, 0.0, 0.0)), ((4.0, 5.0, 0.6, 1.5),))
     found = moved_on(before, 0.2)
     assert [row[3:] for row in found.movers] == [(0.4, -0.5, 0.8), (0.0, 0.0, 0.0)]

@@ -45,7 +45,7 @@ def test_of_two_dips_the_deeper_counts() -> None:
         assert share == pytest.approx(deeper, abs=1e-6)
 
 
-def test_a_valley_that_begins_beside_an_end_is_seen() -> None:
+def test_a_valley_that_begins_next_to_an_end_is_seen() -> None:
     for place in (0.001, 0.999):
         value, _, _ = least(lambda x, at=place: (x - at) ** 2, UNIT)
         assert value == pytest.approx(0.0, abs=1e-12)
@@ -93,7 +93,7 @@ def test_each_value_has_a_place_of_its_own() -> None:
     assert least_along(lambda x: np.array([0.25]), path).size[0] == 0.25
 
 
-def test_a_place_is_a_state_that_nobody_can_write_into() -> None:
+def test_a_position_is_a_read_only_state() -> None:
     point = chord_point(UNIT, (0, 0.25))
     np.testing.assert_array_equal(point, [0.25])
     assert chord_point(UNIT, (1, 0.0)) is UNIT[1]

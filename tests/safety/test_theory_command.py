@@ -100,7 +100,7 @@ def test_constants_of_a_model_without_networks_are_refused() -> None:
     assert "no networks" in str(result.exception)
 
 
-def test_the_constants_are_told_by_a_command(tmp_path: Path) -> None:
+def test_a_command_prints_the_constants(tmp_path: Path) -> None:
     arguments = ["car_simulated", "--states", "60", "--coverage", "0.9", "--out", str(tmp_path / "constants.json")]
     result = CliRunner().invoke(constants_command, arguments)
     assert result.exit_code == 0, result.output

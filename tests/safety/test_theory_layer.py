@@ -69,7 +69,7 @@ def test_a_robot_that_stands_errs_no_more_and_stays_in_the_layer() -> None:
     assert all(stay.errors <= EPSILON + 1e-9 for stay in stays_in_layer(now, then, [DEPTH] * 100))
 
 
-def test_stays_by_hand() -> None:
+def test_the_layer_follows_a_worked_example() -> None:
     now = [0.5, 0.08, 0.06, 0.2, 0.05]
     then = [0.1, 0.09, 0.25, 0.1, 0.05]
     stays = stays_in_layer(now, then, [0.1] * 5)

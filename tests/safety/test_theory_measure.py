@@ -144,7 +144,7 @@ def test_actions_that_do_not_tell_the_parts_apart_are_refused() -> None:
     assert affine_parts(all_ways, np.ones((2, 4, 4)))[0] == pytest.approx(1.0), "four are enough"
 
 
-def test_too_few_states_for_a_coverage_are_told() -> None:
+def test_too_few_states_for_a_coverage_are_refused() -> None:
     known = weights(3)
     networks = LearnedNetworks(known)
     errors = measured_errors(networks, branches(known, 1, 60))

@@ -73,7 +73,7 @@ def test_no_h_falls_under_it(name):
     assert abs(state[3]) < 0.05
 
 
-def test_with_friction_beyond_the_wished_braking_it_does_not_push():
+def test_with_friction_beyond_the_desired_braking_it_does_not_push():
     model = model_with({"rolling_resistance": {"deceleration": 3.0}})
     action = backup_of(model)(np.array([0.0, 0.0, 0.0, 2.0]))
     assert action[0] == pytest.approx((3.0 - 2.0) / 4.48, abs=1e-3)
@@ -155,7 +155,7 @@ def rolled(broken, ticks: int = 60) -> float:
     ],
     ids=["no values", "no values, sources", "speed of 60", "long latent", "no latent", "vast latent", "vast negative"],
 )
-def test_whatever_is_told_wrong_the_backup_stops_the_car_and_never_drives_it(broken):
+def test_whatever_is_reported_wrongly_the_backup_stops_the_car_and_never_drives_it(broken):
     assert abs(rolled(broken)) < 0.2
 
 

@@ -141,7 +141,7 @@ def test_the_way_is_unknown_first_then_forgotten_forwards_and_counted_backwards(
 
 
 @pytest.mark.parametrize("later", [message(30, 3.0), message(9, 3.0, epoch=2), message(9, 3.0, towed=(0.1, 0.6, 0.5))])
-def test_who_was_not_watched_may_have_been_reversed(later: StateMessage) -> None:
+def test_a_robot_that_was_not_watched_may_have_been_reversed(later: StateMessage) -> None:
     way = ReversedWay()
     for tick in range(9):
         way.follow(message(tick, 0.2 * tick))
@@ -193,7 +193,7 @@ def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
         ReversedWay().reach(message(0, 0.0, towed=wrong))
 
 
-def test_a_filter_that_is_started_anew_believes_the_robot_that_counts_itself() -> None:
+def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() -> None:
     old, new, unknowing = ReversedWay(), ReversedWay(), ReversedWay()
     for tick in range(9):
         old.follow(message(tick, 0.2 * tick))

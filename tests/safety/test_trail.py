@@ -102,7 +102,7 @@ def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
     assert trail.foretold(0.0) is None
 
 
-def test_the_commands_of_before_are_told_in_order_and_none_after_a_gap() -> None:
+def test_the_earlier_commands_come_in_order_and_none_after_a_gap() -> None:
     assert Trail(CAR).commands(3, (9.0, 0.0)) == [(9.0, 0.0)]
     trail = Trail(CAR)
     for tick in range(5):
@@ -131,7 +131,7 @@ def test_what_is_expected_goes_on_under_the_newest_action() -> None:
 
 
 @pytest.mark.parametrize(("until_action", "ticks"), [(0.0, 5), (0.05, 7), (0.12, 11)])
-def test_a_prediction_is_held_against_the_measurement_as_soon_as_it_can_be(until_action: float, ticks: int) -> None:
+def test_a_prediction_is_compared_with_the_measurement_as_soon_as_possible(until_action: float, ticks: int) -> None:
     """The dead time of 3 periods, the two newest states, and twice the age: of the state, and of what was in force."""
     assert followed(DELAYED, until_action, ticks)[0].foretold(until_action) is not None
     assert followed(DELAYED, until_action, ticks - 1)[0].foretold(until_action) is None
@@ -176,7 +176,7 @@ def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 9])
-def test_a_period_is_told_with_the_commands_of_before_and_what_was_remembered_then(count: int) -> None:
+def test_a_period_comes_with_the_earlier_commands_and_the_memory_of_then(count: int) -> None:
     """Command by command, the newest first; before the first tick that of the first was always in force."""
     trail = Trail(CAR)
     for tick in range(count):

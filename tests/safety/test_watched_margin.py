@@ -107,7 +107,7 @@ def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
     assert told[500] == 1.0
 
 
-def test_what_was_promised_is_told_of_a_calibration_alone() -> None:
+def test_only_a_calibration_promises_a_coverage() -> None:
     assert WatchedMargin(CALIBRATION).promised == 0.99
     settings = settings_named("car")
     assert WatchedMargin(uncalibrated(settings, "m")).promised == -1.0
@@ -132,7 +132,7 @@ def test_a_margin_that_does_not_learn_stays() -> None:
     assert watch.coverage == -1.0
 
 
-def test_past_a_dead_time_what_was_foretold_is_held_against_what_came_at_both_states() -> None:
+def test_past_a_dead_time_the_prediction_is_compared_at_both_states() -> None:
     """h = x - latent; of the state before as of this one the h hoped for is that of the barriers of then."""
     watch = WatchedMargin(CALIBRATION)
     watch.expect([0.9], at(0.1))

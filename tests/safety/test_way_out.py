@@ -71,7 +71,7 @@ def test_a_manoeuvre_that_raises_h_later_is_held() -> None:
     assert not found.action.flags.writeable
 
 
-def test_it_is_judged_anew_in_every_tick_and_ends_where_its_predictions_do() -> None:
+def test_it_is_judged_again_in_every_tick_and_ends_where_its_predictions_do() -> None:
     out = way_out()
     led(out, dips, ticks=1)
     taken = [out.instead_of(verdict(), here(tick, dips, now=tick), 0.0).action[0] for tick in range(1, 20)]
@@ -137,7 +137,7 @@ def test_what_gains_nothing_is_not_taken() -> None:
     assert led(way_out(), lambda action, ticks: [0.15 + 0.005 * (ticks > 1)]).action[0] != 0.0
 
 
-def test_only_who_stands_is_led_and_not_by_what_failed_to_move_it() -> None:
+def test_only_a_standing_robot_is_led_and_not_by_an_action_that_failed_to_move_it() -> None:
     assert led(way_out(), dips, stood=0.4).action[0] == 0.0
     assert led(way_out(), dips, fails=1.0).action[0] == 0.0
     assert led(way_out(), dips, known=0).action[0] == 0.0, "the model has no numbers"
@@ -286,7 +286,7 @@ def test_the_wish_is_taken_where_it_raises_what_is_short(
 
 
 @pytest.mark.parametrize("until_action", [0.0, 0.006])
-def test_a_car_beside_an_obstacle_gets_out(until_action: float) -> None:
+def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
     """As measured with a box in tow: at rest with h 0.7 mm inside the layer, and every single step lowers it.
 
     The same where the action acts some milliseconds after the state was measured, as on every real robot.

@@ -187,7 +187,7 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
         ("watchdog", (), False, False),
     ],
 )
-def test_a_delay_is_looked_for_where_the_robot_did_what_it_was_told(
+def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
     monkeypatch: pytest.MonkeyPatch, applied_by: str, sources: tuple[str, ...], stood: bool, learns: bool
 ) -> None:
     memory = driven()
@@ -236,7 +236,7 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("values", [(1.0, 2.0, 0.1), (1.0, 2.0, 0.1, 0.5, 0.0)])
-def test_of_a_state_with_another_number_of_values_no_path_is_told(values: tuple[float, ...]) -> None:
+def test_a_state_with_another_number_of_values_has_no_path(values: tuple[float, ...]) -> None:
     memory = driven()
     assert memory.memory is not None
     assert memory.predicted(state_at(1, values=values), verdict_of(memory), CAR.latent) == ((), None)

@@ -45,7 +45,7 @@ def test_what_is_promised_under_the_wish_is_asked_of_the_model_where_the_wish_di
 @pytest.mark.parametrize(
     ("wish", "known", "interrupted"), [((1.0, 0.0), True, False), ((1.0, 0.0), False, True), ((0.0, 0.0), True, True)]
 )
-def test_who_wishes_nothing_or_of_whom_nothing_is_known_does_not_stand_in_vain(
+def test_a_robot_without_a_wish_or_without_a_prediction_is_not_standing_in_vain(
     wish: tuple[float, float], known: bool, interrupted: bool
 ) -> None:
     memory = driven()
@@ -222,7 +222,7 @@ def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.Mon
         (Status.passed, False, ""),
     ],
 )
-def test_another_model_is_tried_with_what_was_wished_or_had_to_be_done(
+def test_another_model_is_tried_with_the_wish_or_with_the_action_of_a_stop(
     monkeypatch: pytest.MonkeyPatch, status: Status, barriers: bool, decided: str
 ) -> None:
     memory, asked_with = driven(), list[Any]()

@@ -89,7 +89,7 @@ def test_what_it_gives_is_what_piqp_gives(
 
 
 @pytest.mark.parametrize("actions", [1, 2])
-def test_it_is_what_piqp_gives_and_slack_is_told_row_by_row(actions: int) -> None:
+def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: int) -> None:
     random, told = np.random.default_rng(actions), 0
     for _ in range(200):
         low = -random.uniform(0.2, 3.0, actions)

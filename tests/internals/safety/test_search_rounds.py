@@ -102,7 +102,7 @@ def test_what_is_asked_for_on_top(solutions: int, last: float, missing: float, s
 
 
 @pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (0.3,)])
-def test_slopes_that_served_badly_are_drawn_anew(residual: tuple[float, ...]) -> None:
+def test_slopes_that_served_badly_are_drawn_again(residual: tuple[float, ...]) -> None:
     scripted = Scripted(residual, (0.0,))
     scripted.run(outcome(0.0, -10.0))
     assert scripted.tangents == 2
@@ -166,7 +166,7 @@ def test_rounds_are_limited_and_the_least_broken_is_returned() -> None:
     assert scripted.solved == 4
 
 
-def test_the_first_solution_stands_for_the_start_whatever_it_is() -> None:
+def test_the_first_solution_replaces_the_start_whatever_it_is() -> None:
     """The start is the caller's already: what is asked is what the program leads to."""
     scripted = Scripted((-12.0,))
     assert scripted.run(outcome(0.0, -10.0), rounds=1).action == (1.0,)
