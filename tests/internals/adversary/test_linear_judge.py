@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import scipy.optimize
-from tests.adversary.problems import plane
+from tests.lab.adversary.problems import plane
 
 from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
 

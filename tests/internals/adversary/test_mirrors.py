@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.adversary.problems import plane, verdict
+from tests.lab.adversary.problems import plane, verdict
 
 from safedpa_lab.experiments.adversary.mirrors import _beside
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.experiments.drives import STATUSES, follow, robot, tick
+from tests.lab.experiments.drives import STATUSES, follow, robot, tick
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, Received

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.experiments.conftest import crude_weights, save_crude
+from tests.lab.experiments.conftest import crude_weights, save_crude
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError

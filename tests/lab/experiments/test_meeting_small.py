@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.experiments.drives import Pool
+from tests.lab.experiments.drives import Pool
 
 from safedpa.errors import InputError
 from safedpa_lab.experiments import meeting

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.faults.test_fault_episode import PERIOD, trace, verdict
+from tests.lab.faults.test_fault_episode import PERIOD, trace, verdict
 
 from safedpa_lab.faults import campaign
 from safedpa_lab.faults.fault import Fault

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.adversary.problems import plane
+from tests.lab.adversary.problems import plane
 
 from safedpa_lab.experiments.adversary.line_systems import late_drive
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem

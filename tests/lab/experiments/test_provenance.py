@@ -20,7 +20,7 @@ from safedpa_lab.provenance.check import standings
 from safedpa_lab.provenance.record import KEY, command_line, write_result
 from safedpa_services.command_line.group import safedpa
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")

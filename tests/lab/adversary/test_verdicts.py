@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.adversary.problems import answer_with, plane, verdict
+from tests.lab.adversary.problems import answer_with, plane, verdict
 
 from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter, Status

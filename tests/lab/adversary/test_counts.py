@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.adversary.problems import figures
+from tests.lab.adversary.problems import figures
 
 from safedpa_lab.experiments.adversary import report, systems
 from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack

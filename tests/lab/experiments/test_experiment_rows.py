@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.experiments.drives import Pool, robot, tick
+from tests.lab.experiments.drives import Pool, robot, tick
 
 from safedpa.dynamics import load_model
 from safedpa.errors import SafedpaError

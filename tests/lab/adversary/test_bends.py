@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.adversary.problems import answer_with
+from tests.lab.adversary.problems import answer_with
 
 from safedpa.safety import SafetyFilter, Status
 from safedpa_lab.experiments.adversary.bends import Bends, bent_answer

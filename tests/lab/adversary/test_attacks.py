@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.adversary.problems import measured
+from tests.lab.adversary.problems import measured
 
 from safedpa.safety import SafetyFilter, Status, Verdict
 from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
