@@ -204,7 +204,8 @@ def test_limits_of_a_screen_are_those_of_healthy_cars_of_the_same_drive(monkeypa
     """Errors rise from 1 over the healthy cars; those of cars with an effect are compared with their own limit."""
     cases: list[Any] = []
 
-    def write(found: Any, _: Any) -> list[Any]:
+    def write(found: Any, folders: Any) -> list[Any]:
+        assert len(set(folders)) == len(found)
         cases.extend(found)
         return [SimpleNamespace(model="car", runs=()) for _ in found]
 
@@ -311,6 +312,7 @@ def test_recordings_are_diagnosed_together_and_with_each_log_left_out(
     """Errors on the logs left out fall from 4, 2 and 2 to 1, 1 and 0.5; b was added in two of the three."""
     paths = [tmp_path / f"{name}.csv" for name in "xyz"]
     unseen = {"x": (4.0, 1.0), "y": (2.0, 1.0), "z": (2.0, 0.5)}
+    covered = {"x": 20, "y": 19, "z": 25}
     added = iter([("a",), ("a",), ("b",), ("c", "b")])
 
     def error(model: str, windows: Any) -> Any:
@@ -319,10 +321,11 @@ def test_recordings_are_diagnosed_together_and_with_each_log_left_out(
 
     class Windows(list[int]):
         def __init__(self, runs: Any, *_: Any, **__: Any) -> None:
-            super().__init__(range(4))
+            super().__init__(range(25))
             self.name = runs[0].name
 
-        def select(self, _: Any) -> None: ...
+        def select(self, _: Any) -> Any:
+            return self
 
     def runs(found: Any, *_: Any) -> list[Any]:
         return [SimpleNamespace(name=path.stem, system=SimpleNamespace(state_names=("s",))) for path in found]
@@ -335,11 +338,13 @@ def test_recordings_are_diagnosed_together_and_with_each_log_left_out(
     monkeypatch.setattr(real_logs, "story_of", lambda _: SimpleNamespace(lead="so"))
     monkeypatch.setattr(real_logs, "uncovered", lambda *_: 0.0)
     monkeypatch.setattr(real_logs, "windows_of", Windows)
-    monkeypatch.setattr(real_logs, "told_windows", lambda _, windows: np.zeros(len(windows), dtype=bool))
+    monkeypatch.setattr(real_logs, "told_windows", lambda _, windows: np.arange(25) < covered[windows.name])
     monkeypatch.setattr(real_logs, "rollout_error", error)
     found = real_logs.real_logs_experiment(real_logs.RealLogs(tmp_path, parts=("car",), processes=1))
     assert [row["name"] for row in found["rows"]] == ["", "x.csv", "y.csv", "z.csv"]
     assert found["folds_together"] == -0.6875
+    told = [(row["unseen_change"], row["unseen_told"], row["unseen_where_told"]) for row in found["rows"][1:]]
+    assert told == [(-0.75, 0.8, [4.0, 1.0]), (-0.5, 0.76, None), (-0.75, 1.0, [2.0, 0.5])], "of 20 windows at least"
     assert list(found["stable_names"].items()) == [("b", 2), ("a", 1), ("c", 1)]
     row = found["rows"][0]
     assert (row["change"], row["errors"]) == (change, list(errors))

@@ -56,6 +56,8 @@ def test_margins_come_from_all_drives_and_count_what_they_cover(
     assert (found["missing"], told[-1], len(drives.made)) == (0, (total, total), total)
     row = found["robots"]["car"]
     behind = [order for order in drives.made if order.kind == "conformal" and order.margin is not None][:6]
+    assert behind[0].margin is not None
+    assert behind[0].margin.coverage == pytest.approx(0.5 * wanted.first / (wanted.first + 1)), "the plain quantile"
     seeds = [order.seed for order in behind]
     counted = row["calibration_conformal"]
     assert (counted["drives"], counted["goals"]) == (6, sum(seed % 10 for seed in seeds))
