@@ -28,7 +28,7 @@ def refusing(monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 
 
-def test_a_refused_effect_that_says_the_same_as_a_formula_is_named(refusing, tmp_path):
+def test_a_refused_effect_that_predicts_like_a_formula_is_named(refusing, tmp_path):
     log = write_case(Case("test", 4, {"viscous_drag": {"coefficient": 0.3}}, runs=3, seconds=20.0), tmp_path)
     model = load_model(str(log.model))
     report = diagnose(model, [load_run(str(path), model.system) for path in log.runs])

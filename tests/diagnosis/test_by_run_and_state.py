@@ -1,4 +1,4 @@
-"""Errors by run and state: what a mean over states and runs hides is said."""
+"""Errors by run and state: what a mean over states and runs hides is reported."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def turned(run):
     return replace(run, states=states)
 
 
-def test_the_error_of_each_run_and_state_is_told(plain, runs):
+def test_the_error_of_each_run_and_state_is_reported(plain, runs):
     comparison = compare_model(plain, [*runs[:2], turned(runs[2])], 1.0)
     document = as_json(comparison)
     assert list(document["explained"]) == [factor.variable for factor in comparison.factors]
@@ -40,7 +40,7 @@ def test_the_error_of_each_run_and_state_is_told(plain, runs):
     assert run_sentence(comparison) in document["summary"]
 
 
-def test_what_gets_worse_in_one_run_is_named(plain, runs, with_effect):
+def test_a_state_that_gets_worse_in_one_run_is_named(plain, runs, with_effect):
     """A model whose steering is a little off: better on the run that has it, worse on the others."""
     biased = with_effect(plain, "steering_offset", angle=0.05)
     before, after = (compare_model(model, runs, 1.0) for model in (plain, biased))
@@ -64,7 +64,7 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
 
 
 @pytest.mark.long
-def test_a_diagnosis_says_what_got_worse(plain, runs, with_effect, drive, monkeypatch):
+def test_a_diagnosis_reports_states_that_got_worse(plain, runs, with_effect, drive, monkeypatch):
     """Two runs with an offset of the steer and one with the opposite: the mean falls, the third run's yaw suffers."""
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "steering_offset")])
     offset, other = (with_effect(plain, "steering_offset", angle=angle) for angle in (0.06, -0.01))

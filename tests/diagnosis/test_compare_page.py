@@ -24,7 +24,7 @@ from safedpa_services.command_line.group import safedpa
 
 @pytest.fixture
 def files(plain, with_effect, drive, tmp_path):
-    """(model file, two run files): a plain model beside runs with drag."""
+    """(model file, two run files): a plain model and runs with drag."""
     truth = with_effect(plain, "quadratic_drag", coefficient=0.2)
     save_model(plain, tmp_path / "plain.toml")
     paths = []
@@ -47,7 +47,7 @@ def _bad(capsys, *arguments):
     return shown.err
 
 
-def test_predict_writes_what_the_contract_says(files, tmp_path, capsys):
+def test_predict_writes_the_table_of_the_contract(files, tmp_path, capsys):
     model, (path, _) = files
     out = tmp_path / "out.csv"
     assert _run("predict", model, path, "--horizon", 0.5, "--out", out) == 0
@@ -165,7 +165,7 @@ def test_chosen_windows_go_from_worst_to_best(plain, with_effect, drive):
     assert measured["x"][-1] == pytest.approx(windows.states[end, 0], rel=1e-4, abs=1e-4)
 
 
-def test_predictions_without_bound_are_told(plain, with_effect, drive):
+def test_predictions_without_bound_are_reported(plain, with_effect, drive):
     """Numbers that are not finite become null in JSON, a finding in the list, and no warning."""
     wild = with_effect(plain, "quadratic_drag", coefficient=2.0)
     run = drive(plain, 20.0)
@@ -177,7 +177,7 @@ def test_predictions_without_bound_are_told(plain, with_effect, drive):
     compare_page(comparison, "wild")
 
 
-def test_a_run_in_which_nothing_happens_is_told(plain, drive):
+def test_a_run_in_which_nothing_happens_is_reported(plain, drive):
     run = drive(plain, 10.0)
     still = replace(run, states=np.tile(run.states[0], (len(run.t), 1)), actions=np.zeros_like(run.actions))
     comparison = compare_model(plain, [still])
@@ -213,7 +213,7 @@ def test_of_many_runs_the_worst_are_drawn_over_time(plain, with_effect, drive):
     assert "here the 12 runs with the largest error" in compare_page(comparison, "many")
 
 
-def test_short_and_uneven_runs_are_told(plain, drive):
+def test_short_and_uneven_runs_are_reported(plain, drive):
     runs = [drive(plain, 20.0, jitter=0.6, name="uneven"), drive(plain, 0.5, name="short")]
     kinds = {(run, finding.kind) for run, finding in compare_model(plain, runs).findings}
     assert kinds == {("uneven", "irregular_sampling"), ("short", "too_short")}

@@ -158,7 +158,7 @@ def test_a_run_that_stands_out_or_loses_to_no_change_is_named(runs: dict[str, fl
 
 
 @pytest.mark.parametrize("runs", [(run_error("a"), run_error("b")), (run_error("a", x=2.0, y=0.25),)])
-def test_nothing_is_said_about_runs_without_change_or_about_a_single_run(runs: Any) -> None:
+def test_no_sentence_is_made_about_runs_without_change_or_about_a_single_run(runs: Any) -> None:
     assert run_sentence(comparison(runs=runs)) == ""
 
 

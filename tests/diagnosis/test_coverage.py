@@ -52,7 +52,7 @@ def test_a_throttle_that_was_passed_through_only_is_a_gap():
     assert not found["steer"].gaps
 
 
-def test_what_was_driven_evenly_has_no_gap_and_few_data_say_nothing():
+def test_an_even_drive_has_no_gap_and_few_data_have_no_coverage():
     even = np.random.default_rng(1).uniform(0.0, 0.6, 4800)
     assert not any(item.gaps for item in coverage_of([driven(even)]))
     assert coverage_of([driven(even[:200])]) == ()
@@ -122,7 +122,7 @@ def test_rows_in_a_gap_or_beyond_the_range_lie_outside():
     assert said.tolist() == [True, False, True, False]
 
 
-def test_the_first_sentence_tells_the_widest_gaps():
+def test_the_first_sentence_names_the_widest_gaps():
     throttle = {"variable": "throttle", "unit": "1", "low": 0.0, "high": 0.6, "seconds": 270.0}
     gaps = [{"low": 0.08, "high": 0.32, "seconds": 9.2}]
     told = gaps_clause({"coverage": [{**throttle, "gaps": gaps}]})

@@ -96,7 +96,7 @@ def test_the_steeper_the_squares_rise_the_smaller_the_deviation_at_a_bound():
     assert found[-1] < 0.1 * found[0]
 
 
-def test_runs_that_differ_say_so(given):
+def test_runs_that_differ_make_the_deviation_larger(given):
     """Each run with another truth: blocks within a run agree, runs do not."""
     found, shooting, _ = fitted(given, "rolling_resistance", deceleration=0.3)
     sides = np.where(shooting.windows.run % 2 == 0, 1.0, -1.0)
@@ -110,7 +110,7 @@ def test_runs_that_differ_say_so(given):
 @pytest.mark.parametrize(
     ("name", "values"), [("steering_saturation", {"limit": 0.3}), ("viscous_drag", {"coefficient": 0.2})]
 )
-def test_what_has_a_corner_is_told_with_the_deviation_of_the_windows_where_that_is_larger(
+def test_an_effect_with_a_corner_has_the_deviation_of_the_windows_where_that_is_larger(
     given, name, values, monkeypatch
 ):
     """The filter follows slopes, which say nothing of a corner; of a smooth effect its deviation stands."""

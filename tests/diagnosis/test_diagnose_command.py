@@ -23,7 +23,7 @@ def log(tmp_path_factory):
     return write_case(case, tmp_path_factory.mktemp("logs"))
 
 
-def test_diagnose_tells_and_writes(log, tmp_path, capsys):
+def test_diagnose_prints_a_summary_and_writes_its_files(log, tmp_path, capsys):
     paths = [str(path) for path in log.runs]
     assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
@@ -46,11 +46,7 @@ def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys, monkeypatch)
     margin, model = tmp_path / "margin.toml", tmp_path / "model.toml"
     told = document.pop("margin")
     assert told.pop("period") == pytest.approx(0.05)
-    assert told == {
-        "file": str(margin),
-        "said": "",
-        "drive": f"safedpa up --model {model} --margin {margin}",
-    }
+    assert told == {"file": str(margin), "said": "", "drive": f"safedpa up --model {model} --margin {margin}"}
     assert document == json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
 
 
@@ -63,7 +59,7 @@ def test_add_fits_one_effect_by_choice(log, tmp_path, capsys):
     assert [item.name for item in load_model(str(out)).effects] == ["viscous_drag"]
 
 
-def test_add_refuses_what_is_no_effect(log, tmp_path, capsys):
+def test_add_refuses_an_unknown_effect(log, tmp_path, capsys):
     arguments = ["add", str(log.model), "viscus_drag", str(log.runs[0]), "--out", str(tmp_path / "m.toml")]
     assert safedpa.run(arguments) == 2
     assert "viscous_drag" in capsys.readouterr().err
@@ -118,7 +114,7 @@ def changed(log, tmp_path, change):
     return model, found
 
 
-def test_swapped_columns_are_no_physics(log, tmp_path):
+def test_swapped_columns_are_not_explained_by_an_effect(log, tmp_path):
     def swap(names, table):
         pair = [names.index("x"), names.index("y")]
         table[:, pair] = table[:, pair[::-1]]
@@ -130,7 +126,7 @@ def test_swapped_columns_are_no_physics(log, tmp_path):
 
 
 @pytest.mark.long
-def test_a_teleport_and_a_missing_number_are_cut_and_told(log, tmp_path):
+def test_a_teleport_and_a_missing_number_are_cut_and_reported(log, tmp_path):
     def spoil(names, table):
         table[100, names.index("yaw")] = np.nan
         table[200:, names.index("x")] += 3.0

@@ -63,7 +63,7 @@ def test_one_effect_is_named_with_its_number(one):
     assert parse_model(write_model(model)).settings == model.settings
 
 
-def test_the_document_is_the_contract(one):
+def test_the_document_has_the_format_of_the_contract(one):
     name, parameters, report = one
     document = json.loads(json.dumps(as_document(report), allow_nan=False))
     assert {
@@ -98,7 +98,7 @@ def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden)
 
 
 @pytest.mark.long
-def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
+def test_a_payload_is_reported_as_taken_up_by_a_free_servo_gain(hidden):
     report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True)
     assert "payload" not in report.added
     payload = next(item for item in report.candidates if item.effect == "payload")
@@ -110,7 +110,7 @@ CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
 
 
 @pytest.mark.long
-def test_a_carpet_is_told_with_its_place(hidden):
+def test_a_carpet_is_reported_with_its_position(hidden):
     laws = {"rolling_resistance": "where circle"}
     report = hidden({"rolling_resistance": CARPET}, laws=laws, seconds=40.0, seed=194365079)
     assert report.verdict == "effect_missing"

@@ -12,7 +12,7 @@ from safedpa.records import load_column_map, load_run
 pytestmark = pytest.mark.long
 
 
-def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data, searched_once):
+def test_coulomb_friction_of_the_pendulum_is_found_at_any_horizon(data, searched_once):
     """Of all effects of the library; the horizon that is shown changes neither verdict nor names nor numbers."""
     model = load_model("dfki_pendulum")
     paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))

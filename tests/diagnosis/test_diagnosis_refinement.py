@@ -164,8 +164,7 @@ def test_recordings_too_short_for_a_filter_give_nothing(plain, drive):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("name", "parameter", "value"),
-    [("steering_lag", "time_constant", 0.143), ("steering_delay", "seconds", 0.114)],
+    ("name", "parameter", "value"), [("steering_lag", "time_constant", 0.143), ("steering_delay", "seconds", 0.114)]
 )
 def test_actuators_are_followed_within_each_row(tmp_path, name, parameter, value):
     """What a lag makes of a command changes within a row: its mean is off by three stated deviations."""

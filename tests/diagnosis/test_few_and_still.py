@@ -52,7 +52,7 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     ],
     ids=["diagnose", "check", "rehearse", "add"],
 )
-def test_five_rows_are_told_to_be_few_and_not_to_need_another_horizon(
+def test_five_rows_are_refused_as_too_few_without_asking_for_another_horizon(
     arguments: list[str], here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = refused(arguments, capsys)
@@ -62,30 +62,30 @@ def test_five_rows_are_told_to_be_few_and_not_to_need_another_horizon(
     assert not list(here.glob("new*"))
 
 
-def test_an_effect_is_not_fitted_to_a_car_that_stands(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_effect_is_not_fitted_to_a_stationary_car(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "nothing to fit" in refused(["add", "car", "drive_lag", "still.csv", "--out", "new.toml"], capsys)
     assert not (here / "new.toml").exists()
 
 
-def test_the_check_tells_what_is_wrong_with_data_that_tell_nothing(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_check_reports_data_in_which_nothing_changes(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["diagnose", "car", "still.csv", "--check"]) == 0
     assert "data: no state ever changes" in capsys.readouterr().out
 
 
-def test_no_number_that_is_none_is_told_of_a_car_that_stands(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_nan_is_printed_for_a_stationary_car(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["diagnose", "car", "still.csv", "--out", "new"]) == 0
     assert "nan times" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [["add", "car", "drive_lag"], ["predict", "car"]], ids=["add", "predict"])
-def test_a_folder_is_no_file_to_write(command: list[str], here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_is_refused_as_the_file_to_write(
+    command: list[str], here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = refused([*command, "good.csv", "--horizon", "1", "--out", str(here)], capsys)
     assert "is a folder; name the file" in text
 
 
-def test_a_recording_given_twice_counts_once_and_is_told(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_given_twice_counts_once_and_is_reported(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "link.csv").symlink_to("good.csv")
     documents = []
     for runs in (["good.csv"], ["good.csv", "link.csv"]):
@@ -110,8 +110,8 @@ def test_a_folder_is_not_proposed_for_itself(here: Path, capsys: pytest.CaptureF
     assert "did you mean" not in refused(["compare", "car", "logs"], capsys)
 
 
-def test_milliseconds_since_1970_are_told_at_any_rate(tmp_path: Path) -> None:
-    """1.7e12 s is no time that a robot could have: steps of 1 to 5 ms are taken for seconds by nobody."""
+def test_milliseconds_since_1970_are_recognised_at_any_rate(tmp_path: Path) -> None:
+    """1.7e12 s is no time that a robot could have."""
     for factor in (20.0, 100.0, 1000.0):  # rows 1, 5 and 50 ms apart
         (tmp_path / "drive.csv").write_text(table(300, factor=factor, since=1.7e12))
         with pytest.raises(InputError, match="it looks like ms"):
@@ -119,7 +119,7 @@ def test_milliseconds_since_1970_are_told_at_any_rate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4])
-def test_too_few_rows_say_how_many_are_wanted(tmp_path: Path, rows: int) -> None:
+def test_too_few_rows_are_refused_with_the_number_wanted(tmp_path: Path, rows: int) -> None:
     (tmp_path / "drive.csv").write_text(table(rows))
     with pytest.raises(InputError, match="wanted 5 rows one after another"):
         load_run(tmp_path / "drive.csv", CAR)
@@ -133,6 +133,6 @@ def test_too_few_rows_say_how_many_are_wanted(tmp_path: Path, rows: int) -> None
         (Variable("speed", "m/s", float("nan"), 5.0), "got bounds nan to 5"),
     ],
 )
-def test_a_system_of_ones_own_is_held_to_what_its_numbers_mean(variable: Variable, said: str) -> None:
+def test_a_system_with_wrong_units_or_bounds_is_refused(variable: Variable, said: str) -> None:
     with pytest.raises(InputError, match=said):
         add_system(System("odd_one", (variable,), ()))

@@ -96,7 +96,7 @@ def test_a_common_number_differs_where_it_spreads_by_half_of_what_sets_two_robot
 
 
 @pytest.mark.parametrize("robots", [7, 20, 49, 50, 51, 80, 200, 1000])
-def test_a_mended_model_is_confirmed_where_a_fair_coin_gives_so_many_falls_once_in_a_hundred(robots: int) -> None:
+def test_a_corrected_model_is_confirmed_if_a_fair_coin_is_as_good_once_in_a_hundred(robots: int) -> None:
     enough = next(hits for hits in range(robots + 1) if stats.binom.sf(hits - 1, robots, 0.5) < 0.01)
     before = {f"r{n}": 1.0 for n in range(robots)}
     for better in (enough, enough - 1):

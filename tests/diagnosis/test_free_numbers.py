@@ -1,4 +1,4 @@
-"""Free numbers of the base do not get stuck, and a base that knows less than nothing is told first."""
+"""Free numbers of the base do not get stuck, and a base that is worse than no change is reported first."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_bad_guess_ends_where_a_good_one_does(guess, wheelbase, plain, runs):
     assert values["base.wheelbase"] == pytest.approx(0.3, abs=0.01)
 
 
-def test_a_base_that_is_worse_than_no_change_is_told_first(plain, runs, monkeypatch):
+def test_a_base_that_is_worse_than_no_change_is_reported_first(plain, runs, monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "payload")])
     lost = plain.with_settings({"base.wheelbase": Setting(0.05)})
     document = as_document(diagnose(lost, runs))

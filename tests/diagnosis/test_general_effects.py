@@ -46,7 +46,7 @@ def rows_of(command):
 
 
 def carts(folder, delay=0.0, lag=0.0, drag=0.0, runs=4, seconds=30.0):
-    """Logs of a cart, by Euler's method in steps of a millisecond; written anew, not the library's equations."""
+    """Logs of a cart, by Euler's method in steps of a millisecond, independent of the library's equations."""
     for number in range(runs):
         random = np.random.default_rng(50 + number)
         command = rows_of(held(random, seconds, 0.6))
@@ -76,7 +76,7 @@ def runs_of(model, paths):
         ({"lag": 0.2, "drag": 0.6}, {"throttle_lag": 0.2, "speed_drag": 0.6}),
     ],
 )
-def test_a_cart_of_a_throttle_and_a_speed_tells_what_it_lacks(hidden, names, tmp_path):
+def test_the_effects_that_a_cart_lacks_are_found(hidden, names, tmp_path):
     model = load_model(EXAMPLES / "cart.toml")
     report = diagnose(model, runs_of(model, carts(tmp_path, **hidden)))
     assert set(report.added) == set(names)
@@ -87,7 +87,7 @@ def test_a_cart_of_a_throttle_and_a_speed_tells_what_it_lacks(hidden, names, tmp
 
 
 @pytest.mark.slow
-def test_a_cart_that_lacks_nothing_is_told_so(tmp_path):
+def test_a_cart_that_lacks_nothing_is_reported_as_complete(tmp_path):
     model = load_model(EXAMPLES / "cart.toml")
     report = diagnose(model, runs_of(model, carts(tmp_path)))
     assert report.verdict == "nothing_missing"
@@ -103,7 +103,7 @@ def test_add_chooses_its_horizon(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_a_helicopter_of_two_axes_tells_its_rotor_and_its_hinge(tmp_path):
+def test_the_lag_and_drag_of_a_helicopter_of_two_axes_are_found(tmp_path):
     model = load_model(EXAMPLES / "helicopter.toml")
     for number in range(4):
         random = np.random.default_rng(80 + number)
@@ -111,7 +111,7 @@ def test_a_helicopter_of_two_axes_tells_its_rotor_and_its_hinge(tmp_path):
         pitch = yaw = pitch_rate = yaw_rate = 0.0
         felt, found = main[0], []
         for index in range(len(main)):
-            # whoever flies it keeps it up: without that it would hang
+            # a pilot keeps it up: without feedback it would hang
             wanted = main[index // 50 * 50] if index % 50 else main[index] - 4.0 * pitch - 2.0 * pitch_rate
             if index % 50 == 0:
                 sent = wanted
@@ -186,7 +186,7 @@ def manoeuvres_of(system):
     return general_manoeuvres(system, np.arange(0.0, 6.0, 0.05))
 
 
-def test_a_state_that_is_not_there_is_refused():
+def test_an_unknown_state_is_refused():
     system = System("slow", (Variable("v", "m/s", -1.0, 1.0),), ())
     with pytest.raises(InputError, match="moving: got 'w'"):
         general_effects(system, {"w": 1.0})

@@ -84,7 +84,7 @@ def standing(run):
     return replace(run, states=states)
 
 
-def test_too_little_is_undecided_and_says_what_comes_closest(logs, few):
+def test_with_too_little_data_the_verdict_is_undecided_and_the_closest_effect_is_named(logs, few):
     model, runs = logs({"rolling_resistance": {"deceleration": 0.5}}, runs=1, seconds=5.5, seed=8)
     report = diagnose(model, runs)
     assert report.verdict == "undecided"
@@ -101,7 +101,7 @@ def test_too_little_is_undecided_and_says_what_comes_closest(logs, few):
 
 
 @pytest.mark.long
-def test_a_straight_drive_does_not_say_that_nothing_is_missing(logs):
+def test_a_straight_drive_does_not_prove_that_nothing_is_missing(logs):
     """Without a single change of steer, half of the library could hide anything."""
     model, runs = logs({}, runs=2, seconds=30.0)
     report = diagnose(model, [straight(run, model) for run in runs])
@@ -149,8 +149,8 @@ def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hi
 
 @pytest.mark.long
 @pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_the_smallest_size_is_what_a_diagnosis_finds(factor, logs, nothing_hidden, request):
-    """A third of the size that is told is not found, three times as much is, among all effects."""
+def test_a_diagnosis_finds_effects_above_the_smallest_size(factor, logs, nothing_hidden, request):
+    """A third of the reported size is not found, three times as much is, among all effects."""
     if factor < 1.0:
         request.getfixturevalue("few")
     smallest = {item.effect: item.smallest for item in nothing_hidden[1].detectable}["quadratic_drag"]

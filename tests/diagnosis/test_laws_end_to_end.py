@@ -60,7 +60,7 @@ def test_add_fits_number_and_border(log, tmp_path, capsys):
 
 
 def test_a_strip_open_to_one_side_is_all_beyond_a_line(log):
-    """Nobody drives beyond its far border, so unseen blocks cannot tell the two; the line has two numbers less."""
+    """No run crosses its far border, so unseen blocks cannot tell the two apart; the line has two numbers less."""
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
     search = begun(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
@@ -89,7 +89,7 @@ def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
         (["--where", "x above", "--edge", "0"], "wanted a width above 0 m"),
     ],
 )
-def test_words_that_are_none_are_refused_in_one_line(words, told, log, tmp_path, capsys):
+def test_unknown_words_are_refused_in_one_line(words, told, log, tmp_path, capsys):
     out = tmp_path / "none.toml"
     arguments = ["add", log.model, "rolling_resistance", *log.runs, "--out", out, *words]
     assert safedpa.run([str(item) for item in arguments]) == 2
@@ -101,7 +101,7 @@ def test_words_that_are_none_are_refused_in_one_line(words, told, log, tmp_path,
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_diagnose_tells_it_the_right_way_out(log, tmp_path, capsys):
+def test_diagnose_reports_the_law_on_the_correct_side(log, tmp_path, capsys):
     document = said(["diagnose", log.model, *log.runs, "--out", tmp_path, "--json"], capsys)
     assert (document["verdict"], document["added"]) == ("effect_missing", ["rolling_resistance"])
     (told,) = document["conditions"]

@@ -28,7 +28,7 @@ NOISE = np.array([0.002, 0.002, 0.003, 0.015])
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Two drives of the learned car with drag beside its networks, as files."""
+    """Two drives of the learned car with drag added to its networks, as files."""
     true = load_model("car_learned").with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(DRAG)})
     paths = []
     for run in range(2):

@@ -38,7 +38,7 @@ def test_every_kind_of_file_holds_the_same_drive(written):
 
 
 @pytest.mark.long
-def test_what_is_hidden_is_found_in_a_small_part_of_the_rows(written, tmp_path, capsys, monkeypatch):
+def test_a_hidden_effect_is_found_in_a_small_part_of_the_rows(written, tmp_path, capsys, monkeypatch):
     folder, paths = written
     names = ("quadratic_drag", "rolling_resistance")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
@@ -69,7 +69,7 @@ def test_pieces_hold_the_horizon_and_are_spread_over_every_run(horizon, written)
     assert 2000 <= sum(len(part) for run in used for part in run.stretches) <= 4500
 
 
-def test_a_comparison_of_long_logs_starts_farther_apart_and_says_so(written, monkeypatch):
+def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(written, monkeypatch):
     folder, paths = written
     model = load_model(folder / "model.toml")
     runs = [load_run(path, model.system) for path in paths["parquet"]]

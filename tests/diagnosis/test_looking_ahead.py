@@ -29,13 +29,13 @@ def stage(tmp_path_factory):
     return search, {name: tried(search.current, [effect("car", name)], search.shooting) for name in NAMES}
 
 
-def test_of_two_that_explain_the_very_same_the_one_with_fewer_numbers_is_added(stage):
+def test_of_two_that_explain_the_same_the_one_with_fewer_numbers_is_added(stage):
     """(gain u - m d) / (1 + m) with a free gain is gain u - d."""
     search, trials = stage
     assert plainest(trials["towed_load"], list(trials.values()), search) is trials["rolling_resistance"]
 
 
-def test_what_explains_something_else_stays_whatever_its_numbers(stage):
+def test_an_effect_that_explains_something_else_stays(stage):
     search, trials = stage
     assert (
         plainest(trials["towed_load"], [trials["towed_load"], trials["viscous_drag"]], search) is trials["towed_load"]

@@ -33,7 +33,7 @@ def thinned(path: Path, every: int, out: Path) -> str:
 
 
 def diagnosed(log, rates, folder, capsys, monkeypatch, *words: str) -> str:
-    """What is said of the log's runs, every n-th row of each."""
+    """The output for the log's runs, every n-th row of each."""
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     paths = [thinned(path, every, folder / path.name) for path, every in zip(log.runs, rates, strict=True)]
     assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(folder / "out"), *words]) == 0
@@ -49,7 +49,7 @@ def test_slower_logs_give_a_margin_of_their_steps(log, tmp_path, capsys, monkeyp
     assert f"--margin {tmp_path / 'out' / 'margin.toml'} --rate 10\n" in said
 
 
-def test_logs_of_several_rates_give_none_and_the_reason(log, tmp_path, capsys, monkeypatch) -> None:
+def test_logs_of_several_rates_give_no_margin_and_the_reason(log, tmp_path, capsys, monkeypatch) -> None:
     margin = json.loads(diagnosed(log, (2, 4, 4), tmp_path, capsys, monkeypatch, "--json"))["margin"]
     assert not (tmp_path / "out" / "margin.toml").exists()
     line = margin.pop("said")
@@ -80,7 +80,7 @@ def test_the_workbench_saves_a_margin_of_the_logs_steps(log, tmp_path) -> None:
     assert "--rate 5. The margin is of steps of 0.2 s, as the recordings have them" in said
 
 
-def test_it_says_why_there_is_none(log, tmp_path) -> None:
+def test_the_reason_for_a_missing_margin_is_printed(log, tmp_path) -> None:
     (tmp_path / "margin.toml").write_text("of an earlier model")
     said = kept(log, (2, 2, 4), tmp_path)
     assert not (tmp_path / "margin.toml").exists()
@@ -88,7 +88,7 @@ def test_it_says_why_there_is_none(log, tmp_path) -> None:
     assert said.endswith("; the filter's settings stand in for it")
 
 
-def test_at_the_models_own_rate_it_says_what_it_said(log, tmp_path) -> None:
+def test_at_the_rate_of_the_model_the_output_is_unchanged(log, tmp_path) -> None:
     said = kept(log, (1, 1, 2), tmp_path)
     assert said.endswith(
         "The margin is of the model's own steps of 0.05 s; 199 steps of other lengths tell nothing of it."

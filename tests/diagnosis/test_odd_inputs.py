@@ -100,7 +100,7 @@ def test_no_verdict_and_the_reason(change, said, log, tmp_path, capsys):
     ],
     ids=["steer_in_degrees", "yaw_in_degrees", "actions_swapped", "milliseconds"],
 )
-def test_what_cannot_be_used_is_one_line_and_exit_code_2(change, said, log, tmp_path, capsys):
+def test_unusable_recordings_are_one_line_and_exit_code_2(change, said, log, tmp_path, capsys):
     code, report, error = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)
     assert (code, report) == (2, None)
     assert said in error
@@ -119,7 +119,7 @@ def lost(table):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("change", "kind"), [(teleport, "jump"), (lost, "not_a_number")], ids=["teleport", "nan_row"])
-def test_a_defect_is_cut_told_and_does_not_change_the_answer(change, kind, log, tmp_path, capsys):
+def test_a_defect_is_cut_and_reported_and_does_not_change_the_answer(change, kind, log, tmp_path, capsys):
     code, report, _ = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)
     assert code == 0
     assert report["added"] == ["quadratic_drag"]

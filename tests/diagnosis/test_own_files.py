@@ -1,15 +1,12 @@
-"""Results never go over what was read."""
+"""Results never replace the files that were read."""
 
 from __future__ import annotations
 
-import datetime
 import shutil
 
 import pytest
 
-from safedpa.compare.output import new_folder, writable
 from safedpa.effects import effect
-from safedpa.errors import InputError
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
 
@@ -32,7 +29,7 @@ def here(written, tmp_path, monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
-def test_without_a_place_a_new_folder_is_made(command, here, capsys):
+def test_without_out_a_new_folder_is_made(command, here, capsys):
     before = {path.name: path.read_bytes() for path in here.iterdir()}
     for _ in range(2):
         assert safedpa.run([command, "model.toml", "run.csv"]) == 0
@@ -69,21 +66,3 @@ def test_force_replaces_it(here):
     arguments = ["add", "model.toml", "quadratic_drag", "run.csv", "--out", "model.toml"]
     assert safedpa.run([*arguments, "--force"]) == 0
     assert (here / "model.toml").read_bytes() != before
-
-
-def test_two_folders_of_one_second_differ(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    now = datetime.datetime(2026, 11, 22, 15, 1, 2)
-    first = new_folder("compare", "models/my_car.toml", now)
-    assert str(first) == "compare-my_car-2026-11-22-150102"
-    first.mkdir()
-    assert str(new_folder("compare", "models/my_car.toml", now)) == "compare-my_car-2026-11-22-150102-2"
-
-
-@pytest.mark.parametrize("made", [False, True])
-def test_a_place_that_is_no_folder_is_told_so(made, tmp_path):
-    place = tmp_path / "place"
-    if made:
-        place.write_text("a file")
-    with pytest.raises(InputError, match="place: got no folder that exists; make it"):
-        writable(place)

@@ -92,7 +92,7 @@ def simulated(tmp_path):
 
 
 @pytest.mark.long
-def test_every_command_takes_a_system_of_ones_own(simulated, tmp_path, capsys):
+def test_every_command_takes_a_system_of_the_user(simulated, tmp_path, capsys):
     own, runs = ["--effects", str(BALL)], [str(path) for path in simulated]
     assert safedpa.run(["effects", "--robot", "ball", "--json", *own]) == 0
     assert {item["name"] for item in json.loads(capsys.readouterr().out)["effects"]} == {"quadratic_drag"}
@@ -139,7 +139,7 @@ def test_an_entry_point_serves_every_process(tmp_path):
 
 
 @pytest.mark.long
-def test_an_effect_of_ones_own_is_found_in_a_log_and_stands_in_the_model(tmp_path, capsys):
+def test_an_effect_of_the_user_is_found_in_a_log_and_written_to_the_model(tmp_path, capsys):
     """Rolling resistance is taken out of the library: what remains is the user's own, the same law by another name."""
     own = tmp_path / "grass.py"
     own.write_text(GRASS, encoding="utf-8")
@@ -169,7 +169,7 @@ TEXT = BALL.read_text(encoding="utf-8")
         ("x = 1\n", "got no effect, wanted a class derived from"),
     ],
 )
-def test_a_file_that_is_wrong_says_so_in_one_line(text, message, tmp_path):
+def test_a_wrong_file_is_refused_in_one_line(text, message, tmp_path):
     path = tmp_path / "mine.py"
     path.write_text(text.replace('"ball"', '"ball2"'), encoding="utf-8")
     with pytest.raises(InputError) as caught:

@@ -29,7 +29,7 @@ HIDDEN = {
 
 
 def driven(hidden, seed, seconds=20.0, period=0.02, substeps=4):
-    """The robot written anew in steps of 5 ms, with steps of thrust and turn, measured with noise."""
+    """The robot simulated in steps of 5 ms, with steps of thrust and turn, measured with noise."""
     random = np.random.default_rng(seed)
     rows, mass = round(seconds / period), 0.005189
     hold = round(0.5 / period)

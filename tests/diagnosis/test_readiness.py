@@ -168,13 +168,18 @@ def simulating(monkeypatch: pytest.MonkeyPatch, ends: Callable[[Any, Any], Any],
 
     def simulate(models: Any, found: Any, rows: Any, starts: Any) -> Any:
         seen.append(found)
+        assert list(models) == [MODEL] * len(starts) == [MODEL] * 3
         assert (found.steps >= rows[-1]).all(), "beyond a window's end nothing is simulated"
         states = np.full((len(found), len(rows), 2, 3), np.nan)
         states[:, -1] = np.moveaxis(ends(found, starts - found.states[found.start]), 0, -1)
         return states
 
+    def change_scale(found: Any, rows: Any) -> Any:
+        assert rows.tolist() == found.end.tolist()
+        return np.array(scale)
+
     monkeypatch.setattr(evidence, "simulate", simulate)
-    monkeypatch.setattr(evidence, "change_scale", lambda *_: np.array(scale))
+    monkeypatch.setattr(evidence, "change_scale", change_scale)
     return seen
 
 

@@ -31,7 +31,7 @@ def test_the_balls_meet_their_targets(data, tmp_path, capsys):
 
 
 @pytest.mark.long
-def test_a_log_that_was_left_out_judges_what_the_others_taught(data, tmp_path, capsys, monkeypatch):
+def test_a_log_that_was_left_out_judges_the_fit_of_the_others(data, tmp_path, capsys, monkeypatch):
     names = ("viscous_drag", "turning_drag")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
     for path in paths_of(data, CAR)[:2]:
@@ -55,14 +55,14 @@ def driven(*throttles):
     return SimpleNamespace(system=system, period=0.05, parts=lambda: [part])
 
 
-def test_rows_about_which_others_hold_no_second_of_driving_are_outside():
+def test_rows_near_which_the_others_have_less_than_a_second_are_outside():
     assert uncovered([driven(0.2, 0.4)], driven(0.2, 0.4)) == 0.0
     assert uncovered([driven(0.2, 0.4)], driven(0.3, 0.5)) == 1.0
     assert uncovered([driven(0.2, 0.4)], driven(0.4, 0.6)) == 0.5
     assert uncovered([driven(0.2), driven(0.6)], driven(0.4, 0.6)) == 0.5
 
 
-def test_targets_say_what_was_asked_and_what_was_measured():
+def test_targets_have_the_wanted_and_the_measured_value():
     car = {"part": "car", "name": "", "change": -0.7, "added": ["a", "b"], "errors": [1.0, 0.3], "verdict": "x"}
     left_out = {**car, "name": "one.csv", "unseen_change": -0.2}
     pendulum = {"part": "pendulum", "name": "", "added": ["coulomb_friction", "torque_lag"], "errors": [1.0, 0.5, 0.4]}

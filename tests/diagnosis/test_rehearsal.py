@@ -1,4 +1,4 @@
-"""What recordings could show: said before a search, and rehearsed with effects hidden in their own commands."""
+"""What recordings could show: checked before a search, and rehearsed with effects hidden in their own commands."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
     assert np.abs(again.states[:, 3]).max() < 2.0 * np.abs(runs[0].states[:, 3]).max()
 
 
-def test_the_check_says_what_can_be_told_and_what_only_as_a_sum(given):
+def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
     found = checked(*given)
     assert {item.effect for item in found.told()} == {"rolling_resistance", "understeer"}
     assert {item.effect for item in found.as_sums()} == {"viscous_drag", "speed_command_gain"}
@@ -98,7 +98,7 @@ def test_a_rehearsal_finds_what_the_check_foretells(given):
 
 
 @pytest.mark.long
-def test_the_commands_tell_it(log, tmp_path, monkeypatch, capsys):
+def test_the_commands_print_the_check_and_the_rehearsal(log, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     runs = [str(path) for path in log.runs]
     assert safedpa.run(["diagnose", str(log.model), *runs, "--check"]) == 0
@@ -110,6 +110,6 @@ def test_the_commands_tell_it(log, tmp_path, monkeypatch, capsys):
     assert list(tmp_path.iterdir()) == []  # nothing is written
 
 
-def test_an_effect_that_is_none_is_told(given):
+def test_an_unknown_effect_is_refused(given):
     with pytest.raises(InputError, match="understeer"):
         rehearsal_of(*given, names=("underster",))

@@ -81,7 +81,7 @@ def embedded(text):
     return json.loads(re.search(r'id="data">(.*?)</script>', text, re.S).group(1))
 
 
-def test_the_page_tells_the_whole_story(diagnosed, tmp_path):
+def test_the_page_has_the_whole_story(diagnosed, tmp_path):
     document, runs, models = diagnosed
     path = write_report(document, runs, models, tmp_path, "my model")
     text = path.read_text(encoding="utf-8")
@@ -173,7 +173,7 @@ def test_nothing_missing_is_a_page_too(diagnosed):
     assert "no effect of the library describes" in story_of(unexplained).lead
 
 
-def test_a_stage_says_what_it_changed():
+def test_a_stage_lists_what_it_changed():
     names = [["drag"], ["drag", "lag", "offset"], ["lag", "offset"], ["lag", "offset"]]
     stages = [{"effects": effects} for effects in names]
     told = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
@@ -261,13 +261,13 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
 
 
-def test_a_recording_that_cannot_be_written_is_told(diagnosed, tmp_path):
+def test_a_recording_that_cannot_be_written_raises_an_error(diagnosed, tmp_path):
     document, runs, models = diagnosed
     with pytest.raises(RecordingError):
         write_recording(document, runs, models, tmp_path / "absent" / "folder")
 
 
-def test_what_is_open_stands_on_the_page(diagnosed):
+def test_open_questions_are_on_the_page(diagnosed):
     document, runs, models = diagnosed
     number = {"value": 0.31, "std": 0.1, "unit": "1/s"}
     near = {

@@ -20,7 +20,7 @@ def _pendulum_run(angle, rate, period=0.1):
     return Run("by hand", PENDULUM, t, states, np.zeros((len(t), 1)), (Stretch(0, len(t)),))
 
 
-def test_by_hand():
+def test_the_error_of_five_rows_is_that_worked_out_by_hand():
     """Five rows 0.1 s apart, horizon 0.2 s, every row a start: windows from rows 0, 1, 2."""
     run = _pendulum_run([0.0, 0.1, 0.4, 0.3, 0.2], [1.0, 2.0, 3.0, 5.0, 4.0])
     windows = windows_of([run], 0.2, stride=1)

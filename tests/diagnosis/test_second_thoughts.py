@@ -29,7 +29,7 @@ def ordered(before, **after):
     return [trial.effects[0] for trial in farthest(trials, stage, SimpleNamespace(value=before))]
 
 
-def test_while_much_is_missing_what_takes_off_far_more_comes_first():
+def test_while_much_is_missing_the_effect_that_takes_far_more_off_comes_first():
     assert ordered(0.6, understeer=0.52, steering_gain=0.5, viscous_drag=0.36) == [
         "viscous_drag", "understeer", "steering_gain",
     ]  # fmt: skip
@@ -103,7 +103,7 @@ def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
     assert accepted(search) == ["towed_load"]
 
 
-def test_two_effects_that_no_third_equals_stay(searching):
+def test_two_effects_without_an_equivalent_third_stay(searching):
     search, heldout = searching(
         {"turning_drag": {"coefficient": 2.0}}, ["turning_drag", "steering_lag"], ["towed_load"]
     )
@@ -129,7 +129,7 @@ def test_a_towed_load_that_resists_stays(searching):
 
 
 def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
-    """A towed load and a drag stood for a resistance and a servo that stays below what it is told."""
+    """A towed load and a drag stood for a resistance and a servo that stays below its command."""
     hidden = {"rolling_resistance": {"deceleration": 0.5}, "speed_command_gain": {"gain": 0.8}}
     names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
     search, heldout = searching(hidden, names, true, servo_car(), 2.5)
@@ -150,7 +150,7 @@ def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both
     assert accepted(search) == ["steering_lag + drive_lag"]
 
 
-def test_what_has_nothing_to_do_beside_both_goes_with_it(searching):
+def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
     search, heldout = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
     split(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
@@ -167,8 +167,8 @@ def test_a_delay_of_all_actuators_stays_one(searching):
     assert search.added == ["actuator_delay"]
 
 
-def test_what_says_the_same_once_all_others_are_known_is_told(searching):
-    """Below its limit a servo that is held back by a drag stays below what it is told, as one of a smaller gain."""
+def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searching):
+    """Below its limit a servo with a drag stays below its command, like one with a smaller gain."""
     hidden = {"viscous_drag": {"coefficient": 0.4}, "payload": {"mass_ratio": 0.3}}
     names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
     search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
@@ -178,7 +178,7 @@ def test_what_says_the_same_once_all_others_are_known_is_told(searching):
     assert search.added == names
 
 
-def test_alone_nothing_is_asked_again(searching):
+def test_a_single_effect_has_no_equals(searching):
     search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
     same_at_last(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
     assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]

@@ -96,7 +96,7 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
 
 @pytest.mark.long
 def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towing):
-    """The report says no number twice with another value."""
+    """No number appears twice in the report with different values."""
     import json
 
     from safedpa.diagnosis.diagnose import diagnose

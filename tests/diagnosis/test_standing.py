@@ -1,4 +1,4 @@
-"""Dry friction at rest: rollouts hold what stands, and what slopes are taken of stays rounded off."""
+"""Dry friction at rest: rollouts keep a stationary robot at rest; models for slopes stay smooth."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from safedpa.effects import effect
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 SERVO = {"base.wheelbase": 0.32, "base.speed_gain": 5.0, "base.acceleration_limit": 5.0}
-HELD = {
-    "rolling_resistance": {"deceleration": 1.5},
-    "towed_load": {"mass_ratio": 0.8, "deceleration": 1.9},
-}
+HELD = {"rolling_resistance": {"deceleration": 1.5}, "towed_load": {"mass_ratio": 0.8, "deceleration": 1.9}}
 
 
 def _car(name, holds):

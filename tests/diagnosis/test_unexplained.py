@@ -1,4 +1,4 @@
-"""What no effect of the library has: said as a place or a formula near the truth, not blamed on an effect."""
+"""What no effect of the library explains is a place or a formula near the truth, not another effect."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def given():
 
 
 def driven(extra, seed, seconds=40.0, period=0.05):
-    """A car written anew in steps of 5 ms with extra(state, action) beside its rates, measured with noise."""
+    """A car simulated in steps of 5 ms with extra(state, action) added to its rates, measured with noise."""
     random = np.random.default_rng(seed)
     rows = round(seconds / period)
     commands = car_commands(random, rows, period, 0.35)

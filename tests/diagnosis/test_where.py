@@ -122,9 +122,7 @@ def test_bins_hold_every_window_once_and_shares_add_up(plain, with_effect, drive
 
 @settings(max_examples=100, deadline=None)
 @given(
-    st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=1, max_size=200),
-    st.integers(1, 12),
-    st.integers(1, 30),
+    st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=1, max_size=200), st.integers(1, 12), st.integers(1, 30)
 )
 def test_edges_are_round_ordered_and_hold_all_values(numbers, most, smallest):
     values = np.array(numbers)
