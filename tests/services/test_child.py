@@ -49,7 +49,7 @@ def child_of(folder, **fields):
     return Child("policy", "module", ("--rate", "20"), folder / "policy.log", **fields)
 
 
-def test_a_process_that_waits_is_started_waiting_until_it_was_told_to_begin(started, tmp_path):
+def test_a_waiting_process_is_started_waiting_until_it_was_asked_to_begin(started, tmp_path):
     """What is started in its place later begins at once; ``begun`` tells whether it may drive."""
     child = child_of(tmp_path, waits=True)
     assert not child.begun

@@ -101,7 +101,7 @@ class Drive:
         return sum(text in line for line in self.lines)
 
 
-def test_the_story_is_told_accepted_and_measured():
+def test_a_finding_is_reported_accepted_and_its_effect_measured():
     """The error counts from 10 s after the change of the model on, and the story is over 20 s after it."""
     drive = Drive().find(report())
     drive.story.look(drive.watch)
@@ -161,7 +161,7 @@ def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(pend
     assert drive.asked.count("accept") == 1
 
 
-def test_a_refused_acceptance_is_told_and_tried_again_after_five_seconds():
+def test_a_refused_acceptance_is_reported_and_tried_again_after_five_seconds():
     drive = Drive(takes=False, sentence="the filter refused it").find(report())
     for t in (51.0, 54.0, 54.9):
         drive.tell(t, "candidates")
@@ -201,7 +201,7 @@ def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_no
         assert drive.story.document()["taken"] == 73.0
 
 
-def test_a_diagnosis_that_does_not_answer_within_seconds_is_told_of(monkeypatch):
+def test_a_diagnosis_that_does_not_answer_within_seconds_is_reported(monkeypatch):
     drive, waited = Drive(), list[float]()
     monkeypatch.setattr(drive.story.bus, "request", lambda _robot, _request, seconds: waited.append(seconds))
     drive.tell(1.0, "learning", number=0)

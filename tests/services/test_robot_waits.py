@@ -1,4 +1,4 @@
-"""A robot makes itself ready beside its services, and does nothing before it is told to begin."""
+"""A robot gets ready while its services start, and does nothing before it is asked to begin."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_restarted_robot_does_not_wait_once_the_first_had_begun(robot: Child, 
     robot.start()
     wait_for(is_ready(tmp_path, "once"))
     robot.kill()
-    robot.begin()  # nobody hears the word
+    robot.begin()  # no process hears it
     assert not (tmp_path / "began").exists()
     wait_for(robot.restart_if_due)
     wait_for((tmp_path / "began").exists)

@@ -128,7 +128,7 @@ def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(watch, tm
         assert capsys.readouterr().err == said
 
 
-def test_the_page_is_told_once_it_answers_and_asking_takes_no_time_from_the_loop(
+def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_time_from_the_loop(
     watch, clock, tmp_path, monkeypatch, capsys
 ):
     """It is asked four times a second, for a twentieth of a second at most, and not again once it answered."""

@@ -52,12 +52,12 @@ def beat(detail):
     return HEALTH, "own", health_of("robot", detail=detail), "robot"
 
 
-def test_nothing_is_said_before_the_robot_is_heard_and_its_driving_is_said_once(served):
+def test_driving_is_reported_once_and_not_before_the_robot_is_heard(served):
     assert served([SILENT]) == []
     assert served([SILENT, *[(STATE, "own", state_of())] * 5]) == ["robot own: the filter drives"]
 
 
-def test_braking_by_itself_is_said_and_so_is_driving_on(served):
+def test_braking_by_itself_and_driving_on_are_reported(served):
     drives = "robot own: the filter drives"
     details = [DRIVES, DRIVES, BRAKES, BRAKES, DRIVES, DRIVES]
     assert served([beat(detail) for detail in details]) == [drives, f"robot own: {BRAKES}", drives]

@@ -29,6 +29,7 @@ class Process:
     code: int = 0
     pid: int = 0
     begun_at: float | None = None
+    ended_at: float | None = None
 
     @property
     def exit_code(self):
@@ -59,6 +60,7 @@ class Process:
 
     def end(self, patience):
         self.done.append((self.name, patience))
+        self.ended_at = self.clock.now
 
 
 @dataclass
@@ -71,6 +73,7 @@ class Watch:
     stands_at: float = 0.0
     takes_orders: bool = True
     orders: list[float] = field(default_factory=list)
+    listened_at: list[float] = field(default_factory=list)
 
     @property
     def health(self):
@@ -78,6 +81,7 @@ class Watch:
 
     def listen(self, wait):
         self.clock.now += wait
+        self.listened_at.append(self.clock.now)
 
     def has_hung(self, service, pid, seconds):
         return pid == 7 and self.silent.get(service, 0.0) > seconds
@@ -104,7 +108,7 @@ class Loop:
     turned: list[float] = field(default_factory=list)
 
     def __post_init__(self):
-        self.watch = Watch(self.clock)
+        self.watch, self.other_watch = Watch(self.clock), Watch(self.clock)
 
     def add(self, name, *, heard_at=0.0, **fields):
         """A robot or a service, by its name."""
@@ -119,14 +123,11 @@ class Loop:
         return made
 
     def run(self):
-        services: Any = self.services
-        robot: Any = self.robot
-        watch: Any = self.watch
-        others: Any = [(other, watch) for other in self.others]
         at = self.clock
         return Supervisor(
-            services, robot, watch, lambda: at.now >= self.stopped_at, lambda: self.turned.append(at.now),
-            lambda: at.now >= self.hurried_at, others,
+            self.services, self.robot, self.watch, lambda: at.now >= self.stopped_at,
+            lambda: self.turned.append(at.now), lambda: at.now >= self.hurried_at,
+            [(other, self.other_watch) for other in self.others],
         ).run()  # fmt: skip
 
     def happened(self, what):
@@ -215,7 +216,7 @@ def test_a_dead_service_is_restarted_unless_it_refused_its_input_before_any_robo
 ):
     """Which of several robots drives makes no difference."""
     made = loop(stopped_at=2.0)
-    made.add("robot", begun=drives and not second, waits=True)
+    made.add("robot", begun=drives and not second, waits=True, heard_at=inf)
     made.add("robot 2", begun=drives and second, waits=True)
     made.add("policy", heard_at=1.0, essential=essential, ends_at=0.0, code=code)
     made.add("adaptation", heard_at=1.0)
@@ -314,6 +315,19 @@ def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
         ("robot", "asked"), ("robot", robot), ("policy", "asked"), ("policy", others),
         ("policy", others), ("recorder", others), ("router", others),
     ]  # fmt: skip
+    assert made.watch.listened_at[-1] > made.services[0].ended_at, "what the recorder reports last is heard"
+
+
+def test_every_robot_is_listened_to_and_brakes_until_it_stands(loop):
+    made = loop(stopped_at=1.0)
+    made.add("robot")
+    made.add("robot 2")
+    made.other_watch.stands_at = 3.0
+    assert made.run() == 0
+    assert len(made.watch.orders) == len(made.other_watch.orders) == 1
+    assert max(made.turned) == pytest.approx(3.0, abs=0.06)
+    heard = [at for at in made.other_watch.listened_at if at < 1.0]
+    assert len(heard) == pytest.approx(20, abs=2), "as often as the first one"
 
 
 def test_a_robot_that_has_ended_gets_no_order_to_stop(loop):

@@ -90,7 +90,7 @@ def pid_of(folder: Path, module: str) -> int:
                 line = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
                 if "--supervised" in line and _belongs(pid, folder):
                     return pid
-            except OSError:  # somebody else's process, which has ended meanwhile
+            except OSError:  # another process, which has ended meanwhile
                 continue
         time.sleep(0.05)
     raise AssertionError(f"{module} never started")

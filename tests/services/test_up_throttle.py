@@ -63,7 +63,7 @@ def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once, tmp_p
 def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
     """Logs of the real car, what is missing added as the workbench does, saved; then the command that Save tells.
 
-    It is added by name, so that only the effects that come nearest are tried beside it.
+    It is added by name, so that only the effects that come nearest are tried with it.
     """
     names = ("turning_drag", "viscous_drag", "rolling_resistance", "drive_dead_zone")
     nearest = [effect("car", name) for name in names]

@@ -119,6 +119,11 @@ def test_a_robot_whose_bus_is_closed_takes_no_order(watch, loop):
     assert watch.stop_robot() is False
 
 
+def test_listening_leaves_the_processor_to_the_loop_for_as_long_as_asked(watch, clock):
+    watch.listen(0.25)
+    assert clock.now == 0.25
+
+
 def test_an_order_to_stop_is_waited_for_a_few_seconds_at_most(watch, monkeypatch):
     waited: list[float] = []
     monkeypatch.setattr(watch.bus, "request", lambda _robot, _what, seconds, _kind: waited.append(seconds))

@@ -235,7 +235,7 @@ serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2]))
 
 @pytest.fixture
 def live(free_port, tmp_path):
-    """A live page beside a drive that is played: the server's process and its address."""
+    """A live page of a drive that is played: the server's process and its address."""
     with _live_server(free_port, tmp_path) as started:
         yield started
 

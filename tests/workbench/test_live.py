@@ -1,4 +1,4 @@
-"""The live page's book of what was heard, its questions, and the page itself beside a diagnosis that is played."""
+"""The live page's book of what was heard, its questions, and the page itself with a diagnosis that is played."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def book():
     return made
 
 
-def test_a_change_is_told_with_the_error_before_and_after(book):
+def test_a_change_is_listed_with_the_error_before_and_after(book):
     for tick in range(0, 100, 20):
         book.take(finding(tick, "candidates", 0.5, number=1), 1.0)
     book.take(model(100, "offer"), 1.0)
@@ -120,7 +120,7 @@ def test_a_change_is_told_with_the_error_before_and_after(book):
         assert json.loads(json.dumps(figure, allow_nan=False))
 
 
-def test_a_robot_that_starts_anew_begins_a_new_page(book):
+def test_a_restarted_robot_begins_a_new_page(book):
     book.take(finding(20, "candidates", number=1, report=json.dumps(REPORT)), 1.0)
     book.take(state(0, epoch=2), 2.0)
     assert (book.finding, book.report, len(book.path)) == (None, None, 1)
@@ -153,7 +153,7 @@ def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen,
     assert bool(said) is bool(told)
 
 
-def test_a_robot_that_stands_is_said_to_stand_with_reason_and_cure_and_the_mark_stays(book):
+def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
     assert book.standstill() == "", "before a verdict nothing is known"
     book.take(verdict(198, stands=9.0), 10.0)
     assert book.standstill() == "", "it stands where no policy moves it"
@@ -199,7 +199,7 @@ def test_services_with_different_models_are_named(book):
 
 
 @pytest.mark.parametrize("report", ["no json", "[]", '{"candidates": 3}'])
-def test_a_report_that_is_none_is_said_and_left_out(book, report):
+def test_an_unreadable_report_is_reported_and_left_out(book, report):
     book.take(finding(20, "candidates", number=1, report=report), 1.0)
     assert book.report is None
     assert "a report that is none" in book.troubles[-1]
@@ -223,7 +223,7 @@ def test_of_two_entries_of_one_name_the_accepted_one_has_the_card():
     assert (card.decision, card.equals) == ("accepted", ("payload",))
 
 
-def test_the_link_tells_answers_their_absence_and_nonsense_in_words(finished):
+def test_the_link_reports_answers_missing_ones_and_nonsense(finished):
     broker = MemoryBroker()
     link = LiveLink(Bus(MemoryTransport(broker), "fleet"))
     other = MemoryTransport(broker)
@@ -333,7 +333,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
 @pytest.mark.long
 @pytest.mark.browser
 @pytest.mark.processes
-def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, live):
+def test_a_drive_that_ends_while_the_page_loads_is_reported_as_ended(browser, live):
     """The page was delivered, its scripts are on their way: the server waits for it, though not for ever."""
     server, address = live
     page = browser.new_page(viewport={"width": 1280, "height": 800})

@@ -54,14 +54,14 @@ SETTLE = """([quiet]) => {
   frames(() => { since = performance.now(); look(); });
 }"""
 """Begins to wait until nothing of the page has changed or moved for so many ms; a live page never rests for long, which
-is why ten times as much is the most. Figures are drawn anew 100 ms after the window has another size. A browser that
+is why ten times as much is the most. Figures are redrawn 100 ms after the window has another size. A browser that
 has nothing to draw, or too much, may owe a frame for ever: then time has to do."""
 QUIET = 300
 
 
 @pytest.fixture(scope="module")
 def pictures():
-    """The folder for pictures, if somebody named one: they take as long as all that is asserted."""
+    """The folder for pictures, if one is named: they take as long as all that is asserted."""
     named = os.environ.get("SAFEDPA_SCREENS")
     if not named:
         return None
@@ -110,7 +110,7 @@ def settle(page):
 class Looks:
     """What is wrong with a page at each width and in each scheme, after each step, and what axe-core finds there.
 
-    One page, loaded once for each scheme, is looked at by both; a picture of each, where somebody wishes them.
+    One page, loaded once for each scheme, is looked at by both; a picture of each, where pictures are wanted.
     """
 
     def __init__(self, browser, pictures, axe):

@@ -20,7 +20,7 @@ from safedpa_services.workbench.session_files import saved
 
 
 def quiet(_share):
-    """Progress that nobody looks at."""
+    """Progress that is not shown."""
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,7 @@ def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatc
     assert absolute(Choice("car", ("one.csv",))) == Choice("car", (str(tmp_path / "one.csv"),))
 
 
-def test_what_up_refuses_is_said_with_what_it_is_and_what_was_wanted():
+def test_a_refusal_of_up_names_the_system_and_what_was_wanted():
     thruster = replace(CAR_THROTTLE, action=(Variable("thrust", "N", -1.0, 1.0), CAR_THROTTLE.action[1]))
     said = why_not_driven(thruster, "car")
     assert "a car with thrust, steer" in said

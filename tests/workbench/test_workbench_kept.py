@@ -96,13 +96,13 @@ def errors(page):
     return page.locator(".stages .value").all_inner_texts()
 
 
-def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, begun):
-    """What was typed in it would be lost. A question that nobody answers keeps a browser as busy as a lack of time."""
+def test_a_page_whose_browser_is_busy_for_long_is_not_reloaded(browser, begun):
+    """What was typed in it would be lost. An unanswered question keeps a browser as busy as a lack of time."""
     page = opened(browser, begun, 1)
     page.evaluate("window.stays = true")
     page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
     page.evaluate("alert('busy')")
-    page.wait_for_timeout(2000)  # who was forgotten begins anew now
+    page.wait_for_timeout(2000)  # a forgotten page would reload now
     assert page.evaluate("window.stays === true")
     page.get_by_label("select the cell of the map with the largest error").click()
     page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
@@ -116,7 +116,7 @@ def test_nothing_is_lost(browser, bench, begun):
         page.goto(address, wait_until="commit")
         page.close()
     page = opened(browser, address, 1)
-    page.keyboard.press("r")  # the viewer's recording is written while the tab is loaded anew
+    page.keyboard.press("r")  # the viewer's recording is written while the tab reloads
     page.reload(wait_until="commit")
     page.wait_for_function(BARS.format(1), polling=POLLING, timeout=PATIENCE)
     assert "will refuse it" not in page.content()
