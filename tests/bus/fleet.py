@@ -86,7 +86,10 @@ class Fleet:
         self.node: Any = node or Wisher()
         self.transport = MemoryTransport(broker)
         self.bus = Bus(self.transport, "test")
-        self.loop = ServiceLoop(self.node, Bus(MemoryTransport(broker), "test"), clock=self.clock, **of_the_loop)
+        self.released: list[str] = []
+        inside = MemoryTransport(broker)
+        inside.release = self.released.append  # type: ignore[method-assign]
+        self.loop = ServiceLoop(self.node, Bus(inside, "test"), clock=self.clock, **of_the_loop)
         self.wishes: Inbox = self.bus.inbox((WISH,), keep_all=True)
         self.healths: Inbox = self.bus.inbox((HEALTH,), keep_all=True)
         self.state_at, self.lockstep = state_at, lockstep

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
-from tests.bus.fleet import EPOCH, Clock, Fleet, StateAt, Wisher, stamp
+from tests.bus.fleet import EPOCH, Clock, Fleet, StateAt, Wisher, latent_of, stamp
 
 from safedpa.bus import (
     ACTION,
@@ -67,6 +68,24 @@ def test_a_repeated_tick_is_answered_again_by_the_same_output(lockstep: Fleet) -
     again = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, Received)]
     assert again == first * 2
     assert len(lockstep.node.steps) == 1
+
+
+def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_work_after_it(
+    state_at: StateAt, samples: dict[str, Message]
+) -> None:
+    class Explaining(Wisher):
+        lingers: ClassVar = False
+
+        def afterwards(self, robot: str) -> Outputs:
+            return {VERDICT: samples["verdict"]}
+
+    fleet = Fleet(state_at, lockstep=True, node=Explaining())
+    verdicts = fleet.bus.inbox((VERDICT,))
+    fleet.state(0)
+    fleet.latent(0)
+    for times in (1, 1):
+        assert (len(fleet.wished()), len(verdicts.take(0.0))) == (times, times)
+        fleet.state(0)
 
 
 def test_an_input_may_come_before_its_state(lockstep: Fleet) -> None:
@@ -272,6 +291,7 @@ def test_a_robot_that_is_silent_for_thirty_seconds_is_forgotten(silence: float, 
     lockstep.wait(silence)
     assert lockstep.node.forgotten == ["r"] * (1 if known else 2)
     assert set(lockstep.health()) == ({"r"} if known else {"-"})
+    assert lockstep.released == ([] if known else ["safedpa/test/r/"]), "what sending about it holds"
 
 
 def test_a_deadline_of_a_robot_that_has_left_starts_no_step(real_time: Fleet) -> None:
@@ -543,6 +563,37 @@ def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lo
         (1, (5.0,), ((0.0, 0.0),)),
         (2, (), ((0.0, 0.0),)),
     ]
+
+
+@pytest.mark.parametrize(
+    ("heard", "tick", "consumed"), [(None, 5, (-1.0, 0.0)), (5, 5, (0.0, 7.5)), (4, 5, (1.0, 7.5)), (2, 5, (3.0, 0.0))]
+)
+def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(
+    heard: int | None, tick: int, consumed: tuple[float, float], state_at: StateAt
+) -> None:
+    """A stale input has its age alone, and one that never came the age -1."""
+
+    class Patient(Wisher):
+        slack: ClassVar = {LATENT: 1}
+
+    fleet = Fleet(state_at, lockstep=False, node=Patient())
+    fleet.state(0)
+    if heard is not None:
+        fleet.bus.publish(LATENT, "r", dataclasses.replace(latent_of(heard), publish_time=7.5))
+    fleet.state(tick)
+    fleet.wait(0.02)
+    (*_, wish) = fleet.wishes.take(0.0)
+    assert isinstance(wish, Received)
+    assert (wish.message.tick, wish.message.consumed) == (tick, (consumed,))
+
+
+def test_a_robot_that_claims_a_period_below_a_millisecond_is_served_as_one_of_a_millisecond(state_at: StateAt) -> None:
+    fleet = Fleet(state_at, lockstep=False)
+    for tick in range(100):
+        fleet.clock.now += 0.0001
+        fleet.at_one_moment(["r"], tick, period=1e-6)
+        fleet.loop.turn(0.0)
+    assert 25 <= len(fleet.node.steps) <= 35
 
 
 def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(state_at: StateAt) -> None:

@@ -266,6 +266,16 @@ def test_a_message_that_another_thread_served_wakes_the_main_thread() -> None:
     assert time.monotonic() - began < PATIENCE
 
 
+def test_the_main_thread_wakes_up_for_the_loop_that_has_work_first() -> None:
+    loops: Any = [Loop([0.0]), Loop([0.0])]
+    for loop, patience in zip(loops, (60.0, 0.01), strict=True):
+        loop.inbox.waiting = False
+        loop.asked = lambda _, patience=patience: patience
+    turns, began = iter([False, True]), time.monotonic()
+    Turning(loops).run(lambda: next(turns))
+    assert time.monotonic() - began < PATIENCE
+
+
 def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_stay() -> None:
     agenda = Agenda()
     for when, robot in ((3.0, "c"), (1.0, "a"), (2.0, "b"), (1.5, "a"), (3.0, "d"), (math.inf, "e")):
