@@ -158,7 +158,7 @@ def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
 
 
 def test_a_stranger_with_the_key_and_the_tick_would_be_seen(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
-    """The twin of all above: a client with the filter's key is the filter, and the check that no robot moved can fail."""
+    """The counterpart: with the filter's key a client is the filter, so the check that no robot moved can fail."""
     attempt.make("safety-filter-key", "act", "--role", "safety_filter", "--how", "brake")
     seen = attempt.watch.until(lambda told: told["robots"][VICTIM]["foreign"] > 0, 10.0)
     assert seen is not None

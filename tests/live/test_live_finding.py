@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 
 import pytest
+from tests.live.conftest import latent_of
 
-from safedpa.dynamics import Setting, write_model
+from safedpa.dynamics import Setting, fingerprint, load_model, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
 from safedpa.live.named_candidate import named_candidate
@@ -165,6 +167,9 @@ def test_a_search_that_names_nothing_is_repeated_with_twice_the_data(drive):
     assert stages == {"nothing"}
     seconds = [work.run.duration for work in drive.worker.begun]
     assert seconds == pytest.approx([FIRST_SEARCH, 2.0 * FIRST_SEARCH, 4.0 * FIRST_SEARCH], abs=0.2)
+    drive.worker.ready = WorkOutcome(json.dumps({**REPORT, "candidates": []}))
+    drive.go(1800)
+    assert len(drive.worker.begun) == 3, "with a minute of data nothing was found: two minutes are not tried"
 
 
 def test_a_paused_search_is_begun_again_and_a_worker_without_a_search_is_left_alone(drive):
@@ -219,6 +224,35 @@ def test_a_dismissed_error_is_usual_from_then_on(drive):
     drive.go(1500)
     assert drive.diagnosis.stage == "watching"
     assert drive.diagnosis.number == 1
+
+
+@pytest.mark.parametrize(
+    ("applied_by", "status", "coverage"),
+    [("filter", "passed", 0.0), ("watchdog", "passed", 1.0), ("filter", "fallback", 1.0)],
+)
+def test_a_step_counts_for_the_margin_if_the_filter_predicted_it_and_was_obeyed(
+    car, worker, drive_of, state_of, verdict_of, applied_by, status, coverage
+):
+    diagnosis = RobotDiagnosis("r1", write_model(car), worker)
+    first, second = (state_of(row) for row in drive_of(2))
+    diagnosis.observe(first, None, replace(verdict_of(first), status=status))
+    message = diagnosis.observe(replace(second, applied_by=applied_by), None, replace(verdict_of(second), h_now=0.0))
+    assert diagnosis.watch.coverage == coverage
+    assert message is None, "once a second is enough"
+
+
+def test_a_latent_counts_only_with_the_model_that_it_was_estimated_for(worker, drive_of, state_of, verdict_of):
+    free, errors = load_model("car"), []
+    for model in (fingerprint(free), "0123456789ab", ""):
+        diagnosis = RobotDiagnosis("r1", write_model(free), worker)
+        for row in drive_of(250):
+            state = state_of(row)
+            latent = replace(latent_of(state, model), values=tuple(free.latent + 0.5)) if model else None
+            diagnosis.observe(state, latent, verdict_of(state))
+        errors.append(diagnosis.watch.error)
+    own, other, none = errors
+    assert other == none
+    assert own != pytest.approx(none, rel=0.1)
 
 
 @pytest.mark.long

@@ -87,6 +87,12 @@ def test_the_band_is_learned_from_twenty_seconds_of_driving():
     assert whole.band is not None
 
 
+def test_the_first_two_forecasts_do_not_count():
+    """Actuators may remember commands from before the first tick."""
+    assert slide(Watch(CAR), [0.5] * 31).learned_share == 0.0
+    assert slide(Watch(CAR), [0.5] * 41).learned_share == pytest.approx(1.0 / 40.0)
+
+
 def facts(h_now: float, h_next: float = 0.5, margin: float = 0.125) -> VerdictFacts:
     return VerdictFacts(h_now, h_next, margin)
 
