@@ -40,7 +40,7 @@ def kinds(messages: Sequence[Any]) -> set[str]:
         ((0.7, -0.2), True),
         ((2.0, 0.34), True),
         ((-0.6, -0.34), True),
-        ((2.0 + 1e-10, 0.0), True),  # rounded on its way
+        ((2.0 + 1e-10, -0.34 - 1e-10), True),  # rounded on its way
         ((2.001, 0.0), False),
         ((-0.601, 0.0), False),
         ((0.0, 0.341), False),
@@ -74,6 +74,16 @@ def test_an_action_is_sent_in_time_and_for_its_own_tick(rig: Rig, timing: dict[s
     assert rig.turns() == [(0.7, -0.2) if sent else BRAKE]
     (health,) = [message for message in rig.messages() if getattr(message, "state", "") == "braked"]
     assert len(health.latencies) == sent
+
+
+def test_a_state_reports_its_age_until_its_action_acts(rig: Rig) -> None:
+    """The age of the odometry, and a tenth more of the usual time to an action with each action."""
+    rig.odometry.age = 0.03
+    rig.act(0.5, 0.1, seconds=0.02)
+    rig.turns(3)
+    states = [message for message in rig.messages() if isinstance(message, StateMessage)]
+    assert [state.until_action for state in states] == pytest.approx([0.03, 0.032, 0.0338], abs=1e-5)
+    assert [(state.applied, state.applied_by) for state in states] == [(BRAKE, "none")] + [((0.5, 0.1), "filter")] * 2
 
 
 @pytest.mark.parametrize(
