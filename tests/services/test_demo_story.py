@@ -149,6 +149,8 @@ def test_the_promise_is_that_of_the_accepted_entry():
     assert drive.told("it promises 75 % less error") == 1
     drive = Drive(candidates=("tow",)).find(json.dumps(document))
     assert drive.told("tow promises 0 % less error") == 1
+    drive = Drive().find(report(None))
+    assert drive.told("drag promises 0 % less error") == 1
 
 
 @pytest.mark.parametrize(("pending", "candidates"), [("take", ("drag",)), ("", ("tow",)), ("", ())])
@@ -222,10 +224,12 @@ def test_the_way_counts_from_the_change_of_the_model_on(late):
 
 
 def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
+    """A robot that has moved by less than 0.1 m stands."""
     seen = Unsaid()
     for t in range(30):
-        seen.look(state_of(robot_time=float(t)), said=t >= 8)
-    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=31.0), said=False)
+        x = 0.04 * (t % 2) if t < 8 else 0.2
+        seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), said=t >= 15)
+    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=37.0), said=False)
     assert seen.longest == 7.0
 
 

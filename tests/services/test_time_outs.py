@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
 from argparse import Namespace
@@ -22,7 +23,6 @@ from safedpa_services import serving
 from safedpa_services.command_line import change_requests, stop_orders
 from safedpa_services.command_line.bus_options import answered
 from safedpa_services.metrics.exporter import FleetCollector
-from safedpa_services.ros_gateway.overheard import Overheard
 from safedpa_services.router.pulse import Pulse
 from safedpa_services.router.router import Router
 
@@ -41,13 +41,16 @@ def ask(clock, monkeypatch):
     """ask(answers_until, over_at, answer): asks a diagnosis to accept an effect; ends when the command does."""
 
     def run(answers_until, over_at, end=TAKEN, do="accept"):
-        asked: list[Request] = []
+        asked, before = list[Request](), [clock.now]
 
         def request(_robot, request, patience):
             assert 1.0 <= patience <= 4.0
             asked.append(request)
+            assert clock.now - before[0] <= 0.25, "a person waits"
+            before[0] = clock.now
             if clock.now > answers_until:
                 clock.now += patience
+                before[0] = clock.now
                 return None
             if len(asked) == 1:
                 return BEFORE
@@ -74,13 +77,15 @@ def ask(clock, monkeypatch):
     ],
 )
 def test_a_change_is_waited_for_two_minutes_and_a_silent_diagnosis_for_ten_seconds(
-    ask, clock, answers_until, over_at, complaint, ends_at
+    ask, clock, answers_until, over_at, complaint, ends_at, capsys
 ):
     if complaint is None:
         first, second, *_ = ask(answers_until, over_at)
         assert first.do == "status"
         assert (second.do, second.effect, second.model, second.finding) == ("accept", "drag", "a" * 8, 1)
         assert second.who == "ann"
+        end = {"robot": "r1", "change": 4, "model": "b" * 8, "sentence": TAKEN.sentence}
+        assert json.loads(capsys.readouterr().out) == end
     else:
         with pytest.raises(SafedpaError, match=complaint):
             ask(answers_until, over_at)
@@ -175,16 +180,6 @@ def test_metrics_call_a_robot_down_after_a_second_and_a_half_and_drop_a_process_
     if up is not None:
         assert (samples["safedpa_robot_up"], samples["safedpa_service_processes"]) == (up, up)
     assert ("safedpa_heartbeat_age_seconds" in samples) is listed
-
-
-@pytest.mark.parametrize(("later", "told"), [(0.0, True), (0.99, True), (1.01, False), (5.0, False)])
-def test_another_publisher_of_commands_is_reported_for_a_second(later, told):
-    now = [100.0]
-    overheard = Overheard("/cmd_vel", lambda: now[0])
-    assert overheard.why == ""
-    overheard.take(b"")
-    now[0] += later
-    assert ("publishes on /cmd_vel too" in overheard.why) is told
 
 
 @pytest.fixture
