@@ -276,6 +276,14 @@ def test_the_main_thread_wakes_up_for_the_loop_that_has_work_first() -> None:
     assert time.monotonic() - began < PATIENCE
 
 
+def test_all_loops_of_a_process_make_batches_as_soon_as_one_of_them_wants_to() -> None:
+    loops: Any = [Loop([0.0]), Loop([0.0])]
+    loops[1].wanted_quantum = 0.002
+    turns = iter([False, True])
+    Turning(loops).run(lambda: next(turns))
+    assert [loop.quantum for loop in loops] == [0.002, 0.002]
+
+
 def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_stay() -> None:
     agenda = Agenda()
     for when, robot in ((3.0, "c"), (1.0, "a"), (2.0, "b"), (1.5, "a"), (3.0, "d"), (math.inf, "e")):
