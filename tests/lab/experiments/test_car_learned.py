@@ -115,6 +115,9 @@ def test_a_model_that_is_right_has_no_error_and_a_wrong_one_has(learned_folder, 
     errors = {"right": errors_of_model(right, [ideal], scale), "wrong": errors_of_model(wrong, [ideal], scale)}
     assert errors["right"]["box"]["one_second"]["number"] < 1e-5
     assert errors["right"]["mixed"] == errors["right"]["box"]
+    exact = step_errors(right, [ideal], SETTINGS, scale)
+    for kind, bound in exact.bound.items():  # both the error of h and the theory's bound of it
+        assert max(bound.max(), np.abs(exact.h[kind]).max()) < 1e-4
     assert errors["wrong"]["mixed"]["one_step"]["per_state"]["speed"] > 0.1
     assert errors["wrong"]["mixed"]["one_step"]["per_state"]["across"] < 1e-6
     doubled = {"wrong": errors["wrong"], "half": errors_of_model(wrong, [ideal], 2 * scale)}

@@ -20,6 +20,13 @@ from safedpa_lab.experiments.statistics import mean_interval
 PERIOD = 0.05
 
 
+LAYERS = [
+    np.pad([[0.9, 0.9], [0.9, 0.010], [0.009, 0.008], [0.9, 0.9], [0.9, 0.9]], ((0, 0), (0, 2))),
+    np.pad([[0.9, 0.9], [0.9, 0.020], [0.018, 0.015], [0.013, 0.012], [0.9, 0.9]], ((0, 0), (0, 2))),
+]
+"""Of two drives the least h as it was predicted and as it was measured: one is near for two ticks, one for three."""
+
+
 class Drives:
     """Made-up drives of the car: by seed its goals, contacts and least h; one step near an obstacle, one far away."""
 
@@ -35,6 +42,8 @@ class Drives:
         self.now += 1.0
         number = order.seed % 10
         near = np.array([[0.2, 0.2 - 0.01 * number, 0.0, 0.0], [0.1, 0.1 - 0.002 * number, 0.0, 0.0]])
+        if order.seed >= 2_000_000:  # an evaluation
+            near = LAYERS[number % 2]
         heights = {"obstacle": near, "field": near[:1] if number % 2 else np.zeros((0, 4)), "speed": near[:1]}
         statuses = {"passed": 3, "fallback": 1} if number == 3 else {"passed": 4}
         return DriveResult(order.seed, heights, number, number % 3, 4, statuses, 0.5 - 0.1 * number)
@@ -70,6 +79,11 @@ def test_margins_come_from_all_drives_and_count_what_they_cover(
     assert (covered["field"]["drives"], covered["field"]["drives_near"]) == (6, sum(seed % 2 for seed in seeds))
     assert covered["obstacle"]["conformal"]["epsilon"] == row["epsilon"]["obstacle"]
     assert covered["obstacle"]["drive"]["drives"] >= 0.5, "at least the coverage that was asked for"
+    layer = row["fresh_conformal"]["layer"]["obstacle"]
+    assert 0.02 < layer.pop("depth") < 0.9
+    assert layer == pytest.approx(
+        {"stays": 2, "longest_seconds": 3 * 30.0 / 4, "fall": 0.008, "errors": 0.004, "least_rise": -0.002}
+    )
 
 
 def test_drives_that_are_kept_are_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
