@@ -8,13 +8,15 @@ import pytest
 
 
 class Clock:
-    """``now`` [s] goes on while something sleeps, and when a test says so."""
+    """``now`` [s], counted from ``begin``, goes on while something sleeps, and when a test says so."""
+
+    begin = 1000.0
 
     def __init__(self):
         self.now = 0.0
 
     def __call__(self):
-        return self.now
+        return self.begin + self.now
 
     def sleep(self, seconds):
         assert seconds >= 0.0

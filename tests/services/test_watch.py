@@ -81,7 +81,7 @@ def test_only_the_process_that_fell_silent_has_hung(watch, loop, clock, heard, p
     if heard:
         loop.publish(HEALTH, "r1", health_of("policy"), "policy")
         watch.listen(0.0)
-        clock.now = watch.health["policy"][1] + silent
+        clock.now = watch.health["policy"][1] + silent - clock.begin
     assert watch.has_hung("policy", pid, 10.0) is hung
     assert watch.silent_for("policy") == (pytest.approx(silent) if heard else float("inf"))
 
