@@ -30,7 +30,7 @@ from safedpa_services.command_line import safedpa
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
 
 LEARNING = Learning("shipped", MARGIN, 0, 5, 6, 2048, 16, 1, 0.008)
-JUDGED_STEPS = 20
+JUDGED_STEPS = 5
 PAGES = Path(__file__).parents[3] / "docs"
 
 

@@ -70,8 +70,8 @@ def test_parts_of_drives_share_the_state_at_the_cut(share: float, cuts: tuple[in
 def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_quarters(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Logs of 721 and 800 transitions; no training is looked at: each gives the weights that ship."""
-    logs = {name: record_circles(rows, rows, rows)[0] for name, rows in (("a" * 19, 721), ("b" * 19, 800))}
+    """Logs of 332 and 720 transitions; no training is looked at: each gives the weights that ship."""
+    logs = {name: record_circles(rows, rows, rows)[0] for name, rows in (("a" * 19, 332), ("b" * 19, 720))}
     drives = {name: Drive(run.states, run.actions[:-1]) for name, run in logs.items()}
     for name in logs:
         (tmp_path / tuning_real.CAR.replace("*", name)).touch()
@@ -92,8 +92,8 @@ def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_
     monkeypatch.setattr(tuning_real, "tune_on_drives", refused)
     monkeypatch.setattr(tuning_real, "tuned_online", online)
     folds = real_tuning(RealTuning(tmp_path))["folds"]
-    assert own == [[360], [400]]
-    assert [(fold["log"][0], fold["transitions"]) for fold in folds] == [("a", 361), ("b", 400)]
+    assert own == [[166], [360]]
+    assert [(fold["log"][0], fold["transitions"]) for fold in folds] == [("a", 166), ("b", 360)]
     assert folds[0]["said"] == {"ours": "refused: no better", "online": "ridge 0.1"}
     for fold, other in zip(folds, reversed(drives.values()), strict=True):
         judged = parts_of([drives[fold["log"]]], 0.5)[1][0]
@@ -105,7 +105,7 @@ def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_
             ]
             row = fold["rows"]["untuned"][horizon]
             margin = split_conformal_margin(off[0], 0.99)
-            assert margin < 1.0
+            assert np.isfinite(margin) == (len(off[0]) >= 99), "of fewer errors there is none"
             assert row["margin"] == pytest.approx(margin, rel=1e-3)
             assert row["covered"] == pytest.approx((off[1] <= margin).mean(), abs=0.01)
             assert row["count"] == len(off[1])
