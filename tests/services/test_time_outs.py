@@ -98,6 +98,8 @@ def test_a_change_that_came_to_nothing_is_an_error_and_a_refused_one_a_bad_input
     with pytest.raises(InputError, match="no candidate"):
         ask(inf, 0.0, Answer(ok=False, sentence="refused: no candidate"))
     assert len(ask(inf, inf, do="reject")) == 2, "a rejection is over with its answer"
+    later = Answer(ok=True, sentence="change 5 begins", fingerprint="b" * 8, change=5, pending="offer")
+    assert ask(inf, 5.0, later), "another change has begun, so this one is over"
 
 
 # orders to stop
@@ -129,7 +131,8 @@ def test_an_order_is_answered_within_seconds_or_fails():
         (2.0, 0.5, "", 2.0),
         (0.0, 0.5, "", 0.5),
         (inf, 0.5, "r1 did not obey within the time", 6.0),
-        (inf, -0.5, "r1 did not obey within the time", 6.0),
+        (inf, -0.1, "r1 did not obey within the time", 6.0),
+        (inf, 0.01, "", 0.5),
     ],
 )
 def test_a_stopped_robot_is_waited_for_six_seconds(
