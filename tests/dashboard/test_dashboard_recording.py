@@ -59,17 +59,27 @@ def test_the_recording_carries_its_own_arrangement(recording):
     assert len(RrdReader(recording).blueprints()) >= 1
 
 
-def test_a_recording_of_messages_is_drawn_whole_and_at_their_robots_time(look, drive, tmp_path):
-    """However fast it is read: it is no live view that may leave pictures out."""
+def test_a_recording_of_messages_is_drawn_whole_and_at_its_times(look, drive, tmp_path):
+    """However fast it is read: no picture is left out, as a live view may, and no service is shown as silent."""
     from rerun.chunk import RrdReader
 
     path, drawn = tmp_path / "a.mcap", tmp_path / "a.rrd"
     with McapRecorder(path) as recorder:
         for k, tick in enumerate(drive(100)):
-            for topic, message in tick[:3]:
-                recorder.write(f"safedpa/f/r1/{topic.name}", encode(message), 50_000_000 * k, 0)
+            for topic, message in tick:
+                service = f"/{message.service}" if topic is HEALTH else ""
+                recorder.write(f"safedpa/f/r1/{topic.name}{service}", encode(message), 50_000_000 * k, 0)
         recorder.write("safedpa/f/r1/state", b"garbage", 6_000_000_000, 0)
     draw_recording([path], look, drawn)
-    chunks = [chunk for chunk in RrdReader(drawn).stream() if chunk.entity_path == "/robots/r1/world/body"]
-    times = sorted(value for chunk in chunks for value in chunk.to_record_batch().column("t").cast("int64").to_pylist())
-    assert [1e-9 * value for value in times] == pytest.approx([0.05 * k for k in range(100)])
+    batches = [(chunk.entity_path, chunk.to_record_batch()) for chunk in RrdReader(drawn).stream()]
+    bodies = [batch.column("t").cast("int64") for path, batch in batches if path == "/robots/r1/world/body"]
+    seconds = sorted(1e-9 * value for column in bodies for value in column.to_pylist())
+    assert seconds == pytest.approx([0.05 * k for k in range(100)])
+    lanes = [
+        str(batch.column(name).to_pylist())
+        for path, batch in batches
+        for name in batch.schema.names
+        if path == "/robots/r1/services/policy" and name.startswith("StateChange")
+    ]
+    assert any("running" in lane for lane in lanes)
+    assert not any("silent" in lane for lane in lanes)
