@@ -140,6 +140,20 @@ def test_effects_are_rivals_where_their_scores_differ_by_less_than_two_standard_
     assert (found[0].effect, found[0].rivals) == ("drag", rivals)
 
 
+RESULT = {"robot": "r1", "status": "missing", "reason": "", "unreadable_files": []}
+
+
+def report(scores: dict[str, float], parameters: dict[str, Any]) -> dict[str, Any]:
+    """A report of a car in which effects were accepted with these scores."""
+    common = {"decision": "accepted", "parameters": {}, "indistinguishable_from": []}
+    candidates = [{**common, "effect": name, "stage": n, "score": own} for n, (name, own) in enumerate(scores.items())]
+    stages = [{"heldout_error": error} for error in (0.75, 0.5, 0.25)]
+    return {
+        "robot": "car", "added": list(scores), "unexplained": None, "candidates": candidates, "stages": stages,
+        "parameters": parameters, "data_quality": [],
+    }  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("score", "effect", "numbers", "evidence"),
     [
@@ -154,13 +168,9 @@ def test_the_evidence_of_a_robot_is_that_of_blocks_or_a_third_of_the_filters_dev
     score: float, effect: str, numbers: dict[str, Any], evidence: float
 ) -> None:
     own = {f"{effect}.{k}": {"value": value, "std": std, "unit": "1"} for k, (value, std) in numbers.items()}
-    accepted = {
-        "effect": effect, "stage": 0, "decision": "accepted", "score": score, "parameters": {},
-        "indistinguishable_from": [],
-    }  # fmt: skip
-    report = {
-        "robot": "car", "added": [effect], "unexplained": None, "candidates": [accepted], "parameters": own,
-        "stages": [{"heldout_error": 0.75}, {"heldout_error": 0.25}], "data_quality": [],
-    }  # fmt: skip
-    result = {"robot": "r1", "status": "missing", "reason": "", "unreadable_files": []}
-    assert outcome_of(result, report).evidence == pytest.approx(evidence)
+    assert outcome_of(RESULT, report({effect: score}, own)).evidence == pytest.approx(evidence)
+
+
+def test_the_evidence_of_a_robot_with_two_effects_is_that_of_the_weaker_one() -> None:
+    for scores in ({"payload": 5.0, "understeer": 7.0}, {"payload": 7.0, "understeer": 5.0}):
+        assert outcome_of(RESULT, report(scores, {})).evidence == 5.0
