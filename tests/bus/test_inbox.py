@@ -88,11 +88,12 @@ def test_the_bound_of_a_queue_holds_after_a_take_as_well(samples: dict[str, Mess
         assert inbox.dropped == dropped
 
 
-def test_no_more_than_256_mib_wait_in_a_queue() -> None:
-    inbox, document = Inbox(), bytes(MODEL.largest_bytes)
-    for _ in range(70):
-        inbox.keep_all("safedpa/f/a/model", document)
-    assert inbox.dropped == 6
+@pytest.mark.parametrize(("size", "count", "dropped"), [(MODEL.largest_bytes, 70, 6), (1, 100_010, 10)])
+def test_no_more_than_256_mib_and_100000_messages_wait_in_a_queue(size: int, count: int, dropped: int) -> None:
+    inbox, payload = Inbox(), bytes(size)
+    for _ in range(count):
+        inbox.keep_all("safedpa/f/a/model", payload)
+    assert inbox.dropped == dropped
 
 
 def test_no_more_than_16384_different_keys_wait_and_a_known_one_is_still_replaced() -> None:
