@@ -31,7 +31,7 @@ def test_the_attacks_are_listed(capsys):
         (["--seed", -1], "--seed"),
     ],
 )
-def test_what_does_not_belong_is_refused(arguments, told, capsys):
+def test_invalid_options_are_refused(arguments, told, capsys):
     assert run(*arguments) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -39,7 +39,7 @@ def test_what_does_not_belong_is_refused(arguments, told, capsys):
     assert shown.err.count("\n") == 1
 
 
-def test_one_attack_is_told_as_a_document_and_in_files(tmp_path, capsys):
+def test_one_attack_is_reported_as_a_document_and_in_files(tmp_path, capsys):
     out = tmp_path / "found"
     assert run("--only", "programs", "--small", "--seed", 4, "--workers", 1, "--out", out, "--json") == 0
     shown = capsys.readouterr()
@@ -82,7 +82,7 @@ def test_parts_run_into_one_folder_become_one_page(tmp_path, capsys):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("_few_programs")
-def test_what_was_found_is_kept_where_a_run_is_ended(tmp_path, monkeypatch, capsys):
+def test_finished_attacks_are_kept_if_a_run_is_interrupted(tmp_path, monkeypatch, capsys):
     def ended(self, answers):
         raise KeyboardInterrupt
 
@@ -105,7 +105,7 @@ def test_the_same_seed_finds_the_same_with_any_number_of_processes():
     assert found != figures(1, 3)
 
 
-def test_what_is_found_does_not_change_the_exit_code(monkeypatch, capsys):
+def test_findings_do_not_change_the_exit_code(monkeypatch, capsys):
     def raises(self):
         raise RuntimeError("planted")
 
@@ -114,7 +114,7 @@ def test_what_is_found_does_not_change_the_exit_code(monkeypatch, capsys):
     assert "| raised an exception | 330 | 330 | at most 0 | **not held** |" in capsys.readouterr().out
 
 
-def test_progress_is_told_piece_by_piece():
+def test_progress_is_reported_piece_by_piece():
     told = []
     adversary(attacks_named(["car"]), 0, small=True, tell=lambda done, everything: told.append((done, everything)))
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]

@@ -124,7 +124,7 @@ def test_the_programs_notice_an_exception_and_a_refusal(plant, monkeypatch):
     assert found["raised an exception"].measured == found["raised an exception"].of == 330
 
 
-def test_the_worst_programs_are_told_with_their_numbers(all_passed):
+def test_the_worst_programs_are_reported_with_their_numbers(all_passed):
     worst = [case for case in all_passed.worst if case["fault"] == "condition broken"]
     assert worst[0]["size"] >= worst[-1]["size"] > 0.0
     assert worst[0]["count"] > 200
@@ -173,7 +173,7 @@ def test_the_car_grid_notices_broken_conditions(plant):
     assert found["car: passed or corrected, predicted h < 0"].measured > 0
 
 
-def test_odd_scenes_are_what_they_say():
+def test_odd_scenes_have_their_stated_oddity():
     sizes = [len(odd_question(1, number).obstacles) for number in range(5)]
     assert sizes[3] == 60
     assert sizes[1] % 3 == 0
@@ -240,7 +240,7 @@ def test_two_threads_that_get_each_others_answers_are_noticed(monkeypatch):
     assert mixed > 10
 
 
-def test_a_row_says_whether_it_held():
+def test_a_figure_held_if_it_is_within_its_limits():
     assert Row("", 0.0, most=0).held is True
     assert Row("", 1.0, most=0).held is False
     assert Row("", 0.5, least=0.4, most=0.6).held is True

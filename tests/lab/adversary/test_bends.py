@@ -38,7 +38,7 @@ def test_a_wall_is_kept_in_all_units(units):
     assert answer.excess == pytest.approx(0.0, abs=2e-3)  # the grid's own steps
 
 
-def test_a_broken_condition_is_told_in_scales(monkeypatch):
+def test_a_broken_condition_is_measured_in_scales(monkeypatch):
     """With a scale of 2, by which the action can change h."""
     answer_with(monkeypatch, "passed", [0.3])
     found = bent_answer(bent(wall))
@@ -48,7 +48,7 @@ def test_a_broken_condition_is_told_in_scales(monkeypatch):
     assert bent_answer(bent(wall)).below
 
 
-def test_a_correction_that_goes_too_far_is_told_in_ranges(monkeypatch):
+def test_a_correction_that_goes_too_far_is_measured_in_ranges(monkeypatch):
     answer_with(monkeypatch, "corrected", [-1.0])
     assert bent_answer(bent(wall)).excess == pytest.approx(0.6, abs=2e-3)
     assert bent_answer(bent(lambda x: 0.4 - 0.0 * x[:, :1], epsilon=1.0)).excess is None, "no action keeps it"
@@ -72,7 +72,7 @@ def test_an_answer_misses_what_a_single_point_of_the_grid_keeps(status, lift, ac
     assert found.shortfall == pytest.approx(max(0.0, lift / 2.0 - own))
 
 
-def test_the_same_number_is_the_same_problem():
+def test_a_number_always_draws_the_same_problem():
     for number in range(len(BENT_SHAPES)):
         one, other = bent_problem(3, number), bent_problem(3, number)
         grid = np.random.default_rng(number).uniform(-0.7, 0.7, (20, one.actions))

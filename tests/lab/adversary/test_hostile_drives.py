@@ -23,7 +23,7 @@ def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
     assert {"corrected"} & set(once.statuses)
 
 
-def test_stands_are_counted_and_told(monkeypatch):
+def test_standstills_are_counted_and_unreported_ones_too(monkeypatch):
     def stood(drive):
         told = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
         return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1}, 0.9)
@@ -47,7 +47,7 @@ def test_a_short_drive_of_every_load_gets_on():
     assert attack.told(answers).rows[0].held
 
 
-def test_late_drives_are_told_by_who_knows():
+def test_late_drives_are_grouped_by_who_knows_the_delay():
     attack = LateDrives()
     pieces = attack.pieces(2, True)
     found = [attack.work(piece) for piece in pieces]

@@ -32,7 +32,7 @@ def one_action(now: float, drift: float, epsilon: float = 0.0, wish: float = 1.0
     )
 
 
-def test_the_nearest_action_of_a_problem_by_hand():
+def test_the_nearest_action_just_keeps_the_condition():
     found = LinearJudge(one_action(1.0, -0.2, 0.1)).nearest()
     assert found is not None
     assert found.action[0] == pytest.approx(0.2)
@@ -54,7 +54,7 @@ def test_a_scale_is_the_largest_of_h_margin_and_reach():
     assert LinearJudge(one_action(0.3, 0.0, epsilon=7.0)).scale[0] == 7.0
 
 
-def test_a_break_is_told_in_scales_and_rounding_is_none():
+def test_a_break_is_measured_in_scales_without_rounding():
     judge = LinearJudge(one_action(1.0, 0.0))
     assert judge.broken(np.array([0.5])) == 0.0
     assert judge.broken(np.array([0.5 + 1e-17])) == 0.0

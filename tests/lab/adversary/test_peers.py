@@ -48,7 +48,7 @@ def test_a_peer_that_is_not_installed_is_named_as_missing(monkeypatch):
     assert row.held is None
 
 
-def test_an_unsafe_action_without_a_word_is_told_apart_from_one_that_is_announced(scripted):
+def test_silent_and_announced_unsafe_actions_are_counted_apart(scripted):
     scripted("print(json.dumps([{'action': p['wish'], 'said': 'beware' if i % 2 else ''} "
              "for i, p in enumerate(problems)]))")  # fmt: skip
     found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))
@@ -60,7 +60,7 @@ def test_an_unsafe_action_without_a_word_is_told_apart_from_one_that_is_announce
     assert found["planted, at scale 1: no action at all"].measured == 0
 
 
-def test_the_reference_s_own_answers_are_safe(scripted, monkeypatch):
+def test_the_answers_of_the_reference_are_safe(scripted, monkeypatch):
     problems = peer_problems(3, 20, False)
     best = [LinearJudge(problem).nearest() for problem in problems]
     answers = [{"action": None if item is None else item.action.tolist(), "said": ""} for item in best]
@@ -71,7 +71,7 @@ def test_the_reference_s_own_answers_are_safe(scripted, monkeypatch):
     assert found["planted, at scale 1: no action at all"].measured == sum(item is None for item in best)
 
 
-def test_a_peer_that_fails_says_so(scripted):
+def test_a_failing_peer_is_reported(scripted):
     scripted("raise SystemExit('no licence')")
     (row,) = Peers((sys.executable,)).work(("planted", 0, 2))[1]
     assert row.what == "planted: failed: no licence"

@@ -49,7 +49,7 @@ def test_a_sweep_holds_the_experiment_s_own_value_and_every_other_one_is_another
     assert len(set(sweep.shown)) == len(sweep.values)
 
 
-def test_the_loads_of_the_sweep_are_told_by_their_mass() -> None:
+def test_the_loads_of_the_sweep_are_named_by_their_mass() -> None:
     sweep = SWEEPS["load"]
     for value in sweep.values:
         load = towed_named(sweep.at(value).load)
@@ -122,7 +122,7 @@ def test_a_quicker_policy_wants_the_same_ways_faster_and_backs_off_as_before() -
     assert wishes[0][0] > 0.0
 
 
-def test_noise_is_as_large_as_told_and_the_same_for_whoever_drives() -> None:
+def test_noise_has_its_stated_size_and_is_the_same_for_every_method() -> None:
     conditions = Conditions(noise=0.02)
     shown = []
     for _ in range(2):
@@ -136,7 +136,7 @@ def test_noise_is_as_large_as_told_and_the_same_for_whoever_drives() -> None:
     assert Conditions().measured(robot) is robot
 
 
-def test_a_delay_is_told_to_the_filter_or_to_nobody() -> None:
+def test_a_delay_is_known_to_the_filter_or_unknown() -> None:
     """The same late commands; the filter that knows of them decides otherwise."""
     told, untold = Conditions(delay=0.15), Conditions(delay=0.15, told=False)
     assert told.robot(3000, LOAD).state_message().until_action == 0.15
@@ -166,7 +166,7 @@ def test_the_load_is_hitched_and_let_go_once_a_third_of_the_way_is_driven() -> N
         ({"towing": "allways"}, "did you mean 'always'"),
     ],
 )
-def test_conditions_that_are_none_are_refused(changed: dict[str, Any], told: str) -> None:
+def test_invalid_conditions_are_refused(changed: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         Conditions(**changed)
 
@@ -253,7 +253,7 @@ def test_the_command_writes_tables_picture_and_every_point(out: Path) -> None:
 
 
 @pytest.mark.long
-def test_what_was_driven_before_is_not_driven_again(
+def test_finished_episodes_are_not_driven_again(
     out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refused(_: Any) -> Any:
@@ -276,7 +276,7 @@ def test_what_was_driven_before_is_not_driven_again(
         (["--first-seed", "4950"], "wanted seeds from 0"),
     ],
 )
-def test_what_does_not_fit_is_one_line_and_leaves_no_folder(
+def test_invalid_options_are_refused_in_one_line_without_a_folder(
     words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = ["experiment", "car-curves", "--models", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *words]
@@ -287,7 +287,7 @@ def test_what_does_not_fit_is_one_line_and_leaves_no_folder(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sweeps_are_told_in_their_own_order() -> None:
+def test_sweeps_are_listed_in_their_own_order() -> None:
     assert [sweep.name for sweep in chosen_sweeps(("noise", "passage"))] == ["passage", "noise"]
     assert chosen_sweeps(()) == list(SWEEPS.values())
     assert SWEEPS["passage"].usual == PASSAGE

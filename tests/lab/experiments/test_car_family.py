@@ -64,7 +64,7 @@ def test_every_method_of_the_paper_s_world_is_driven_by_its_own_models(paper_fol
     assert not METHODS["ppo"].adaptive
 
 
-def test_nothing_that_ships_stands_in_for_a_model_that_lacks(tmp_path: Path) -> None:
+def test_no_shipped_model_replaces_a_missing_one(tmp_path: Path) -> None:
     present, missing = chosen_methods((), tmp_path, PAPER)
     assert present == []
     assert "car_learned.toml is not in" in missing[0]

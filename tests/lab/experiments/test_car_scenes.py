@@ -44,7 +44,7 @@ def test_the_footprint_fits_through_every_passage_and_start_and_goal_are_free(lo
 
 
 @pytest.mark.parametrize("load", CONFIGURATIONS)
-def test_something_stands_in_the_straight_way(load):
+def test_an_obstacle_blocks_the_straight_way(load):
     for seed in SEEDS:
         scene = car_scene(seed, load)
         x, y, size = scene.obstacles[0]

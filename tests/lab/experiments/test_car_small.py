@@ -45,7 +45,7 @@ def test_the_filter_keeps_the_goal_seeker_from_contact(result):
             assert low <= cell["success"]["share"] <= high
 
 
-def test_what_is_not_there_is_left_out_by_name(result):
+def test_methods_without_a_model_are_left_out_by_name(result):
     assert any("SafeDPA is left out" in sentence for sentence in result["left_out"])
     assert set(result["methods"]) == {"physics", "goal_seeker"}
 
@@ -102,7 +102,7 @@ def test_another_margin_is_another_cell(out, monkeypatch, capsys):
         (["--out", "/proc/no/where"], "choose another folder"),
     ],
 )
-def test_what_does_not_fit_is_one_line(arguments, told, tmp_path, capsys):
+def test_invalid_options_are_refused_in_one_line(arguments, told, tmp_path, capsys):
     assert run("--models", tmp_path, *arguments) == 2
     shown = capsys.readouterr()
     assert shown.out == ""

@@ -46,16 +46,16 @@ def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.Monk
 
 
 @pytest.mark.long
-def test_a_delay_that_nobody_knows_harms_nobody() -> None:
+def test_an_unknown_delay_causes_no_collision() -> None:
     assert delayed_drives(Lateness(0.15, told="nobody"), 4, 31_000, 8.0).collided == 0
 
 
 @pytest.mark.long
-def test_the_same_drives_again() -> None:
+def test_drives_repeat_exactly() -> None:
     assert delayed_drives(Lateness(0.13), 1, 5, 3.0) == delayed_drives(Lateness(0.13), 1, 5, 3.0)
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_invalid_delays_are_refused() -> None:
     with pytest.raises(InputError, match="channel: got 'wheel', wanted one of both, drive, steer"):
         Lateness(0.1, "wheel")
     with pytest.raises(InputError, match="told: got 'all', wanted one of model, clock, nobody"):

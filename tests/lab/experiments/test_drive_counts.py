@@ -303,7 +303,7 @@ def test_the_kept_share_of_nominal_speeds_counts_either_direction(
     ("stepped", "told"),
     [([True], True), ([False], False), ([False, True, False], True), ([None], False), ([None, True], True)],
 )
-def test_somebody_stepped_out_if_any_person_who_may_did(
+def test_a_drive_notes_whether_any_person_stepped_out(
     stepped: list[bool | None], told: bool, monkeypatch: Patch
 ) -> None:
     """None is a person who stands there from the beginning."""

@@ -46,9 +46,7 @@ def test_no_part_writes_into_another_one_s_place(tmp_path: Path) -> None:
     assert all(place.parent == tmp_path / part.name for part in PARTS for place in [part.result(tmp_path)])
 
 
-def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unknown_names_and_missing_recordings_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"--only safty: .*safety"):
         chosen(("safty",), None)
@@ -65,7 +63,7 @@ def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
 
 
 @pytest.mark.long
-def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> None:
+def test_a_result_of_the_current_code_is_not_made_again(tmp_path: Path) -> None:
     said: list[str] = []
 
     def tell(part: Part, words: str) -> None:
@@ -95,7 +93,7 @@ def test_what_is_made_by_the_code_of_today_is_not_made_again(tmp_path: Path) -> 
 
 
 @pytest.mark.long
-def test_a_small_result_is_none_of_the_whole_experiment(tmp_path: Path) -> None:
+def test_a_small_result_does_not_replace_the_whole_experiment(tmp_path: Path) -> None:
     part = Part("controllers", (*DRIVES, "--seconds", "2"), ("--seconds", "1"), 2)
     make([part], tmp_path, small=True)
     make([part], tmp_path)
@@ -103,7 +101,7 @@ def test_a_small_result_is_none_of_the_whole_experiment(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_one_that_fails_is_told_and_keeps_none_from_running(tmp_path: Path) -> None:
+def test_an_experiment_that_fails_is_reported_and_the_others_run(tmp_path: Path) -> None:
     account = make([BAD, QUICK], tmp_path, small=True)
     assert account["bad"]["exit_code"] != 0
     assert "no_such_controller" in account["bad"]["last_words"]

@@ -130,7 +130,7 @@ def test_episodes_with_an_incomplete_and_with_a_diagnosed_model(monkeypatch: pyt
     }  # fmt: skip
 
 
-def test_drives_on_wheels_are_told_by_world_and_policy_and_by_whether_they_are_filtered(
+def test_drives_on_wheels_are_grouped_by_world_policy_and_filter(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Five seeds, of which the first and the last are driven without the filter as well."""

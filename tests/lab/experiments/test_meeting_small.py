@@ -55,7 +55,7 @@ def test_another_number_of_cars_is_refused(robots: int) -> None:
         meeting_scenes(4691, robots)
 
 
-def test_what_a_car_is_told_of_another_holds_all_of_it() -> None:
+def test_the_discs_of_another_car_cover_all_of_it() -> None:
     robot = meeting_field(4692, 2, "chair").robots[1]
     pieces = pieces_of(robot)
     for _, shape in robot.world.bodies:

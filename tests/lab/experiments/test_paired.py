@@ -20,7 +20,7 @@ def test_mcnemar_is_a_binomial_test_of_where_they_differ(seed: int) -> None:
     assert p == pytest.approx(binomtest(more, more + fewer).pvalue, rel=1e-12)
 
 
-def test_who_never_differs_is_not_better() -> None:
+def test_equal_flags_show_no_difference() -> None:
     same = np.array([True, False, True])
     assert mcnemar_exact(same, same) == (0, 0, 1.0)
     assert sign_flip_exact(same, same, 3) == 1.0
@@ -83,7 +83,7 @@ def test_one_episode_alone_is_an_episode() -> None:
         ("1100", "0011", 1.0),
     ],
 )
-def test_who_is_worse_differs_as_much_as_who_is_better(one: str, other: str, p: float) -> None:
+def test_the_test_is_symmetric_in_better_and_worse(one: str, other: str, p: float) -> None:
     flags = [np.array([letter == "1" for letter in word]) for word in (one, other)]
     assert sign_flip_exact(flags[0], flags[1], 4) == p
     assert sign_flip_exact(flags[1], flags[0], 4) == p

@@ -49,7 +49,7 @@ def test_a_result_holds_how_to_make_it_again(written: Path) -> None:
     assert str(written.parent) not in json.dumps(told)
 
 
-def test_the_check_names_the_room_that_has_changed(kept: Path) -> None:
+def test_the_check_names_the_package_that_has_changed(kept: Path) -> None:
     (now,) = standings(kept)
     assert (now.changed, now.told) == ((), "made by the code of today")
     path = kept / "theory.json"
@@ -64,7 +64,7 @@ def test_the_check_names_the_room_that_has_changed(kept: Path) -> None:
     assert shown.return_value == 1
 
 
-def test_what_bears_no_provenance_is_not_called_of_today(tmp_path: Path) -> None:
+def test_a_result_without_provenance_is_not_called_current(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text('{"date": "2026-11-21", "rows": []}')
     (old,) = standings(tmp_path)
     assert (old.date, old.rooms, old.told) == ("2026-11-21", 0, "made before its code was written down")
@@ -72,7 +72,7 @@ def test_what_bears_no_provenance_is_not_called_of_today(tmp_path: Path) -> None
     assert CliRunner().invoke(results, ["check", str(tmp_path), "--strict"], standalone_mode=False).return_value == 1
 
 
-def test_each_row_of_a_benchmark_stands_for_itself(kept: Path) -> None:
+def test_each_row_of_a_benchmark_is_checked_by_itself(kept: Path) -> None:
     told = json.loads((kept / "theory.json").read_text())[KEY]
     (kept / "theory.json").write_text(json.dumps({"rows": {"new": {KEY: told}, "old": {"name": "old"}}}))
     assert [(each.name, bool(each.rooms)) for each in standings(kept)] == [
@@ -97,14 +97,14 @@ def test_no_results_and_no_json_are_refused(tmp_path: Path) -> None:
         f'{{"{KEY}": {{"code": {{"a": "b"}}, "module": null, "date": 3}}}}',
     ],
 )  # fmt: skip
-def test_of_what_is_no_provenance_nothing_is_known(tmp_path: Path, text: str) -> None:
+def test_a_malformed_provenance_counts_as_unknown(tmp_path: Path, text: str) -> None:
     (tmp_path / "odd.json").write_text(text)
     (told,) = standings(tmp_path)
     assert (told.rooms, told.changed, told.date) == (0, (), None)
     assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
 
 
-def test_of_a_module_that_is_gone_every_room_differs(kept: Path) -> None:
+def test_every_package_differs_if_the_module_is_gone(kept: Path) -> None:
     path = kept / "theory.json"
     document = json.loads(path.read_text())
     document[KEY]["module"] = "safedpa_lab.of.long.ago"
@@ -149,7 +149,7 @@ def test_an_environment_within_another_project_bears_no_commit_of_that_project(
         (["--when", "now"], "drive"),
     ],
 )  # fmt: skip
-def test_a_command_is_told_as_one_types_it_and_names_no_folder(words: list[str], told: str) -> None:
+def test_a_command_is_recorded_as_typed_without_folders(words: list[str], told: str) -> None:
     said: list[str] = []
 
     @click.command(name="drive")
@@ -193,7 +193,7 @@ def test_code_that_is_only_named_counts_as_well() -> None:
     assert {"safedpa_services.safety_filter.__main__", "safedpa_services.recorder.__main__"} <= faults
 
 
-def test_outside_a_command_there_is_none(tmp_path: Path) -> None:
+def test_a_result_written_outside_a_command_names_none(tmp_path: Path) -> None:
     write_result(tmp_path / "plain.json", {"a": 1})
     document = json.loads((tmp_path / "plain.json").read_text())
     assert (document["a"], document[KEY]["command"], document[KEY]["code"]) == (1, None, {})

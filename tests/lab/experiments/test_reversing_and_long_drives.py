@@ -21,7 +21,7 @@ def test_no_load_collides_while_it_is_reversed_at_the_nearest_obstacle(load: str
     assert outcome.least_h > -0.01
 
 
-def test_a_robot_that_does_not_tell_what_it_tows_collides(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_that_hides_its_load_collides(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the footprint alone leaves open; were it closed some other way, the growth would not be needed."""
     monkeypatch.setattr(core, "towed_reach", lambda load: ())
     assert sum(run_reversing_drive(ReversingDrive(*drive)).collisions for drive in ONCE_COLLIDED) > 0
@@ -54,7 +54,7 @@ def test_a_box_between_two_obstacles_gets_on_however_old_the_state_is(until_acti
     assert outcome.least_way > 0.4, "backwards the box lets it do 6 cm a second"
 
 
-def test_the_summary_counts_long_stands_and_those_that_nobody_told() -> None:
+def test_the_summary_counts_long_standstills_and_unreported_ones() -> None:
     stand = {"from": 1.0, "seconds": 12.0, "reason": "margin: ..."}
     told = LongOutcome("box", 1, 60.0, 0, 7, (stand,), 12.0, {"passed": 1200})
     untold = LongOutcome("box", 2, 60.0, 1, 5, (), 11.0, {"passed": 1200}, 0.9)

@@ -24,7 +24,7 @@ def drive(squares, count=1):
     return {"squares": list(squares), "count": count}
 
 
-def test_the_three_metrics_by_hand():
+def test_the_three_metrics_follow_their_definitions():
     """Mean squares 4, 4, 16, 64: roots 2, 2, 4, 8, scaled 2, 1, 1, 1."""
     found = metrics_of([drive((2.0, 8.0, 0.0, 128.0), 1), drive((6.0, 0.0, 32.0, 0.0), 1)], SCALE)
     assert found["root_mean_square"] == pytest.approx((2.0 + 1.0 + 1.0 + 1.0) / 4.0)
@@ -50,12 +50,12 @@ def test_the_interval_of_a_ratio_is_that_of_the_draws_of_whole_seeds():
     assert (low, high) == pytest.approx((1.0, 3.0))
 
 
-def test_drives_that_are_no_pairs_are_refused():
+def test_unpaired_drives_are_refused():
     with pytest.raises(ValueError, match="wanted pairs of the same drives"):
         ratios_of([[drive(SCALE)]], [[drive(SCALE)], [drive(SCALE)]], SCALE)
 
 
-def test_what_is_kept_is_made_once_and_again_for_another_key(tmp_path):
+def test_a_kept_result_is_made_once_for_each_key(tmp_path):
     made = []
     kept = Kept(tmp_path / "kept")
 
@@ -88,7 +88,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
         ({"ticks": 99}, "wanted at least 100"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(options, message):
+def test_invalid_tunings_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         CarTuning(Path("learned/car"), **options)
 
@@ -100,7 +100,7 @@ def test_half_of_a_drive_and_the_rest_share_the_state_between_them():
     np.testing.assert_array_equal(begun[0].states[-1], rest[0].states[0])
 
 
-def test_without_recordings_the_real_car_is_left_out_and_said(tmp_path):
+def test_the_real_car_is_left_out_without_recordings(tmp_path):
     assert "no --data was given" in real_tuning(RealTuning(None))["left_out"]
     with pytest.raises(InputError, match=r"--data .*: got 0 logs of the real car, wanted two or more"):
         RealTuning(tmp_path)
@@ -108,7 +108,7 @@ def test_without_recordings_the_real_car_is_left_out_and_said(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_a_run_in_small_goes_on_where_it_stood_and_its_page_tells_every_metric(tmp_path):
+def test_a_small_run_resumes_and_its_page_has_every_metric(tmp_path):
     experiment = CarTuning(
         shipped_models()["car_learned"].parent,
         tmp_path,

@@ -39,7 +39,7 @@ def test_every_fault_has_a_name_of_its_own_and_is_found_by_it() -> None:
         faults_named("kill robots")
 
 
-def test_what_needs_another_diagnosis_stands_together() -> None:
+def test_faults_with_another_diagnosis_are_consecutive() -> None:
     """Else the campaign would begin a new fleet for each."""
     kinds = [fault.diagnosis for fault in all_faults()]
     assert sum(one != other for one, other in itertools.pairwise(kinds)) == 1

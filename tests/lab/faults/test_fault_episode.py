@@ -97,7 +97,7 @@ def test_what_the_watchdog_did_is_never_stale_and_what_was_not_heard_is_not_held
     assert stale_in(late, Evidence(late, {}, {}, PERIOD)) == []
 
 
-def test_collisions_count_from_the_first_period_and_a_new_robot_begins_anew() -> None:
+def test_collisions_count_from_the_first_period_of_each_robot() -> None:
     counts = [(5, 2), (5, 2), (5, 3), (5, 5), (6, 0), (6, 1), (5, 5)]
     periods = [replace(lived(tick, epoch=epoch), collisions=count) for tick, (epoch, count) in enumerate(counts)]
     assert collisions_in(periods) == 4

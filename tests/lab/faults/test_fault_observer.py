@@ -108,7 +108,7 @@ def test_models_are_mixed_only_where_the_filter_decided_by_another_one_than_the_
     assert mixed_in(fleet.observer) == [(5, 6), (2, 2)]
 
 
-def test_heartbeats_tell_who_was_heard_and_what_is_on_the_disk(fleet: Fleet) -> None:
+def test_heartbeats_report_services_and_acknowledged_messages(fleet: Fleet) -> None:
     message = HealthMessage(
         epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service="recorder", pid=7, state="running", acknowledged=40
     )

@@ -78,7 +78,7 @@ def is_quiet(connection: socket.socket) -> bool:
         connection.settimeout(LONG_SECONDS)
 
 
-def test_a_link_that_nobody_bends_passes_everything_in_order(proxy: Proxy) -> None:
+def test_an_undisturbed_link_passes_everything_in_order(proxy: Proxy) -> None:
     with joined(proxy) as connection:
         sent = DATA * 500 + SIGN_OF_LIFE
         connection.sendall(sent)
@@ -87,7 +87,7 @@ def test_a_link_that_nobody_bends_passes_everything_in_order(proxy: Proxy) -> No
 
 
 @pytest.mark.parametrize("conduct", [STALLED, HALF_OPEN, Conduct(stalled_in=True)])
-def test_a_link_that_stands_still_hands_on_later_what_waited(proxy: Proxy, conduct: Conduct) -> None:
+def test_a_stalled_link_delivers_later_what_waited(proxy: Proxy, conduct: Conduct) -> None:
     with joined(proxy) as connection, joined(proxy, "b") as other:
         proxy.set("a", conduct)
         connection.sendall(DATA)

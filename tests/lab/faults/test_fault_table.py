@@ -87,7 +87,7 @@ def test_a_service_is_cut_off_at_its_moment_of_a_change(
     assert steps == ([target, False] if came is None else [False, came, target])
 
 
-def test_every_message_is_counted_and_those_of_one_robot_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_messages_are_counted_and_stamps_are_those_of_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two files; other robots and other topics count among the messages alone."""
 
     def message(tick: int, epoch: int = 1) -> Any:
