@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from safedpa.bus import HEALTH, MODEL, TOPICS, Bus, Inbox, MemoryTransport, Message, Received, Refused, encode
+from safedpa.bus.transport.inbox import Answered
 
 
 def ticks(items: list[Received | Refused]) -> list[int]:
@@ -148,6 +149,19 @@ def test_no_service_speaks_in_the_name_of_another(sender: str, broker: Any, samp
     (refused,) = inbox.take(0.0)
     assert isinstance(refused, Refused)
     assert f"got a message of service '{sender}', wanted one of 'policy'" in refused.reason
+
+
+def test_a_message_and_an_answer_call_the_loop_that_leads(samples: dict[str, Message]) -> None:
+    inbox, calls = Inbox(), list[bool]()
+    inbox.lead(lambda: calls.append(inbox.waiting))
+    inbox.keep_latest("safedpa/f/a/action", encode(samples["action"]))
+    inbox.take(0.0)
+    inbox.keep_answer(Answered("a", None))
+    assert calls == [True, True]
+    assert inbox.take_answers() == [Answered("a", None)]
+    inbox.lead(None)
+    inbox.keep_answer(Answered("a", None))
+    assert calls == [True, True]
 
 
 def test_of_each_key_at_most_so_many_messages_are_taken(samples: dict[str, Message]) -> None:
