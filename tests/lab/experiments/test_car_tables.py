@@ -177,11 +177,12 @@ FRAME = SimpleNamespace(own_increment=lambda before, after: after - before)
 def test_errors_are_root_mean_squares_over_their_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     """Predictions count from the 60th step on; those of one second begin every fifth step, as long as it is driven."""
     late = np.random.default_rng(1).normal(0.0, (3.0, 5.0, 2.0, 1.0), (25, 4))
-    seconds = np.array([[[9.0] * 4, [1.0] * 4]])
-    drive: Any = SimpleNamespace(states=np.zeros((86, 4)), loads=("box",))
+    seconds = np.array([[9.0] * 4, [1.0] * 4])
+    states = np.random.default_rng(2).normal(size=(86, 4))
+    drive: Any = SimpleNamespace(states=states, loads=("box",))
     predictor = SimpleNamespace(
-        one_step=lambda: np.concatenate([np.full((60, 4), 99.0), late]),
-        rollouts=lambda starts, steps: np.repeat(seconds, len(starts), axis=0) * (steps / 20.0),
+        one_step=lambda: states[1:] + np.concatenate([np.full((60, 4), 99.0), late]),
+        rollouts=lambda starts, steps: np.array([seconds + states[start + steps] for start in starts]),
     )
     monkeypatch.setattr(car_errors, "frame_of", lambda _: FRAME)
     monkeypatch.setattr(car_errors, "predictor_of", lambda *_: predictor)
@@ -195,7 +196,7 @@ def test_errors_are_root_mean_squares_over_their_scale(monkeypatch: pytest.Monke
     assert (told["number"], told["count"]) == (pytest.approx(np.mean(roots / scale)), 25)
     assert told["position"] == pytest.approx(np.hypot(roots[0], roots[1]))
     later = rows["box"]["one_second"]
-    assert (later["count"], list(later["root_mean_square"].values())) == (2, [1.0] * 4)
+    assert (later["count"], list(later["root_mean_square"].values())) == (2, pytest.approx([1.0] * 4))
 
 
 def test_the_scale_is_the_root_mean_square_of_the_change_in_a_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,3 +62,5 @@ def test_invalid_delays_are_refused() -> None:
         Lateness(0.1, told="all")
     with pytest.raises(InputError, match="channel: got 'drive', wanted both"):
         Lateness(0.1, "drive", told="clock")
+    for allowed in (Lateness(0.1, "drive"), Lateness(0.1, "steer", "nobody"), Lateness(0.1, told="clock")):
+        assert allowed.seconds == 0.1
