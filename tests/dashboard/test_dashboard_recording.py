@@ -67,6 +67,8 @@ def test_a_recording_of_messages_is_drawn_whole_and_at_its_times(look, drive, tm
     with McapRecorder(path) as recorder:
         for k, tick in enumerate(drive(100)):
             for topic, message in tick:
+                if topic is HEALTH and k % 5:
+                    continue  # four heartbeats a second
                 service = f"/{message.service}" if topic is HEALTH else ""
                 recorder.write(f"safedpa/f/r1/{topic.name}{service}", encode(message), 50_000_000 * k, 0)
         recorder.write("safedpa/f/r1/state", b"garbage", 6_000_000_000, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.live.watch import VerdictFacts, Watch
+from safedpa.live.watch import BEYOND, EDetector, VerdictFacts, Watch
 
 pytestmark = pytest.mark.slow
 
@@ -91,6 +91,15 @@ def test_the_first_two_forecasts_do_not_count():
     """Actuators may remember commands from before the first tick."""
     assert slide(Watch(CAR), [0.5] * 31).learned_share == 0.0
     assert slide(Watch(CAR), [0.5] * 41).learned_share == pytest.approx(1.0 / 40.0)
+
+
+def test_the_evidence_counts_one_forecast_a_second():
+    """Forecasts overlap; the sequential test is allowed to count only those that do not."""
+    usual, strange = [0.5] * 450, [5.0] * 60
+    watch, at_most = slide(Watch(CAR), usual + strange), EDetector()
+    for second in range(4):  # three seconds, and one that began before
+        at_most.add(BEYOND + 1.0, 20 * second)
+    assert 0.0 < watch.evidence.value <= at_most.value
 
 
 def facts(h_now: float, h_next: float = 0.5, margin: float = 0.125) -> VerdictFacts:
