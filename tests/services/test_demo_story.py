@@ -103,7 +103,10 @@ class Drive:
 
 def test_a_finding_is_reported_accepted_and_its_effect_measured():
     """The error counts from 10 s after the change of the model on, and the story is over 20 s after it."""
-    drive = Drive().find(report())
+    drive = Drive()
+    drive.tell(2.0, "searching", 0.9, number=0)  # neither is a finding yet
+    drive.tell(3.0, "watching", 0.9)
+    drive.find(report())
     drive.story.look(drive.watch)
     assert drive.model == NEW
     drive.tell(55.0, "learning", 0.2)
@@ -121,6 +124,7 @@ def test_a_finding_is_reported_accepted_and_its_effect_measured():
     assert drive.story.models == ["model aaaaaaaa", "model bbbbbbbb"]
     assert drive.told("--yes: drag is accepted; it promises 95 % less error") == 1
     assert drive.told("where: yaw") == 1
+    assert [drive.told(f"it is {stage}") for stage in ("raised", "candidates")] == [1, 1]
 
 
 @pytest.mark.parametrize(
@@ -139,6 +143,14 @@ def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_
             accepted = search
     assert accepted == accepted_after
     assert bool(drive.told("one more search")) is (accepted_after != 1)
+
+
+def test_a_search_that_is_reported_again_is_no_second_one():
+    drive = Drive()
+    for t in (10.0, 20.0, 30.0):
+        drive.tell(t, "candidates", text=report(0.1, ("tow",)))
+    assert "accept" not in drive.asked
+    assert drive.told("cannot be told from tow yet") == 1
 
 
 def test_the_promise_is_that_of_the_accepted_entry():

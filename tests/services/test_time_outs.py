@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 from argparse import Namespace
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 from math import inf
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from tests.services.messages import health_of, state_of, verdict_of
 
-from safedpa.bus import HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
+from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
 from safedpa.bus.overview import FleetOverview
 from safedpa.bus.wire.requests import ORDER
 from safedpa.errors import BusError, InputError, SafedpaError
@@ -126,42 +126,42 @@ def test_an_order_is_answered_within_seconds_or_fails():
 
 
 @pytest.mark.parametrize(
-    ("stands_at", "speed", "complaint", "ends_at"),
+    ("robot", "status", "stands_at", "speed", "does", "ends_at"),
     [
-        (2.0, 0.5, "", 2.0),
-        (0.0, 0.5, "", 0.5),
-        (inf, 0.5, "r1 did not obey within the time", 6.0),
-        (inf, -0.1, "r1 did not obey within the time", 6.0),
-        (inf, 0.01, "", 0.5),
+        ("r1", "stopped", 2.0, 0.5, "stands", 2.0),
+        ("", "stopped", 0.0, 0.5, "stands", 0.5),
+        ("r1", "stopped", inf, 0.01, "stands", 0.5),
+        ("r1", "passed", inf, 0.01, "stands", 0.5),
+        ("r1", "stopped", inf, 0.5, "still brakes, +0.50 m/s", 6.0),
+        ("", "stopped", inf, -0.1, "still brakes, -0.10 m/s", 6.0),
+        ("r1", "passed", inf, 0.5, "still drives, +0.50 m/s", 6.0),
     ],
 )
-def test_a_stopped_robot_is_waited_for_six_seconds(
-    clock, stands_at, speed, complaint, ends_at, monkeypatch,
-    capsys,
-):  # fmt: skip
-    broker = MemoryBroker()
+def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
+    clock, robot, status, stands_at, speed, does, ends_at, monkeypatch, capsys
+):
+    broker, asked = MemoryBroker(), []
     loop = Bus(MemoryTransport(broker), "f")
-    loop.answer_requests(lambda _robot, request: Answer(ok=True, sentence=f"{request.do}: so be it"), kinds=(ORDER,))
+
+    def answer(name, request):
+        asked.append((name, request.do, request.who))
+        return Answer(ok=True, sentence="so be it")
 
     class Overview(FleetOverview):
         def listen(self, wait):
             tick, now = round(20.0 * clock.now), 0.0 if clock.now >= stands_at else speed
             loop.publish(STATE, "r1", state_of(0.0, 0.0, 0.0, now, tick=tick))
-            loop.publish(VERDICT, "r1", verdict_of("stopped", tick=tick))
+            loop.publish(VERDICT, "r1", verdict_of(status, tick=tick))
             super().listen(wait)
 
-    def overview(bus, robot):
-        return Overview(bus, robot, clock)
-
-    monkeypatch.setattr("safedpa.bus.overview.FleetOverview", overview)
+    loop.answer_requests(answer, kinds=(ORDER,))
+    monkeypatch.setattr("safedpa.bus.overview.FleetOverview", lambda bus, name: Overview(bus, name, clock))
     monkeypatch.setattr(stop_orders, "bus_of", lambda _: Bus(MemoryTransport(broker), "f"))
-    if complaint:
-        with pytest.raises(SafedpaError, match=complaint):
-            stop_orders.give_order("stop", "r1", OPTIONS)
-        assert f"still brakes, {speed:+.2f} m/s" in capsys.readouterr().out
-    else:
-        stop_orders.give_order("stop", "r1", OPTIONS)
-        assert '"r1": "stands"' in capsys.readouterr().out
+    obeys = does == "stands"
+    with nullcontext() if obeys else pytest.raises(SafedpaError, match="r1 did not obey within the time"):
+        stop_orders.give_order("stop", robot, OPTIONS)
+    assert json.loads(capsys.readouterr().out) == {"sentence": "so be it", "robots": {"r1": does}}
+    assert asked == [(robot or NO_ROBOT, "stop", "ann")]
     assert clock.now == pytest.approx(ends_at, abs=0.25)
 
 
