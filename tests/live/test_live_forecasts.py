@@ -91,13 +91,13 @@ def test_a_forecast_starts_at_a_measured_state_and_applies_the_actions_reported_
     model = Integrator()
     running, ended = Forecasts(model, 1.0, 0.25), []
     for tick in range(4, 10):
-        ended += running.observe(tick, np.full(4, 0.1 * tick), np.array([tick - 5.0, 0.5]), None)
+        ended += running.observe(tick, np.full(4, 0.1 * tick), np.array([tick - 5.0, 0.5 * (-1.0) ** tick]), None)
     (only,) = ended
     assert (only.start, only.end, only.began.tolist()) == (5, 9, [0.5] * 4)
     np.testing.assert_allclose(only.measured, 0.9)
     np.testing.assert_allclose(only.predicted, 0.5 + 0.25 * 10.0)
-    np.testing.assert_allclose(only.actions, [2.5, 0.5])
-    np.testing.assert_allclose(only.variation, [4.0, 0.0])
+    np.testing.assert_allclose(only.actions, [2.5, 0.0])
+    np.testing.assert_allclose(only.variation, [4.0, 4.0])
     assert model.times[:2] == pytest.approx([0.25 * 5, 0.25 * 6])
 
 
