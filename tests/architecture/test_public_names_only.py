@@ -30,9 +30,7 @@ PRIVATE = re.compile(r"_[A-Za-z]\w*")
 CONSTANT = re.compile(r"[A-Z][A-Z0-9]*(_[A-Z0-9]+)*")
 NAMED_TUPLES = {"_asdict", "_fields", "_field_defaults", "_make", "_replace"}
 PATCHES = {"setattr", "delattr", "setitem", "patch", "object"}
-MOCK_CHECKS = {"assert_called", "assert_called_once", "assert_called_with", "assert_called_once_with"} | {
-    "assert_any_call", "assert_has_calls", "assert_not_called", "call_args", "call_args_list", "call_count", "mock_calls"
-}  # fmt: skip
+MOCK_CHECK = re.compile(r"assert_(any_call|has_calls|not_called|called\w*)|call_(args|args_list|count)|mock_calls")
 
 
 @dataclass(frozen=True)
@@ -93,6 +91,7 @@ def places(path: str, source: str, names: frozenset[str], paths: frozenset[str])
     tree = ast.parse(source)
     names -= defined(tree)
     imported = dict(imports(tree))
+    yield from fakes(path, tree, imported)
     # a name that stands in a larger string is code of another process: `import _x`, `obj._x`
     inside = re.compile(r"(?:\bimport |\.|\bsetattr\(\w+, ['\"])(_[A-Za-z]\w*)")
     for node in ast.walk(tree):
@@ -117,11 +116,17 @@ def places(path: str, source: str, names: frozenset[str], paths: frozenset[str])
                 texts = [one.value for one in elements if isinstance(one, ast.Constant) and isinstance(one.value, str)]
                 if any(module_of(text, paths) for text in texts):
                     yield from (Place(path, line, "pinned", text) for text in texts if CONSTANT.fullmatch(text))
-        if isinstance(node, ast.Attribute) and node.attr in MOCK_CHECKS:
-            yield Place(path, line, "faked", node.attr)
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in PATCHES and node.args:
-            if library := foreign(node, imported):
-                yield Place(path, line, "faked", library)
+
+
+def fakes(path: str, tree: ast.AST, imported: dict[str, str]) -> Iterator[Place]:
+    """Each call that is checked on a mock, and each third-party library that is replaced."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(attr=name) if MOCK_CHECK.fullmatch(name):
+                yield Place(path, node.lineno, "faked", name)
+            case ast.Call(func=ast.Attribute(attr=name), args=[_, *_]) if name in PATCHES:
+                if library := foreign(node, imported):
+                    yield Place(path, node.lineno, "faked", library)
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, str]]:

@@ -45,7 +45,7 @@ def renamed(root: Path, name: str) -> dict[Path, str]:
             text = path.read_text("utf-8")
             if word.search(text):
                 before[path] = text
-                path.write_text(word.sub(f"{name}_renamed", text), "utf-8")
+                path.write_text(word.sub(f"{name}_by_another_name", text), "utf-8")
     return before
 
 

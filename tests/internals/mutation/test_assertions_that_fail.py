@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.long
 
-COMMAND = Path(__file__).parents[2] / "deploy" / "mutation" / "assertions.py"
+COMMAND = Path(__file__).parents[3] / "deploy" / "mutation" / "assertions.py"
 CAN = """
 import pytest
 @pytest.mark.parametrize("number", [1, 2])

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 MODULES: dict[str, tuple[str, ...]] = runpy.run_path(str(ROOT / "deploy" / "mutation" / "registered.py"))["MODULES"]
 
 
