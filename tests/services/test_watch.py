@@ -119,6 +119,12 @@ def test_a_robot_whose_bus_is_closed_takes_no_order(watch, loop):
     assert watch.stop_robot() is False
 
 
+def test_a_long_standstill_is_noted_with_its_reason(watch, loop):
+    loop.publish(VERDICT, "r1", verdict_of("corrected", tick=1, stands=6.0, standstill="the wall is near"))
+    watch.listen(0.0)
+    assert [stand["reason"] for stand in watch.standstills] == ["the wall is near"]
+
+
 def test_listening_leaves_the_processor_to_the_loop_for_as_long_as_asked(watch, clock):
     watch.listen(0.25)
     assert clock.now == 0.25
