@@ -8,13 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from safedpa.dynamics import load_model
-from safedpa.fleet.common import (
-    common_effects,
-    confirmed,
-    mended_model,
-    mended_settings,
-    together_effects,
-)
+from safedpa.fleet.common import common_effects, confirmed, mended_model, mended_settings, together_effects
 from safedpa.fleet.outcome import Number
 from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
 
