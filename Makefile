@@ -57,7 +57,6 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 
 # Of those that stand in for a compiled class by one of their own, none is among them.
 TESTS_OF_COMPILED := tests/safety tests/internals/safety tests/dynamics/test_straight.py \
-	tests/dynamics/test_written_steps.py \
 	tests/policy/test_fast_policy.py tests/policy/test_goal_seeker.py tests/robots/test_robot_physics.py \
 	$(addprefix tests/bus/test_,coalescing.py greeting.py inbox.py intake.py joint_transport.py service_loop.py slot.py)
 

@@ -1,28 +1,40 @@
-"""What stands beside the images: names from addresses, the authority's judgement, another router's configuration."""
+"""What stands beside the images: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
 
 from __future__ import annotations
 
 import json
+import re
 import struct
+import subprocess
 import sys
+import tomllib
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
+from packaging.specifiers import SpecifierSet
 
-from safedpa.bus import ActionMessage, StateMessage
+from safedpa.bus import HEALTH, NO_ROBOT, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport, StateMessage
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
 from safedpa.bus.wire.codec import encode
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
+from safedpa_services.healthcheck.__main__ import HealthCheck
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "deploy"))
 
+import container_latency
 import fleet_budget
 import zenoh_configuration
 from authority import robot_role
+from container_chain import account
 from container_name import name_in, number_in, pointer_question
 from robot import command
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def _answer(name: str, *, repeated: bool) -> bytes:
@@ -122,3 +134,208 @@ def test_the_budget_counts_what_was_recorded(tmp_path: Path) -> None:
     assert fleet_budget.readers("action", fleet_budget.CENTRE) == 2
     total = fleet_budget.total(flows, {"state": 3, "action": 1}, 200.0)
     assert total.messages == pytest.approx(4 * 20.0)
+
+
+ACCOUNT = {"ticks": 100, "watchdog_ticks": 2, "collisions": 0, "latency_us": {"p50": 900.0, "p99": 3000.0}}
+
+
+def test_percentiles_and_what_is_late() -> None:
+    times = [1000.0 * number for number in range(1, 100)]
+    found = account(times, 100, 20.0)
+    assert (found["p50"], found["p99"], found["p999"]) == (50_000.0, 99_000.0, 99_000.0)
+    assert found["late_share"] == pytest.approx(0.5), "49 that took longer than 50 ms, and one that never came"
+
+
+def test_the_account_is_the_last_one_of_the_log() -> None:
+    lines = ['{"event": "robot.ready"}', json.dumps({**ACCOUNT, "ticks": 1}), "no json", json.dumps(ACCOUNT), "7"]
+    assert container_latency.account_in(lines) == ACCOUNT
+
+
+def test_a_robot_without_an_account_is_reported_with_its_last_words() -> None:
+    with pytest.raises(RuntimeError, match="no account of its drive; its last words: one two"):
+        container_latency.account_in(["none", "one", "two"])
+
+
+def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_containers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ran: list[list[str]] = []
+
+    def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
+        ran.append(list(words))
+        said = "container"
+        if "send" in words:
+            said = json.dumps({"p50": 800.0, "p99": 1500.0, "p999": 2000.0, "late_share": 0.0})
+        elif "logs" in words:
+            said = json.dumps(ACCOUNT)
+        return subprocess.CompletedProcess(words, 0, said, "")
+
+    monkeypatch.setattr(container_latency.subprocess, "run", run)
+    monkeypatch.setattr(container_latency.time, "sleep", lambda _: None)
+    monkeypatch.setattr(container_latency.os, "environ", dict(container_latency.os.environ))
+    found = container_latency.measured(600.0, 20.0)
+    assert (found["ratio_p99"], found["watchdog_ticks"]) == (2.0, 2)
+    what = ["send" if "send" in words else "robot" if words[-1] == "robot" and "up" in words else "" for words in ran]
+    assert [each for each in what if each] == ["send", "robot", "send"]
+    services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
+    sent = next(words for words in ran if "send" in words)
+    for option, key in (("--cpus", "cpus"), ("--cpu-shares", "cpu_shares"), ("--memory", "mem_limit")):
+        assert sent[sent.index(option) + 1] == str(services["adaptation"][key])
+    assert sent[-2:] == ["60", "20"]
+    relays = [words[-2:] for words in ran if "relay" in words]
+    assert relays[:3] == [["bare/state", "bare/latent"], ["bare/latent", "bare/wish"], ["bare/wish", "bare/action"]]
+    assert ran[-1][-3:] == ["--remove-orphans", "--timeout", "3"]
+
+
+def test_an_error_of_the_engine_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(words, 1, "", "Traceback\n  line\nno engine answers\n")
+
+    monkeypatch.setattr(container_latency.subprocess, "run", run)
+    monkeypatch.setattr(container_latency.os, "environ", dict(container_latency.os.environ))
+    monkeypatch.setattr(sys, "argv", ["container_latency", "--seconds", "1"])
+    with pytest.raises(SystemExit) as end:
+        container_latency.main()
+    assert end.value.code == 1
+    said = capsys.readouterr().err
+    assert said.startswith("container_latency: ")
+    assert said.endswith("no engine answers\n")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("seconds", "rate"), [(float("nan"), 20.0), (-1.0, 20.0), (0.0, 20.0), (5.0, 0.0), (5.0, 2e3)])
+def test_impossible_times_are_refused_before_anything_is_started(
+    seconds: float, rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(container_latency.subprocess, "run", lambda *_, **__: pytest.fail("started"))
+    with pytest.raises(ValueError, match="wanted one tick at least"):
+        container_latency.measured(seconds, rate)
+
+
+def test_without_messages_there_is_no_percentile() -> None:
+    with pytest.raises(TimeoutError, match="none of 100"):
+        account([], 100, 20.0)
+    nothing = {**ACCOUNT, "latency_us": {"p50": None, "p99": None}}
+    with pytest.raises(RuntimeError, match="no action reached the robot in 100 ticks"):
+        container_latency.account_in([json.dumps(nothing)])
+
+
+def told(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "deploy" / "filter_by_status.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_a_tree_compared_with_itself_decides_alike_and_every_status_is_counted() -> None:
+    tree = str(ROOT / "shared")
+    found = told(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
+    assert found.returncode == 0, found.stderr
+    lines = found.stdout.splitlines()
+    assert [line.partition(" (")[0] for line in lines[:2]] == ["before", "after"]
+    assert all("0 of 32 statuses differ, actions by 0.0e+00 at most" in line for line in lines[:2])
+    counted = {line.split(",")[0]: int(line.split(",")[1].partition(":")[0]) for line in lines[2:]}
+    assert sum(counted.values()) == 32
+    assert {"passed", "corrected", "violated"} <= set(counted)
+    looks = r"(\d+\.\d) actions looked at"
+    found_of = {
+        line.split(",")[0]: re.search(rf"before \d+ \(1\.00\), \d+ \(1\.00\), {looks}; after", line)
+        for line in lines[2:]
+    }
+    actions = {status: float(match[1]) for status, match in found_of.items() if match}
+    assert set(actions) == set(counted)
+    assert actions["passed"] < actions["corrected"] < actions["violated"]
+
+
+def test_a_tree_without_a_name_is_refused() -> None:
+    found = told("somewhere")
+    assert found.returncode == 2
+    assert "got somewhere, wanted NAME=FOLDER" in found.stderr
+
+
+def beat(bus: Bus, at: float, steps: int, **other: object) -> None:
+    """A heartbeat of the policy of robot r1, but for what is given."""
+    robot = str(other.pop("robot", "r1"))
+    plain = {"service": "policy", "pid": 7, "state": "running", "detail": ""}
+    message = HealthMessage(epoch=1, tick=steps, robot_time=0.0, publish_time=at, steps=steps, **{**plain, **other})
+    bus.publish(HEALTH, robot, message, message.service)
+
+
+READY = {"state": "ready", "robot": NO_ROBOT}
+FAILING = {"state": "failing", "detail": "disk full"}
+SILENT = "policy: no two heartbeats within 0 s"
+
+
+@pytest.mark.parametrize(
+    ("beats", "said"),
+    [
+        ([(1.0, 10, {}), (1.25, 15, {})], ""),
+        ([(1.0, 0, READY), (1.25, 0, READY)], ""),
+        ([], SILENT),
+        ([(1.0, 10, {}), (1.0, 10, {})], SILENT),
+        ([(1.0, 10, {}), (1.25, 10, {})], "policy: alive, but it made no step after step 10"),
+        ([(1.0, 10, FAILING), (1.25, 15, FAILING)], "policy: failing, disk full"),
+        ([(1.0, 10, {"pid": 7}), (1.25, 15, {"pid": 8})], SILENT),
+        ([(1.0, 10, {"service": "adaptation"}), (1.25, 15, {"service": "adaptation"})], SILENT),
+    ],
+    ids=[
+        "steps that grow", "waiting for a robot", "silence", "one heartbeat twice", "alive without steps", "failing",
+        "two processes", "another service",
+    ],
+)  # fmt: skip
+def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(
+    beats: list[tuple[float, int, dict[str, object]]], said: str
+) -> None:
+    broker = MemoryBroker()
+    check, bus = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy"), Bus(MemoryTransport(broker), "fleet")
+    for at, steps, other in beats:
+        beat(bus, at, steps, **other)
+    assert check.run(0.0) == said
+
+
+def test_another_robot_does_not_count() -> None:
+    broker = MemoryBroker()
+    bus = Bus(MemoryTransport(broker), "fleet")
+    check = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy", "r2")
+    for robot, said in (("r1", SILENT), ("r2", "")):
+        beat(bus, 1.0, 10, robot=robot)
+        beat(bus, 1.25, 15, robot=robot)
+        assert check.run(0.0) == said
+
+
+@pytest.mark.processes
+def test_as_a_process_it_ends_with_one_in_silence(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    command = [sys.executable, "-m", "safedpa_services.healthcheck", "policy", "--seconds", "0.2", "--listen", endpoint]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (1, "policy: no two heartbeats within 0.2 s\n")
+
+
+PROJECTS = ("pyproject.toml", "sim/pyproject.toml")
+
+
+def _pinned(repository: Path) -> dict[str, str]:
+    lines = (repository / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    return dict(re.findall(r"^([\w.-]+)==([\w.]+)$", "\n".join(lines), re.MULTILINE))
+
+
+def test_every_pinned_package_takes_the_oldest_python(repository: Path) -> None:
+    """One wanted 3.11.5 at least, and Debian 12, whose Python is 3.11.2, could make no environment."""
+    projects = [tomllib.loads((repository / name).read_text(encoding="utf-8")) for name in PROJECTS]
+    (promised,) = {project["project"]["requires-python"] for project in projects}
+    oldest = promised.removeprefix(">=") + ".0"
+    assert re.fullmatch(r"3\.\d+\.0", oldest)
+    looked_at, refused = 0, []
+    for name, version in _pinned(repository).items():
+        try:
+            about = metadata(name)
+        except PackageNotFoundError:  # of an extra that is not installed here
+            continue
+        if about["Version"].split("+")[0] != version:
+            refused.append(f"{name} {about['Version']} is installed, and {version} pinned")
+        wanted = about.get("Requires-Python") or ""
+        looked_at += 1
+        if not SpecifierSet(wanted).contains(oldest):
+            refused.append(f"{name} {version} wants Python {wanted}, promised is {promised}")
+    assert looked_at > 60
+    assert refused == []

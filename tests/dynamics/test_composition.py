@@ -1,4 +1,4 @@
-"""Composition of base and effects: integration, tangents, batches, latents."""
+"""Composition of base and effects: integration, tangents, batches, latents, actuators, tracked points."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import PhysicsModel, Setting, load_model
-from safedpa.effects import Context, Parameter, RateEffect, Stage, effect
+from safedpa.diagnosis.diagnose import library_for
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model, parse_model, write_model
+from safedpa.effects import CommandEffect, Context, Parameter, RateEffect, Stage, effect
+from safedpa.effects.effect import Named
 from safedpa.errors import ModelFileError
+from safedpa.operations import Operations
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
+from safedpa.safety.prediction import Prediction
 
 
 def pendulum(period: float) -> PhysicsModel:
@@ -250,3 +254,187 @@ def test_an_actuator_settles_at_what_the_ones_before_it_make_of_the_action() -> 
     without_lag = load_model("car").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.2)})
     state, action = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.3])
     np.testing.assert_allclose(chain.step(state, action), without_lag.step(state, action), atol=1e-12)
+
+
+WHEELBASE, SPEED_GAIN = 0.31, 4.0
+
+
+def tracked_car(tracked_point: float, free: bool = False) -> PhysicsModel:
+    values = {"wheelbase": WHEELBASE, "speed_gain": SPEED_GAIN, "acceleration_limit": 6.0}
+    settings = {f"base.{name}": Setting(value) for name, value in values.items()}
+    return PhysicsModel(
+        KinematicBicycle(), (), {**settings, "base.tracked_point": Setting(tracked_point, free)}, period=0.01
+    )
+
+
+def driven(model: PhysicsModel, state: np.ndarray, action: np.ndarray, steps: int) -> np.ndarray:
+    for _ in range(steps):
+        state = model.step(state, action)
+    return state
+
+
+@given(point=st.floats(-0.3, 0.5), steer=st.floats(-0.34, 0.34), yaw=st.floats(-3.0, 3.0), speed=st.floats(-0.6, 2.0))
+def test_two_points_of_one_car_stay_a_rigid_distance_apart(
+    point: float, steer: float, yaw: float, speed: float
+) -> None:
+    # at a steady speed; the point ahead is as fast as the rear axle over cos(beta)
+    beta = math.atan(point / WHEELBASE * math.tan(steer))
+    heading = np.array([math.cos(yaw), math.sin(yaw), 0.0, 0.0])
+    rear = np.array([0.4, -1.0, yaw, speed])
+    ahead = rear + point * heading
+    ahead[3] = speed / math.cos(beta)
+    rear = driven(tracked_car(0.0), rear, np.array([speed, steer]), 100)
+    ahead = driven(tracked_car(point), ahead, np.array([ahead[3], steer]), 100)
+    expected = rear[:3] + point * np.array([math.cos(rear[2]), math.sin(rear[2]), 0.0])
+    np.testing.assert_allclose(ahead[:3], expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("steer", [-0.3, 0.2])
+def test_the_point_drives_the_circle_of_its_own_radius(steer: float) -> None:
+    radius = math.hypot(WHEELBASE / math.tan(steer), 0.15)
+    after = tracked_car(0.15).step(np.array([0.0, 0.0, 0.0, 1.2]), np.array([1.2, steer]))
+    assert after[2] == pytest.approx(math.copysign(1.2 / radius, steer) * 0.01, rel=1e-9)
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    left = driven(tracked_car(0.15), np.array([0.0, 0.0, 0.0, 0.5]), np.array([1.0, 0.3]), 50)
+    right = driven(tracked_car(0.15), np.array([0.0, 0.0, 0.0, 0.5]), np.array([1.0, -0.3]), 50)
+    np.testing.assert_allclose(left, right * np.array([1.0, -1.0, -1.0, 1.0]), atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_a_free_point_is_part_of_the_latent(kind: str) -> None:
+    torch = pytest.importorskip("torch")
+    model = tracked_car(0.1, free=True)
+    assert model.latent_names == ("base.tracked_point",)
+    make = np.asarray if kind == "numpy" else torch.tensor
+    states = [[0.0, 0.0, 0.3, 1.0], [0.0, 0.0, 0.3, 1.0]]
+    after = np.asarray(model.step(make(states), make([[1.0, 0.2]] * 2), make([[0.0], [0.15]])))
+    for row, point in zip(after, (0.0, 0.15), strict=True):
+        expected = tracked_car(point).step(np.array(states[0]), np.array([1.0, 0.2]))
+        np.testing.assert_allclose(row, expected, atol=1e-6 if kind == "torch" else 1e-14)
+
+
+def test_files_that_do_not_name_it_keep_their_fingerprint() -> None:
+    # recorded before the parameter existed; calibrated margins name them
+    known = {"car": "bc80428c2b0e", "dart_car": "001a81ce4ba1", "dfki_pendulum": "895d112df80b"}
+    assert {name: fingerprint(load_model(name)) for name in known} == known
+
+
+def test_it_is_written_where_it_says_something() -> None:
+    assert "tracked_point" not in write_model(tracked_car(0.0))
+    for model in (tracked_car(0.15), tracked_car(0.0, free=True)):
+        again = parse_model(write_model(model))
+        assert again.settings == model.settings
+    assert parse_model(write_model(tracked_car(0.0))).settings["base.tracked_point"] == Setting(0.0)
+    assert fingerprint(tracked_car(0.15)) != fingerprint(tracked_car(0.0))
+
+
+ROBOTS = ("car", "dart_car", "differential_drive", "pendulum", "point")
+AT_ONCE = [
+    (robot, item)
+    for robot in ROBOTS
+    for item in library_for(load_model(robot))
+    if isinstance(item, CommandEffect)
+    and item.initial_memory(dict.fromkeys(load_model(robot).system.action_names, 0.0)) is None
+]
+
+
+def drawn(model: PhysicsModel, generator: np.random.Generator) -> tuple[list[float], list[float], list[float]]:
+    """A state, an action within the bounds and a latent."""
+    low, high = model.system.action_low, model.system.action_high
+    state = generator.normal(size=len(model.system.state_names))
+    latent = model.latent * (1.0 + 0.1 * generator.normal(size=len(model.latent)))
+    return state.tolist(), (low + (high - low) * generator.random(len(low))).tolist(), latent.tolist()
+
+
+def reference(model: PhysicsModel, state: list[float], action: list[float], latent: list[float]) -> list[Any]:
+    """The same step by dictionaries, as a new model takes it, of actuators that settled at the action."""
+    new = PhysicsModel(model.base, model.effects, model.settings, model.period)
+    assert new.straight(new.period) is None
+    memory = new.initial_memory(np.array(action), np.array(latent))
+    return new.advance(np.array(state), np.array(action), memory, np.array(latent))[0].tolist()
+
+
+def test_every_robot_has_some() -> None:
+    assert {robot for robot, _ in AT_ONCE} == set(ROBOTS)
+
+
+@pytest.mark.parametrize(("robot", "item"), AT_ONCE, ids=[f"{robot}-{item.name}" for robot, item in AT_ONCE])
+def test_the_step_is_recorded_with_it_and_the_same_to_the_last_bit(robot: str, item: CommandEffect) -> None:
+    """A bent steering made each decision three times as slow: the step was no straight line any more."""
+    own = {p.name: Setting(0.4 * p.low + 0.6 * p.high, free=True) for p in item.parameters}  # far from doing nothing
+    model = load_model(robot).with_effect(item, own)
+    model.write_straight()
+    step, tangent = model.straight(model.period), model.straight_tangent()
+    assert step is not None
+    assert tangent is not None
+    generator = np.random.default_rng(7)
+    for _ in range(50):
+        state, action, latent = drawn(model, generator)
+        wanted = reference(model, state, action, latent)
+        assert step(state, action, latent, 0.0) == wanted
+        arrays = np.array(state), np.array(action)
+        after, memory = model.advance(*arrays, (), np.array(latent))
+        assert after.tolist() == wanted
+        assert memory == ()
+        value, slopes = tangent(state, action, latent, 0.0)
+        assert value == wanted
+        moved = PhysicsModel(model.base, model.effects, model.settings, model.period)  # nothing recorded yet
+        f, g = moved.affine(arrays[0], np.array(latent), around=arrays[1])
+        np.testing.assert_allclose(slopes, g, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(f + g @ arrays[1], wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_nothing_is_pending_and_an_action_acts_at_once() -> None:
+    model = load_model("car").with_effect(effect("car", "steering_offset"), {"angle": Setting(0.1)})
+    assert model.initial_memory(np.array([1.0, 0.2])) == ()
+    prediction = Prediction.of_model(model)
+    assert not prediction.remembers
+    assert prediction.begin((0.0,) * 4, None, ()) is None
+    assert model.felt([1.0, 0.2], (), period=0.05) == ([1.0, 0.2 + 0.1], ())
+
+
+def test_with_an_effect_that_remembers_both_are_applied_in_their_order() -> None:
+    """The lag comes before the offset: what is felt is the mean of the way to the command, and the offset on top."""
+    late = load_model("car").with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.1)})
+    both = late.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.1)})
+    rest = np.array([1.0, 0.0])
+    assert both.straight(both.period) is None
+    (alone,) = late.initial_memory(rest)
+    assert both.initial_memory(rest) in ((alone, None), (None, alone + 0.1))
+    felt, remembered = both.felt([1.0, 0.2], both.initial_memory(rest), period=0.05)
+    expected, _ = late.felt([1.0, 0.2], late.initial_memory(rest), period=0.05)
+    assert felt[1] == pytest.approx(expected[1] + 0.1)
+    assert len(remembered) == 2
+
+
+class Twice(CommandEffect):
+    """A user's own, which no recording sees: felt steer = 2 steer."""
+
+    name = "twice"
+    robot = "car"
+    stage = Stage.COMMAND_SCALE
+    equation = "steer_felt = 2 steer"
+    parameters = (Parameter("factor", "1", 0.0, 3.0, 2.0),)
+    signature = "none"
+    source = "this test"
+
+    def transform(
+        self, action: Named, memory: Any, parameters: Named, period: float, operations: Operations
+    ) -> tuple[Named, Any]:
+        del period, operations
+        assert memory is None
+        return {**action, "steer": action["steer"] * parameters["factor"]}, memory
+
+
+def test_of_a_users_own_the_same_holds_without_a_recording() -> None:
+    plain = load_model("car")
+    model = plain.with_effect(Twice(), {"factor": Setting(2.0)})
+    model.write_straight()
+    assert model.straight(model.period) is None
+    assert model.initial_memory(np.array([1.0, 0.1])) == ()
+    state = np.array([0.1, -0.2, 0.3, 0.8])
+    after, memory = model.advance(state, np.array([1.0, 0.1]), ())
+    assert after.tolist() == plain.advance(state, np.array([1.0, 0.2]), ())[0].tolist()
+    assert memory == ()

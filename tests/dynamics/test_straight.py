@@ -1,9 +1,12 @@
-"""The straight-line road of a model against the road of dictionaries: equal to the last bit, or not taken at all."""
+"""The straight-line road of a model against the road of dictionaries, its slopes, and the steps that are written."""
 
 from __future__ import annotations
 
 import copy
+import math
 import pickle
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.dynamics import PhysicsModel, Setting, load_model, shipped_models, written_steps
+from safedpa.dynamics.straight import Equations, step_texts, straight_step
+from safedpa.dynamics.tangent import complex_step, written_key
+from safedpa.dynamics.write_steps import text
 from safedpa.effects import CommandEffect, Context, Parameter, RateEffect, Stage
 from safedpa.effects.library import effects_of
 from safedpa.equations.tape import Recorded, Tape
+from safedpa.operations import COMPLEX, FLOATS, Operations
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point", "car_learned", "pendulum_learned")
@@ -183,3 +190,145 @@ def test_a_model_that_was_used_travels_to_another_process() -> None:
     other = pickle.loads(pickle.dumps(model))
     state, action = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 0.1])
     assert other.step(state, action).tobytes() == model.step(state, action).tobytes()
+
+
+BOTH = ("a", "b")
+
+
+def everything(state: Sequence[Any], action: Sequence[Any], latent: Sequence[Any], time: Any, use: Operations) -> Any:
+    """Every function and operator, with and without an entry of the action on either side."""
+    x, y = state
+    a, b = action
+    near, steep = use.clip(a, -0.5, y), use.clip(x, a, a + 2.0)
+    return [
+        use.sin(x * a) + use.cos(a - b) * b - use.tan(0.3 * b) + a / (2.0 + b * b) - 1.0 / (3.0 + a),
+        use.tanh(4.0 * a) + use.exp(a * b) + use.sqrt(2.0 + a * b) + (-a) ** 2 + (+b) * x + (3.0 + a) ** 3,
+        use.minimum(a, b) + use.maximum(y, a * a) + use.absolute(a - 0.1) * use.sign(b) + near * steep + x / y,
+        use.where(x < y, a * b, b) + use.cos(b) * use.sin(b) + time * use.tanh(900.0 * (2.0 + a)),
+        2.0 * x,
+    ]
+
+
+def bent(state: Sequence[Any], action: Sequence[Any], latent: Sequence[Any], time: Any, use: Operations) -> Any:
+    """Where ``atan`` is in it, cmath and math differ in the last bit."""
+    return [use.atan(action[0] * state[0]) * action[1]]
+
+
+def both_roads(
+    equations: Equations, state: list[float], action: list[float]
+) -> tuple[list[float], np.ndarray, np.ndarray]:
+    made = straight_step(equations, BOTH, BOTH, ())
+    assert made is not None
+    step, _, tangent = made
+    value, slopes = tangent(state, action, [], 0.5)
+    assert value == step(state, action, [], 0.5) == equations(state, action, [], 0.5, FLOATS)
+
+    def nudged(entries: Sequence[Any]) -> Sequence[Any]:
+        return [complex(entry) for entry in equations(state, entries, [], 0.5, COMPLEX)]
+
+    return value, np.array(slopes), complex_step(nudged, action)[1]
+
+
+SMALL = st.floats(-0.9, 0.9)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.tuples(SMALL, st.floats(0.1, 0.9)), st.tuples(SMALL, SMALL))
+def test_every_rule_gives_the_slopes_of_complex_steps(state: tuple[float, ...], action: tuple[float, ...]) -> None:
+    _, slopes, reference = both_roads(everything, list(state), list(action))
+    np.testing.assert_allclose(slopes, reference, rtol=1e-12, atol=1e-12)
+    _, slopes, reference = both_roads(bent, list(state), list(action))
+    np.testing.assert_allclose(slopes, reference, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(("a", "slope"), [(-0.5, 0.0), (-0.6, 0.0), (-0.4, 1.0), (0.5, 0.0), (0.4, 1.0), (0.6, 0.0)])
+def test_on_a_bound_the_slope_is_that_of_the_bound(a: float, slope: float) -> None:
+    def bounded(state: Any, action: Any, latent: Any, time: Any, use: Operations) -> Any:
+        return [use.clip(action[0], -0.5, state[1])]
+
+    _, slopes, reference = both_roads(bounded, [0.0, 0.5], [a, 0.0])
+    assert slopes.tolist() == reference.tolist() == [[slope, 0.0]]
+
+
+@pytest.mark.parametrize("name", ["car", "car_learned", "pendulum", "point", "point_wind", "point_learned"])
+def test_the_same_bits_for_models_of_the_project(name: str) -> None:
+    model, draw = load_model(name), np.random.default_rng(0)
+    slow = copy.deepcopy(model)  # takes the road of dictionaries for its first two hundred steps
+    model.write_straight()
+    tangent = model.straight_tangent()
+    assert tangent is not None
+    for _ in range(100):
+        state = draw.normal(size=len(model.system.state_names)).tolist()
+        action = draw.uniform(-2.0, 2.0, len(model.system.action_names)).tolist()
+        reference = slow.slopes(np.array(state), model.latent, np.array(action), ())
+        # the reference's complex step leaves its square in a slope of zero, which the recorded tangent does not
+        np.testing.assert_allclose(
+            tangent(state, action, model.latent.tolist(), 0.0)[1], reference, rtol=0.0, atol=1e-60
+        )
+
+
+NUMBERS = st.one_of(st.floats(-30.0, 30.0), st.sampled_from([0.0, -0.0, 1e9, -1e300, 1e308, math.inf, math.nan]))
+Arguments = tuple[list[float], list[float], list[float], float]
+
+
+def recorded() -> dict[str, tuple[Any, str]]:
+    """Of every function that is written: its model, and its text."""
+    found = {}
+    for name in shipped_models():
+        model = load_model(name)
+        names = model.system.state_names, model.system.action_names, model.latent_names
+        for kind, function in zip(
+            ("step", "tangent"), step_texts(model.equations(model.period), *names) or (), strict=False
+        ):
+            found[f"{name}_{kind}"] = model, function
+    return found
+
+
+RECORDED = recorded()
+
+
+def made(function: str) -> Any:
+    """The function of a text as Python itself reads it."""
+    scope: dict[str, Any] = vars(math).copy()
+    exec(function, scope)
+    return scope.get("step") or scope["tangent"]
+
+
+def answer(function: Any, arguments: Arguments) -> Any:
+    """What comes out, every bit of it; or what kind of number was refused."""
+    try:
+        return repr(function(*arguments))
+    except (ValueError, ArithmeticError) as error:
+        return type(error)
+
+
+def test_the_module_is_what_its_writer_writes() -> None:
+    source = Path(written_steps.__file__).with_name("written_steps.py")
+    assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.dynamics.write_steps"
+
+
+@pytest.mark.parametrize("name", ["car_step", "car_tangent", "car_measured_step", "pendulum_step", "point_tangent"])
+@given(data=st.data())
+def test_a_written_step_is_the_recorded_one_to_the_last_bit(name: str, data: st.DataObject) -> None:
+    model, function = RECORDED[name]
+    sizes = len(model.system.state_names), len(model.system.action_names), len(model.latent_names)
+    drawn = [data.draw(st.lists(NUMBERS, min_size=size, max_size=size)) for size in sizes]
+    arguments = (*drawn, data.draw(NUMBERS))
+    assert answer(written_steps.WRITTEN[written_key(function)], arguments) == answer(made(function), arguments)  # type: ignore[arg-type]
+
+
+def test_a_model_takes_the_written_step_and_one_with_other_numbers_does_not() -> None:
+    car = load_model("car")
+    other = car.with_period(0.04)
+    for _ in range(200):
+        taken, recorded_now = car.straight(0.05), other.straight(0.04)
+    assert taken is written_steps.car_step
+    assert car.straight_tangent() is written_steps.car_tangent
+    assert recorded_now is not None
+    assert recorded_now is not taken
+
+
+def test_a_text_that_differs_by_a_space_is_another() -> None:
+    function = RECORDED["car_step"][1]
+    assert written_key(function) in written_steps.WRITTEN
+    assert written_key(function + " ") not in written_steps.WRITTEN

@@ -1,4 +1,4 @@
-"""Which robots of a fleet are diagnosed again, and which recordings are split; the diagnosis itself is made up."""
+"""From recordings to results: which robots are diagnosed again, how results are replaced, what all robots have."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.fleet_diagnosis.test_fleet_robots import record
 
@@ -19,6 +20,7 @@ from safedpa.fleet.fleet_diagnosis import clear_others, kept, read_result, write
 from safedpa.fleet.inputs import options_digest
 from safedpa.fleet.one_robot import RobotResult, Task, diagnosed_robot, not_diagnosed
 from safedpa.fleet.robots import RobotsFound, robots_in_folder
+from safedpa_lab.hidden import Case, write_cases
 
 
 class Hands:
@@ -194,3 +196,117 @@ def test_each_robot_of_a_recording_of_many_is_given_its_own_piece_split_once(tmp
     assert {path: path.stat().st_mtime_ns for path in pieces} == pieces
     assert not [path for path in (tmp_path / "out").rglob("*") if path.name.startswith(".")]
     assert json.loads((tmp_path / "out" / "fleet.json").read_text(encoding="utf-8"))["by"] == "robot"
+
+
+def result(name: str, number: int, texts: dict[str, str]) -> RobotResult:
+    document: dict[str, Any] = {"robot": name, "number": number}
+    return RobotResult(name, document, texts)
+
+
+def held(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+
+
+def test_a_result_takes_the_place_of_the_one_before(tmp_path: Path) -> None:
+    folder = tmp_path / "robots"
+    for number, texts in enumerate(({"a.md": "first", "b.md": "only in the first"}, {"a.md": "second"}, {})):
+        write_result(result("r1", number, texts), tmp_path)
+        files = held(folder / "r1")
+        assert json.loads(files.pop("result.json")) == {"robot": "r1", "number": number}
+        assert files == texts
+        assert [path.name for path in folder.iterdir()] == ["r1"], "nothing of the former, and no part"
+    write_result(result("r2", 7, {}), tmp_path)
+    assert sorted(path.name for path in folder.iterdir()) == ["r1", "r2"]
+
+
+def test_where_it_cannot_be_written_the_one_before_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_result(result("r1", 1, {"a.md": "first"}), tmp_path)
+    before, folder = held(tmp_path / "robots" / "r1"), tmp_path / "robots"
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, os.strerror(28))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        with pytest.raises(RecordingError, match="cannot be written"):
+            write_result(result("r1", 2, {"a.md": "second"}), tmp_path)
+    assert held(folder / "r1") == before
+    assert [path.name for path in folder.iterdir()] == ["r1"]
+    assert read_result(folder / "r2") is None
+
+
+DRAG = 0.12
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """Eight cars that all have air drag, one run each, and the model without it."""
+    folder = tmp_path_factory.mktemp("drag")
+    effects = {"quadratic_drag": {"coefficient": DRAG}}
+    cases = [Case("fleet", 50 + i, effects, runs=1, seconds=12.0) for i in range(8)]
+    return write_cases(cases, [folder / f"r{i}" for i in range(8)])
+
+
+def report(index: int) -> dict:
+    """What a robot's diagnosis says of it: the number a little different in each."""
+    value = {"value": DRAG + 0.001 * (index - 4), "std": 0.002, "unit": "1/m"}
+    candidate = {
+        "stage": 0, "effect": "quadratic_drag", "parameters": {"coefficient": value}, "heldout_error": 0.02,
+        "score": 9.0, "indistinguishable_from": [], "decision": "accepted", "reason": "",
+    }  # fmt: skip
+    stages = [{"heldout_error": 0.3}, {"heldout_error": 0.02}]
+    return {
+        "robot": "car", "added": ["quadratic_drag"], "candidates": [candidate], "unexplained": None, "stages": stages,
+        "parameters": {"quadratic_drag.coefficient": value}, "data_quality": [],
+    }  # fmt: skip
+
+
+def workers(work, jobs, _failed):
+    """The search is left out; what is tried on the robots is really tried."""
+    for job in jobs:
+        if work is not diagnosed_robot:
+            yield work(job)
+            continue
+        document = {
+            "format": 1, "robot": job.robot.name, "status": "diagnosed", "reason": "", "digest": job.digest,
+            "files": [], "unreadable_files": [],
+        }  # fmt: skip
+        yield RobotResult(job.robot.name, document, {"report.json": json.dumps(report(int(job.robot.name[1:])))})
+
+
+def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
+    robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+    document = diagnose_fleet(fleet, workers)
+    common = document["common"]
+    assert common["model"] == "model.toml"
+    (found,) = common["effects"]
+    assert found["confirmed"]["better"] == found["confirmed"]["robots"] == 8
+    assert found["confirmed"]["after"] < 0.3 * found["confirmed"]["before"]
+    model = load_model(tmp_path / "model.toml")
+    assert np.isclose(model.settings["quadratic_drag.coefficient"].value, DRAG, atol=0.002)
+    assert "Mend the model file" in (tmp_path / "fleet.html").read_text(encoding="utf-8")
+
+
+def test_a_model_of_an_earlier_fleet_does_not_stay(recordings, tmp_path):
+    (tmp_path / "model.toml").write_text("old", encoding="utf-8")
+    robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings[:3]))
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+    assert diagnose_fleet(fleet, workers)["common"] is None  # three are no fleet
+    assert not (tmp_path / "model.toml").exists()
+
+
+def test_a_model_that_does_not_help_is_not_written(recordings, tmp_path):
+    robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+
+    def doubtful(work, jobs, failed):
+        if work is diagnosed_robot:
+            yield from workers(work, jobs, failed)
+        else:
+            yield from ((job.robot.name, 0.4) for job in jobs)
+
+    document = diagnose_fleet(fleet, doubtful)
+    assert document["common"]["model"] is None
+    assert not (tmp_path / "model.toml").exists()
+    assert "does not belong to the model" in (tmp_path / "fleet.html").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Which rows a window takes, at every limit, and which runs and horizons are refused."""
+"""Windows of recordings, their folds, and commands as they are felt along them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from safedpa.compare.windows import check_runs, windows_of
+from safedpa.compare.actuators import felt_at_once
+from safedpa.compare.rollout import felt_actions
+from safedpa.compare.windows import Windows, check_runs, windows_of
+from safedpa.diagnosis.fit.shooting import folds_of
+from safedpa.dynamics import Setting, load_model
+from safedpa.effects import CommandEffect, effect, effects_of, robots
+from safedpa.effects.general import general_effects
 from safedpa.errors import InputError, RunError
+from safedpa.operations import FLOATS
 from safedpa.records.run import Run, Stretch
+from safedpa.robot import robot_named
 from safedpa.robots.pendulum.system import PENDULUM
 
 
@@ -241,3 +249,141 @@ def test_numbers_that_are_not_finite_are_refused_inside_a_stretch(field: str, wr
     with pytest.raises(RunError, match=r"^one: got numbers that are not finite inside a stretch; cut those rows out$"):
         check_runs([broken])
     assert len(windows_of([replace(broken, stretches=(Stretch(0, 12), Stretch(13, 18)))], 0.25).t) == 17
+
+
+def simulated(plain, drive, count: int, seconds: float = 6.0) -> Windows:
+    """Runs of different lengths, which no stretch of time divides evenly."""
+    return windows_of([drive(plain, seconds + seed, seed=seed, name=f"run {seed}") for seed in range(count)], 0.5)
+
+
+@pytest.mark.parametrize(("runs", "folds"), [(3, 6), (4, 3), (6, 6), (7, 6), (7, 2)])
+def test_three_runs_or_more_are_held_out_whole(plain, drive, runs, folds):
+    """A fit that has seen the other half of a run knows its day, load and battery: nothing of it is unseen then."""
+    windows = simulated(plain, drive, runs)
+    found = folds_of(windows, folds)
+    of_run = [set(found[windows.run == run].tolist()) for run in range(runs)]
+    assert all(len(one) == 1 for one in of_run)
+    assert len(set().union(*of_run)) == min(runs, folds)
+    sizes = np.bincount([one.pop() for one in of_run])
+    assert sizes.max() - sizes.min() <= 1
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_fewer_runs_are_held_out_by_stretches_of_time(plain, drive, runs):
+    windows = simulated(plain, drive, runs, 12.0)
+    found = folds_of(windows, 4)
+    for run in range(runs):
+        own = found[windows.run == run]
+        assert sorted(set(own.tolist())) == [0, 1, 2, 3]
+        assert (np.diff(own) >= 0).all(), "each fold is one stretch"
+
+
+def windows_of_runs(*runs: tuple[int, float]) -> Any:
+    """Of each run so many windows of 1 s, one after the other, the first at so many s by its clock."""
+    counts = [count for count, _ in runs]
+    clock = np.concatenate([first + np.arange(count + 1) for count, first in runs])
+    start = np.concatenate([np.arange(count) + sum(c + 1 for c in counts[:at]) for at, count in enumerate(counts)])
+    own = {"names": "abcdef"[: len(runs)], "run": np.repeat(np.arange(len(runs)), counts), "clock": clock}
+    return type("Windows", (), {**own, "start": start, "end": start + 1, "__len__": lambda _: sum(counts)})()
+
+
+@pytest.mark.parametrize(
+    ("runs", "folds", "found"),
+    [
+        (((3, 0.0), (2, 5.0), (4, 0.0)), 5, [0] * 3 + [1] * 2 + [2] * 4),  # three runs are held out whole
+        (((1, 0.0), (1, 0.0), (1, 0.0), (2, 0.0)), 3, [0, 1, 2, 0, 0]),
+        (((10, 0.0),), 5, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]),  # of fewer, stretches of time in each
+        (((10, 100.0), (4, 7.0)), 2, [0] * 5 + [1] * 5 + [0, 0, 1, 1]),
+        (((4, 0.0), (10, 50.0)), 2, [0, 0, 1, 1] + [0] * 5 + [1] * 5),
+    ],
+)
+def test_folds_are_runs_or_equal_stretches_of_time(runs: Any, folds: int, found: list[int]) -> None:
+    assert folds_of(windows_of_runs(*runs), folds).tolist() == found
+
+
+def row_by_row(command, columns, own, windows):
+    """The felt columns by the effect's own equations, one row after the other in each stretch."""
+    felt = {name: np.zeros(len(column)) for name, column in columns.items()}
+    for begin, stop in windows.bounds.tolist():
+        memory = None
+        for row in range(begin, stop):
+            action = {name: float(column[row]) for name, column in columns.items()}
+            memory = command.initial_memory(action) if row == begin else memory
+            out, memory = command.transform(action, memory, own, float(windows.period[row]), FLOATS)
+            for name, column in felt.items():
+                column[row] = out[name]
+    return felt
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.6])
+@pytest.mark.parametrize("value", [0.0, 0.013, 0.05, 0.17, 0.43])
+@pytest.mark.parametrize("name", ["steering_delay", "drive_delay", "actuator_delay", "steering_lag", "drive_lag"])
+def test_lags_and_delays_of_whole_stretches_are_exact(plain, drive, name, value, jitter):
+    run = drive(plain, 12.0, jitter=jitter, stretches=[(0, 100), (100, 101), (130, 240)])
+    windows = windows_of([run], 0.5)
+    columns = {key: windows.actions[:, index] for index, key in enumerate(windows.system.action_names)}
+    command = effect("car", name)
+    own = {command.parameters[0].name: value}
+    fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+    assert set(fast) == set(slow)
+    for key, column in slow.items():
+        np.testing.assert_allclose(fast[key], column, atol=1e-9)
+
+
+def _remembering(robot):
+    """The robot's own effects that remember commands, and those that every system has, by name."""
+    system = robot_named(robot).system
+    zero = dict.fromkeys(system.action_names, 0.0)
+    every = {item.name: item for item in (*general_effects(system), *effects_of(robot).values())}
+    commands = [item for item in every.values() if isinstance(item, CommandEffect)]
+    return [item for item in commands if item.initial_memory(zero) is not None]
+
+
+@pytest.mark.parametrize("robot", robots())
+def test_the_actuators_of_every_robot_are_exact(robot):
+    system = robot_named(robot).system
+    random = np.random.default_rng(8)
+    actions = np.cumsum(random.normal(0.0, 0.1, (200, len(system.action))), axis=0)
+    run = Run("own", system, 0.05 * np.arange(200), np.zeros((200, len(system.state))), actions, (Stretch(0, 200),))
+    windows = windows_of([run], 0.5)
+    columns = {key: windows.actions[:, index] for index, key in enumerate(system.action_names)}
+    assert _remembering(robot), "there is an effect to look at"
+    for command in _remembering(robot):
+        own = {parameter.name: 1.3 * parameter.typical for parameter in command.parameters}
+        fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+        assert fast is not None, f"{command.name} is followed row by row"
+        for key, column in slow.items():
+            np.testing.assert_allclose(fast[key], column, atol=1e-9, err_msg=f"{robot} {command.name}: {key}")
+
+
+@pytest.mark.parametrize("width", [0.0, 0.02, 0.4, 10.0])
+def test_play_of_whole_stretches_is_exact(width):
+    model = load_model("dfki_pendulum")
+    random = np.random.default_rng(3)
+    torque = np.cumsum(random.normal(0.0, 0.1, 400))
+    states = np.column_stack([np.zeros(400), random.normal(0.0, 1.0, 400)])
+    stretches = (Stretch(0, 150), Stretch(150, 160), Stretch(200, 400))
+    run = Run("play", model.system, 0.01 * np.arange(400), states, torque[:, None], stretches)
+    windows = windows_of([run], 0.05)
+    columns = {"torque": windows.actions[:, 0]}
+    command, own = effect("pendulum", "backlash"), {"width": width}
+    fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+    np.testing.assert_array_equal(fast["torque"], slow["torque"])
+
+
+def test_other_effects_are_left_to_their_own_equations(plain, drive):
+    windows = windows_of([drive(plain, 5.0)], 0.5)
+    columns = {"throttle": windows.actions[:, 0], "steer": windows.actions[:, 1]}
+    assert felt_at_once(effect("car", "drive_dead_zone"), columns, {"width": 0.1}, windows) is None
+
+
+@pytest.mark.parametrize("name", ["steering_delay", "drive_lag"])
+def test_an_effect_of_the_user_that_remembers_commands_acts_like_one_of_the_library(plain, drive, name):
+    command = effect("car", name)
+    own = object.__new__(type("Own", (type(command),), {"__module__": "users"}))
+    own.__dict__.update(command.__dict__)
+    windows = windows_of([drive(plain, 5.0, stretches=[(0, 40), (45, 100)])], 0.5)
+    value = {command.parameters[0].name: Setting(0.17)}
+    library, users = (felt_actions(plain.with_effect(item, value), windows) for item in (command, own))
+    assert np.abs(library - windows.actions).max() > 0.1
+    np.testing.assert_allclose(users, library, atol=1e-9)
