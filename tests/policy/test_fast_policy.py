@@ -86,20 +86,12 @@ def test_the_wish_of_one_car_is_what_the_policy_does_at_its_observation(name, se
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
 def test_what_is_no_number_is_refused(place, bad):
     state = StateMessage(
-        epoch=1,
-        tick=0,
-        robot_time=0.0,
-        publish_time=0.0,
-        values=(bad if place == "values" else 0.1, 0.2, bad if place == "values" else 0.3, 0.4),
-        applied=(0.0, 0.0),
-        applied_by="filter",
-        period=0.05,
-        lockstep=True,
-        goal=(1.0, bad if place == "goal" else 1.0),
-        obstacles=((bad if place == "obstacles" else 1.0, 1.0, 0.3),),
-        field=(-4.0, 4.0, -4.0, 4.0),
+        epoch=1, tick=0, robot_time=0.0, publish_time=0.0,
+        values=(bad if place == "values" else 0.1, 0.2, bad if place == "values" else 0.3, 0.4), applied=(0.0, 0.0),
+        applied_by="filter", period=0.05, lockstep=True, goal=(1.0, bad if place == "goal" else 1.0),
+        obstacles=((bad if place == "obstacles" else 1.0, 1.0, 0.3),), field=(-4.0, 4.0, -4.0, 4.0),
         footprint=(0.1, 0.2, bad if place == "footprint" else 0.1),
-    )
+    )  # fmt: skip
     with pytest.raises(MessageError, match="not finite"):
         LearnedPolicy(shipped("car_learned")).wish(state, np.zeros(4))
 

@@ -172,11 +172,13 @@ def held(seeker: GoalSeeker, seconds: float, start: float = 0.0) -> list[tuple[s
     return found
 
 
-def test_held_in_place_it_tries_one_thing_after_the_other() -> None:
+def test_held_in_place_it_tries_one_thing_after_the_other_and_backs_off_whatever_it_tows() -> None:
     modes = [mode for mode, _ in held(GoalSeeker(), 8.0)]
     order = [mode for mode, before in zip(modes, ["", *modes], strict=False) if mode != before]
     assert order[:5] == ["seek", "back_off", "detour", "back_off", "detour"], "none for longer than its patience"
     assert modes.index("back_off") * PERIOD <= SETTINGS.patience_seconds + PERIOD
+    assert backed_off(2.0) == pytest.approx(0.7, abs=0.05), "no shorter than 1.4 s"
+    assert backed_off(5.0) == pytest.approx(SETTINGS.back_off_way, abs=0.05)
 
 
 def backed_off(seconds_a_metre: float) -> float:
@@ -189,11 +191,6 @@ def backed_off(seconds_a_metre: float) -> float:
         x -= PERIOD / seconds_a_metre if speed < 0.0 else 0.0
         back = -x
     return back
-
-
-def test_it_backs_off_by_a_way_whatever_it_tows() -> None:
-    assert backed_off(2.0) == pytest.approx(0.7, abs=0.05), "no shorter than 1.4 s"
-    assert backed_off(5.0) == pytest.approx(SETTINGS.back_off_way, abs=0.05)
 
 
 def test_held_back_while_it_backs_off_it_tries_the_other_side_before_it_goes_on() -> None:
@@ -209,7 +206,7 @@ def test_held_back_while_it_backs_off_it_tries_the_other_side_before_it_goes_on(
     assert changes[0] * PERIOD == pytest.approx(SETTINGS.patience_seconds, abs=2.1 * PERIOD)
 
 
-def test_a_goal_behind_is_turned_to_in_several_moves_to_one_side() -> None:
+def test_a_goal_behind_is_turned_to_in_moves_to_one_side_or_at_once_where_it_is_far() -> None:
     seeker, steers = GoalSeeker(), set()
     for tick in range(160):
         wish = seeker.wish(tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (-1.0, 3.0))
@@ -217,20 +214,14 @@ def test_a_goal_behind_is_turned_to_in_several_moves_to_one_side() -> None:
         if seeker.mode == "back_off":
             steers.add(wish[1])
     assert steers == {-SETTINGS.steer_limit}, "in reverse the nose turns against the wheels"
-
-
-def test_a_far_goal_is_turned_to_at_once() -> None:
     near, far = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (0.8, 0.8)), GoalSeeker().wish(0.0, (0.0,) * 4, (5.0, 5.0))
     assert far[1] == near[1] > 0.3
 
 
-def test_backing_off_goes_backwards_and_changes_sides() -> None:
+def test_backing_off_goes_backwards_changes_sides_and_ends_with_a_new_goal() -> None:
     events = [wish for mode, wish in held(GoalSeeker(), 20.0) if mode == "back_off"]
     assert {speed for speed, _ in events} == {SETTINGS.reverse_speed}
     assert {math.copysign(1.0, steer) for _, steer in events} == {-1.0, 1.0}
-
-
-def test_a_new_goal_ends_backing_off() -> None:
     seeker = GoalSeeker()
     held(seeker, SETTINGS.patience_seconds + 0.2)
     assert seeker.mode == "back_off"

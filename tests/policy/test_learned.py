@@ -19,20 +19,10 @@ from safedpa.robots.car.observation import OBSTACLES, RAYS, clearances, observat
 
 LATENTS = 2
 STATE = StateMessage(
-    epoch=5,
-    tick=7,
-    robot_time=0.35,
-    publish_time=0.0,
-    values=(0.5, -0.3, 0.7, 0.5),
-    applied=(0.5, 0.1),
-    applied_by="filter",
-    period=0.05,
-    lockstep=True,
-    goal=(1.0, 2.5),
-    obstacles=((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25)),
-    field=(-4.0, 4.0, -4.0, 4.0),
-    footprint=(0.08, 0.4, 0.12),
-)
+    epoch=5, tick=7, robot_time=0.35, publish_time=0.0, values=(0.5, -0.3, 0.7, 0.5), applied=(0.5, 0.1),
+    applied_by="filter", period=0.05, lockstep=True, goal=(1.0, 2.5), obstacles=((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25)),
+    field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.08, 0.4, 0.12),
+)  # fmt: skip
 OFFSET, STEERED = 9, 7
 """Where the nearest obstacles begin in an observation, and where the steer in force stands."""
 
@@ -40,16 +30,10 @@ OFFSET, STEERED = 9, 7
 def weights(seed: int = 0, hidden: int = 8) -> Weights:
     random = np.random.default_rng(seed)
     shapes = {
-        "mu.0": (hidden, 1),
-        "mu.1": (LATENTS, hidden),
-        "f.0": (hidden, 3 + LATENTS),
-        "f.1": (4, hidden),
-        "g.0": (hidden, 3 + LATENTS),
-        "g.1": (8, hidden),
-        "policy.0": (hidden, observation_length(LATENTS)),
-        "policy.1": (hidden, hidden),
-        "policy.2": (2, hidden),
-    }
+        "mu.0": (hidden, 1), "mu.1": (LATENTS, hidden), "f.0": (hidden, 3 + LATENTS), "f.1": (4, hidden),
+        "g.0": (hidden, 3 + LATENTS), "g.1": (8, hidden), "policy.0": (hidden, observation_length(LATENTS)),
+        "policy.1": (hidden, hidden), "policy.2": (2, hidden),
+    }  # fmt: skip
     tensors: dict[str, Any] = {}
     for name, (outputs, inputs) in shapes.items():
         tensors[f"{name}.weight"] = random.normal(0.0, 0.4, (outputs, inputs))
@@ -62,14 +46,9 @@ def weights(seed: int = 0, hidden: int = 8) -> Weights:
     tensors |= {"observation_middle": np.full(observation_length(LATENTS), 0.1)}
     tensors |= {"observation_scale": np.full(observation_length(LATENTS), 0.5)}
     described = Description(
-        "car",
-        0.05,
-        ("x", "y", "yaw", "speed"),
-        ("target_speed", "steer"),
-        LATENTS,
-        0,
+        "car", 0.05, ("x", "y", "yaw", "speed"), ("target_speed", "steer"), LATENTS, 0,
         (EnvironmentEntry("towed_load.mass_ratio", 0.0, 1.5),),
-    )
+    )  # fmt: skip
     return Weights({name: np.asarray(value, dtype=np.float32) for name, value in tensors.items()}, described)
 
 
@@ -103,14 +82,11 @@ def test_many_robots_see_what_each_sees_alone() -> None:
         for _ in range(5)
     ]
     batch = observe(
-        np.array([state.values for state in states]),
-        np.array([state.applied for state in states]),
-        np.array([state.goal for state in states]),
-        np.stack([padded(state.obstacles, 6) for state in states]),
-        np.array([state.field for state in states]),
-        np.array([state.footprint for state in states]),
+        np.array([state.values for state in states]), np.array([state.applied for state in states]),
+        np.array([state.goal for state in states]), np.stack([padded(state.obstacles, 6) for state in states]),
+        np.array([state.field for state in states]), np.array([state.footprint for state in states]),
         np.zeros((5, LATENTS)),
-    )
+    )  # fmt: skip
     np.testing.assert_allclose(batch, np.stack([seen(state) for state in states]), atol=1e-12)
 
 
@@ -131,12 +107,9 @@ def test_a_world_turned_by_quarters_looks_the_same_from_inside(quarters: int) ->
 def test_a_mirrored_world_is_seen_mirrored() -> None:
     x, y, yaw, speed = STATE.values
     mirrored = dataclasses.replace(
-        STATE,
-        values=(x, -y, -yaw, speed),
-        applied=(STATE.applied[0], -STATE.applied[1]),
-        goal=(STATE.goal[0], -STATE.goal[1]),
-        obstacles=tuple((row[0], -row[1], row[2]) for row in STATE.obstacles),
-    )
+        STATE, values=(x, -y, -yaw, speed), applied=(STATE.applied[0], -STATE.applied[1]),
+        goal=(STATE.goal[0], -STATE.goal[1]), obstacles=tuple((row[0], -row[1], row[2]) for row in STATE.obstacles),
+    )  # fmt: skip
     plain, other = seen(STATE), seen(mirrored)
     rays = slice(OFFSET + 5 * OBSTACLES, OFFSET + 5 * OBSTACLES + RAYS)
     np.testing.assert_allclose(other[rays], np.roll(plain[rays][::-1], 1), atol=1e-9)
@@ -169,7 +142,7 @@ def test_only_the_nearest_obstacles_are_observed_one_by_one_and_none_is_needed()
     np.testing.assert_allclose(seen(dataclasses.replace(STATE, obstacles=()))[told], 0.0, atol=1e-3)
 
 
-def test_the_wish_is_the_networks_mean_within_the_range_of_actions() -> None:
+def test_however_large_the_network_answers_its_mean_stays_within_the_range_of_actions() -> None:
     policy = LearnedPolicy(weights())
     values, name = policy.wish(STATE, np.array([0.3, 0.4]))
     assert name == "learned"
@@ -179,9 +152,6 @@ def test_the_wish_is_the_networks_mean_within_the_range_of_actions() -> None:
         x = np.tanh(given[f"policy.{index}.weight"] @ x + given[f"policy.{index}.bias"])
     mean = np.clip(given["policy.2.weight"] @ x + given["policy.2.bias"], -1, 1)
     np.testing.assert_allclose(values, [0.7 + 1.3 * mean[0], 0.34 * mean[1]], rtol=1e-4)
-
-
-def test_however_large_the_network_answers_the_action_stays_in_its_range() -> None:
     given = weights()
     policy = LearnedPolicy(given.with_tensors({"policy.2.bias": [100.0, -100.0]}))
     assert policy.wish(STATE, None)[0] == pytest.approx((2.0, -0.34))
@@ -209,12 +179,9 @@ def test_a_state_that_does_not_fit_is_refused(change: dict[str, Any], sentence: 
         LearnedPolicy(weights()).wish(dataclasses.replace(STATE, **change), None)
 
 
-def test_a_latent_of_another_length_is_refused() -> None:
+def test_latents_of_another_length_and_weights_of_no_or_another_policy_are_refused() -> None:
     with pytest.raises(MessageError, match="got 3 entries, wanted 2"):
         LearnedPolicy(weights()).wish(STATE, np.zeros(3))
-
-
-def test_weights_without_or_with_another_policy_are_refused() -> None:
     with pytest.raises(InputError, match="no policy"):
         LearnedPolicy(without_policy(weights()))
     with pytest.raises(InputError, match="train it anew"):
@@ -239,14 +206,9 @@ def test_the_service_takes_the_learned_policy_where_there_is_one() -> None:
 def test_the_service_hands_the_latent_on_and_leaves_a_foreign_one_aside() -> None:
     model = learned_model(weights())
     latent = LatentMessage(
-        epoch=5,
-        tick=7,
-        robot_time=0.35,
-        publish_time=0.0,
-        model=fingerprint(model),
-        values=(0.9, 0.9),
+        epoch=5, tick=7, robot_time=0.35, publish_time=0.0, model=fingerprint(model), values=(0.9, 0.9),
         deviations=(0.1, 0.1),
-    )
+    )  # fmt: skip
     node = PolicyNode(model)
     assert wish_of(node, latent).values == LearnedPolicy(weights()).wish(STATE, np.array([0.9, 0.9]))[0]
     assert wish_of(node, dataclasses.replace(latent, model="another")) != wish_of(node, latent)

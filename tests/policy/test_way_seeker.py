@@ -1,7 +1,8 @@
-"""The controller that looks where it goes: around what is seen, slower past what nobody sees, and the same again."""
+"""The controller that looks where it goes; whoever is held back tries another way."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from math import cos, hypot, pi, sin, tan
 
@@ -10,8 +11,9 @@ import pytest
 
 from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
-from safedpa.errors import MessageError
+from safedpa.errors import InputError, MessageError
 from safedpa.policy import PolicyNode
+from safedpa.policy.backing_off import BackingOff, BackingOffSettings
 from safedpa.policy.controller import LooksAround, controller_for
 from safedpa.robots.car.seen_room import Room, SeenRoom, SeenSettings, seen_room
 from safedpa.robots.car.way_seeker import WaySeeker
@@ -81,12 +83,9 @@ def test_it_slows_down_and_keeps_farther_away_where_a_mover_may_hide() -> None:
     assert min(passing) <= SeenSettings().cruise
 
 
-def test_the_same_drive_wishes_the_same() -> None:
+def test_the_same_drive_wishes_the_same_and_without_surroundings_it_drives_to_its_goal() -> None:
     points = wall(1.5, -0.8, 0.8)
     assert driven(2.0, points=points) == driven(2.0, points=points)
-
-
-def test_without_surroundings_it_drives_to_its_goal() -> None:
     (speed, steer), said = WaySeeker(MODEL).wish(state_at((0.0, 0.0, 0.0)), None)
     assert speed == pytest.approx(SeenSettings().cruise)
     assert steer == pytest.approx(0.0, abs=0.08)
@@ -138,3 +137,56 @@ def test_the_service_hands_the_surroundings_to_a_controller_that_looks_around_an
     assert SURROUNDINGS in looking.needs(state)
     assert SURROUNDINGS not in looking.needs(replace(state, sources=()))
     assert SURROUNDINGS not in other.needs(state)
+
+
+class Stubborn:
+    """Asks for the same thing for ever, and counts how often it was asked."""
+
+    asked = 0
+
+    def wish(self, state: StateMessage, latent: np.ndarray | None) -> tuple[tuple[float, ...], str]:
+        del state, latent
+        self.asked += 1
+        return (1.5, 0.1), "stubborn"
+
+
+def state(tick: int, x: float = 0.0, goal: tuple[float, float] = (3.0, 1.0)) -> StateMessage:
+    return StateMessage(
+        epoch=1, tick=tick, robot_time=0.05 * tick, publish_time=0.0, values=(x, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
+        applied_by="filter", period=0.05, lockstep=True, goal=goal, obstacles=(), field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.08, 0.4, 0.12),
+    )  # fmt: skip
+
+
+def wishes(states: list[StateMessage]) -> list[tuple[float, ...]]:
+    controller = BackingOff(Stubborn())
+    return [controller.wish(item, None)[0] for item in states]
+
+
+def test_a_car_that_moves_is_left_alone_and_one_that_is_held_backs_off_to_one_side_and_the_other() -> None:
+    found = wishes([state(tick, x=0.05 * tick) for tick in range(100)])
+    assert set(found) == {(1.5, 0.1)}
+    found = wishes([state(tick) for tick in range(110)])
+    reversing = [index for index, wish in enumerate(found) if wish[0] < 0.0]
+    assert 17 <= reversing[0] <= 20  # after the patience of one second
+    sides = [found[index][1] for index in reversing]
+    assert sides[0] < 0.0  # the goal lies to the left: reversing with the wheels to the right turns the nose there
+    assert {math.copysign(1.0, side) for side in sides} == {-1.0, 1.0}
+    first_stretch = next(k for k in range(reversing[0], 110) if found[k][0] > 0.0) - reversing[0]
+    assert abs(first_stretch - 28) <= 1  # 1.4 s
+
+
+def test_the_controller_is_asked_in_every_tick() -> None:
+    inner = Stubborn()
+    controller = BackingOff(inner)
+    names = {controller.wish(state(tick), None)[1] for tick in range(60)}
+    assert inner.asked == 60
+    assert names == {"stubborn", "stubborn:back_off"}
+
+
+def test_a_new_goal_ends_backing_off_and_settings_that_would_never_begin_it_are_refused() -> None:
+    held = [state(tick) for tick in range(30)]
+    assert wishes([*held, state(30)])[-1][0] < 0.0
+    assert wishes([*held, state(30, goal=(-3.0, 0.0))])[-1] == (1.5, 0.1)
+    with pytest.raises(InputError, match="speed below 0"):
+        replace(BackingOffSettings(), reverse_speed=0.3)

@@ -1,16 +1,19 @@
-"""The robot without a bus: determinism, watchdog, goals, collisions, what its state says."""
+"""The robot without a bus: determinism, watchdog, goals, collisions, late commands, the last gate."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot, pi, sin
+from math import hypot, inf, nan, pi, sin
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from safedpa.bus.wire.codec import decode, encode
 from safedpa.bus.wire.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
-from safedpa_sim.robots import LOADS, CarRobot, Scene, footprint
+from safedpa_sim.robots import BRAKE, LOADS, ActionGuard, CarRobot, Scene, footprint
+from safedpa_sim.robots.core import LateCommands
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -72,23 +75,17 @@ def test_driving_into_a_wall_is_one_collision_with_that_wall(heading, wall):
     assert f"car against wall {wall}" in str(collision)
 
 
-def test_every_obstacle_that_is_hit_is_named_and_counted():
+def test_obstacles_that_are_hit_are_named_and_counted_also_by_the_load_but_not_those_passed_close_by():
     robot = CarRobot(scene(obstacles=((2.0, 3.0, 0.3), (1.5, 0.0, 0.3))))
     drive(robot, (1.0, 0.0), 80)
     assert [collision.what for collision in robot.collisions] == ["obstacle 1"]
     drive(robot, (-0.5, 0.0), 60)
     drive(robot, (1.0, 0.0), 80)
     assert [collision.what for collision in robot.collisions] == ["obstacle 1", "obstacle 1"], "a second contact counts"
-
-
-def test_a_load_that_touches_counts_as_the_load():
     # The car passes, the load that cuts the corner behind it is wider.
     robot = CarRobot(scene("large_chair", obstacles=((1.0, 0.40, 0.22),)))
     drive(robot, (1.0, 0.0), 100)
     assert [(collision.part, collision.what) for collision in robot.collisions] == [("load", "obstacle 0")]
-
-
-def test_passing_close_to_an_obstacle_is_no_collision():
     radius = footprint(None)[2]
     robot = CarRobot(scene(obstacles=((1.0, 0.3 + radius + 0.005, 0.3),)))
     assert drive(robot, (1.0, 0.0), 60).collisions == []
@@ -133,3 +130,115 @@ def test_other_periods_tell_the_same_physics():
     assert coarse.values == pytest.approx(fine.values, abs=1e-9)
     with pytest.raises(InputError, match="period"):
         CarRobot(scene(), period=0.0)
+
+
+LOW, HIGH = (-0.6, -0.34), (2.0, 0.34)
+
+
+def action(values: tuple[float, ...] = (1.0, 0.1), tick: int = 0, epoch: int = 1) -> ActionMessage:
+    return ActionMessage(epoch=epoch, tick=tick, robot_time=0.0, publish_time=0.0, values=values)
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (action(epoch=2), "wrong epoch"),
+        (action(tick=4), "late"),
+        (action(tick=6), "from the future"),
+        (action((1.0,), tick=5), "wrong length"),
+        (action((1.0, 0.1, 0.0), tick=5), "wrong length"),
+        (action((), tick=5), "wrong length"),
+        (action((nan, 0.0), tick=5), "not finite"),
+        (action((1.0, -inf), tick=5), "not finite"),
+        (action((2.0 + 1e-6, 0.0), tick=5), "out of range"),
+        (action((-0.6 - 1e-6, 0.0), tick=5), "out of range"),
+        (action((1.0, 0.34 + 1e-6), tick=5), "out of range"),
+        (action((1.0, -0.34 - 1e-6), tick=5), "out of range"),
+    ],
+)
+def test_each_fault_has_its_reason_and_its_counter(message, reason):
+    guard = ActionGuard(1, LOW, HIGH)
+    guard.begin(5)
+    assert guard.offer(message) == reason
+    assert guard.accepted is None
+    assert guard.refusals == {reason: 1}
+    assert guard.offer(action(tick=5)) is None, "a refused message does not block a right one"
+
+
+@pytest.mark.parametrize("values", [LOW, HIGH, (2.0 + 1e-12, 0.0), (0.0, 0.0), (1, 0)])
+def test_limits_themselves_are_accepted_unchanged(values):
+    guard = ActionGuard(1, LOW, HIGH)
+    assert guard.offer(action(values)) is None
+    assert guard.accepted == values
+
+
+def test_the_first_action_of_a_tick_stays():
+    guard = ActionGuard(1, LOW, HIGH)
+    assert guard.offer(action((1.0, 0.0))) is None
+    assert guard.offer(action((0.5, 0.0))) == "repeated"
+    assert guard.accepted == (1.0, 0.0)
+    guard.begin(1)
+    assert guard.accepted is None
+    assert guard.offer(action((0.5, 0.0))) == "late"
+
+
+numbers = st.one_of(st.floats(-3, 3), st.just(nan), st.just(inf), st.sampled_from([-0.6, 2.0, 0.34, -0.34, 0.0]))
+messages = st.builds(
+    action,
+    st.lists(numbers, min_size=1, max_size=3).map(tuple) | st.just((1.0, 0.1)),
+    tick=st.integers(0, 8),
+    epoch=st.sampled_from([1, 1, 1, 2]),
+)
+SCENE = Scene.random(0)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.lists(messages, max_size=4), min_size=1, max_size=8))
+def test_whatever_arrives_only_valid_actions_act_and_otherwise_the_robot_brakes(periods):
+    robot = CarRobot(SCENE, period=0.0025)
+    for tick, arriving in enumerate(periods):
+        accepted = [message for message in arriving if robot.receive(message) is None]
+        valid = [
+            message.values
+            for message in arriving
+            if message.epoch == 1
+            and message.tick == tick
+            and len(message.values) == 2
+            and -0.6 <= message.values[0] <= 2.0
+            and -0.34 <= message.values[1] <= 0.34
+        ]
+        assert len(accepted) == min(1, len(valid))
+        robot.advance()
+        state = robot.state_message()
+        assert state.tick == tick + 1
+        assert (state.applied, state.applied_by) == ((valid[0], "filter") if valid else (BRAKE, "watchdog"))
+    assert sum(robot.guard.refusals.values()) + robot.tick - robot.watchdog_ticks == sum(map(len, periods))
+
+
+def felt(late: LateCommands, *commands: tuple[float, float]) -> list[tuple[float, float, float]]:
+    return [(drive, steer, round(seconds, 9)) for each in commands for drive, steer, seconds in late.felt(each, 0.05)]
+
+
+def test_commands_come_whole_periods_or_a_part_of_one_late_each_channel_by_its_own_delay() -> None:
+    assert felt(LateCommands(0.0, 0.0), (1.0, 0.1), (2.0, 0.2)) == [(1.0, 0.1, 0.05), (2.0, 0.2, 0.05)]
+    found = felt(LateCommands(0.1, 0.1), (1.0, 0.1), (2.0, 0.2), (0.5, 0.3), (0.0, 0.0))
+    assert found == [(0.0, 0.0, 0.05), (0.0, 0.0, 0.05), (1.0, 0.1, 0.05), (2.0, 0.2, 0.05)]
+    found = felt(LateCommands(0.02, 0.02), (1.0, 0.1), (2.0, 0.2))
+    assert found == [(0.0, 0.0, 0.02), (1.0, 0.1, 0.03), (1.0, 0.1, 0.02), (2.0, 0.2, 0.03)]
+    found = felt(LateCommands(0.01, 0.05), (1.0, 0.1), (2.0, 0.2))
+    assert found == [(0.0, 0.0, 0.01), (1.0, 0.0, 0.04), (1.0, 0.1, 0.01), (2.0, 0.1, 0.04)]
+
+
+def test_periods_add_up_for_a_long_time() -> None:
+    late = LateCommands(0.13, 0.07)
+    for tick in range(2000):
+        parts = list(late.felt((float(tick), -float(tick)), 0.05))
+        assert sum(seconds for _, _, seconds in parts) == pytest.approx(0.05)
+    assert parts[-1][0] == 1997.0
+    assert parts[-1][1] == -1998.0
+
+
+@pytest.mark.parametrize("seconds", [-0.1, nan, inf])
+def test_a_delay_is_a_number_of_seconds(seconds: float) -> None:
+    with pytest.raises(InputError, match=r"steer_seconds: got .*, wanted a finite number of seconds, 0 or more"):
+        LateCommands(0.0, seconds)

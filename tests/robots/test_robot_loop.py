@@ -42,15 +42,9 @@ class Fleet:
     """A robot, and a filter that answers each state at once with whatever ``answer`` says."""
 
     def __init__(
-        self,
-        answer: Answer,
-        *,
-        lockstep: bool = True,
-        period: float = 0.05,
-        patience: float = 60.0,
-        clock: Callable[[], float] = time.monotonic,
-        bus: type[Bus] = Bus,
-    ) -> None:
+        self, answer: Answer, *, lockstep: bool = True, period: float = 0.05, patience: float = 60.0,
+        clock: Callable[[], float] = time.monotonic, bus: type[Bus] = Bus,
+    ) -> None:  # fmt: skip
         broker = MemoryBroker()
         self.states: list[StateMessage] = []
         self.health: list[HealthMessage] = []
@@ -118,22 +112,16 @@ def test_lockstep_takes_one_action_a_tick_and_repeats_bit_for_bit():
     assert len(hashes) == 1
 
 
-def test_lockstep_repeats_an_unanswered_state():
+def test_lockstep_repeats_an_unanswered_state_gives_up_with_the_reason_and_can_be_stopped():
     asked = itertools.count()
     fleet = Fleet(lambda state: action(state) if next(asked) >= 2 else None)
     fleet.loop.run(never, 1)
     assert [state.tick for state in fleet.states] == [0, 0, 0]
     assert fleet.robot.tick == 1
-
-
-def test_lockstep_gives_up_with_the_reason():
     fleet = Fleet(lambda state: action(state, (9.0, 0.0)), patience=0.15)
     with pytest.raises(NoActionError, match=r"tick 0 .*out of range.*safety_filter"):
         fleet.loop.run(never, 5)
     assert fleet.robot.tick == 0
-
-
-def test_lockstep_can_be_stopped_while_it_waits():
     fleet = Fleet(lambda _: None)
     fleet.loop.run(after(2), 0)
     assert fleet.robot.tick == 0

@@ -102,13 +102,10 @@ def test_standing_still_stays_put(load):
     assert max(abs(x), abs(y), abs(yaw), abs(speed)) < 1e-9
 
 
-def test_circle_of_one_metre_a_second_has_nearly_the_geometric_radius():
+def test_a_circle_has_nearly_the_geometric_radius_and_understeer_grows_with_speed():
     world = driven(open_world(), 1.0, 0.34, 6.0)
     radius = world.state[3] / world.body.angular_velocity
     assert radius == pytest.approx(0.32 / tan(0.34), abs=0.03)
-
-
-def test_understeer_grows_with_speed():
     radii = []
     for target_speed in (0.5, 1.0, 1.5, 2.0):
         world = driven(open_world(), target_speed, 0.34, 6.0)
@@ -166,16 +163,13 @@ def test_without_tyres_and_floor_momentum_is_conserved(monkeypatch):
     assert towed.hitch_error < 2e-3
 
 
-def test_a_load_costs_speed_as_its_friction_over_the_servo_gain():
+def test_a_load_costs_speed_by_its_friction_and_a_heavier_one_acceleration():
     free = driven(open_world(), 1.5, 0.0, 6.0).state[3]
     for name, load in LOADS.items():
         world = driven(open_world(name), 1.5, 0.0, 6.0)
         expected = load.mass_ratio * load.deceleration / CAR_PARAMETERS.servo_gain
         assert free - world.state[3] == pytest.approx(expected, abs=0.02)
         assert world.state[3] > 1.0, "a useful speed"
-
-
-def test_a_heavier_load_lowers_the_acceleration():
     gained = [driven(open_world(name), 2.0, 0.0, 0.2).state[3] for name in LOAD_NAMES]
     assert gained == sorted(gained, reverse=True)
     assert gained[0] > 2 * gained[-1]
@@ -275,12 +269,9 @@ def test_the_kinematic_bicycle_is_near_but_not_the_truth():
 
 @settings(max_examples=200, deadline=None)
 @given(
-    st.floats(-4, 4),
-    st.floats(-2, 2),
-    st.floats(-8, 8),
-    st.floats(-6, 6),
+    st.floats(-4, 4), st.floats(-2, 2), st.floats(-8, 8), st.floats(-6, 6),
     st.one_of(st.just(0.0), st.floats(-0.6, 0.6)),
-)
+)  # fmt: skip
 def test_the_forces_on_the_ground_are_those_of_two_axles(forward, sideways, rate, drive, steer):
     car = CAR_PARAMETERS
     to_rear, to_front = car.centre_of_mass, car.wheelbase - car.centre_of_mass

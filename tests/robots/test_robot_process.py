@@ -144,8 +144,7 @@ def test_of_two_robots_that_start_at_once_one_stays(bus, start):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [("--rate", "0"), ("--seconds", "-1"), ("--seconds", "nan"), ("--seed", "-3"), ("--name", "a/b")],
+    "options", [("--rate", "0"), ("--seconds", "-1"), ("--seconds", "nan"), ("--seed", "-3"), ("--name", "a/b")]
 )
 def test_bad_options_are_one_line_and_exit_code_two(options, start, bus):
     robot = start(*options)

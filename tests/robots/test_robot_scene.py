@@ -1,16 +1,35 @@
-"""Scenes are valid and hard: free start and goals, passages, obstacles in the way. The footprint keeps its promise."""
+"""Scenes, the footprint, changes while a car drives, and where a load is that was pushed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
-from math import cos, hypot, sin
+from math import atan2, cos, hypot, sin, tan
 
 import numpy as np
 import pytest
 
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus import LATENT, VERDICT, WISH
+from safedpa.bus.wire.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
-from safedpa_sim.robots import GOAL_RADIUS, LOADS, CarRobot, CarWorld, Scene, footprint, load_named
+from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.car.reversed_way import ReversedWay
+from safedpa.safety.equation_barrier import AbstractEquationBarrier
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.robots import (
+    CHANGES,
+    GOAL_RADIUS,
+    LOADS,
+    CarRobot,
+    CarWorld,
+    PlannedChange,
+    Scene,
+    footprint,
+    load_named,
+)
+from safedpa_sim.robots.footprint import towed_reach
 
 LOAD_NAMES = ("none", *LOADS)
 
@@ -162,3 +181,248 @@ def test_long_reversing_leaves_the_corridor_which_is_why_the_docs_limit_it():
     for _ in range(100):
         furthest = max(furthest, corridor.drive(-0.6, 0.34))
     assert furthest > corridor.radius
+
+
+OPEN = Scene(0, None, (-100.0, 100.0, -100.0, 100.0), (), (0.0, 0.0, 0.3), ((50.0, 0.0),))
+NARROW = Scene(0, None, (-100.0, 100.0, -0.42, 0.42), (), (0.0, 0.0, 0.0), ((50.0, 0.0),))
+
+
+def driven(change: str, seconds: float, action: tuple[float, float], scene: Scene = OPEN) -> CarRobot:
+    robot = CarRobot(scene, change=PlannedChange(change, 1.0))
+    for _ in range(round(seconds / robot.period)):
+        state = robot.state_message()
+        message = ActionMessage(
+            epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=0.0, values=action
+        )
+        assert robot.receive(message) is None
+        robot.advance()
+    return robot
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_it_comes_when_it_is_due_and_once(change: str) -> None:
+    before = driven(change, 1.0, (1.5, 0.0))
+    after = driven(change, 1.05, (1.5, 0.0))
+    assert before.changed_at is None
+    assert after.changed_at == 20
+    assert driven(change, 3.0, (1.5, 0.0)).changed_at == 20
+
+
+def test_a_head_wind_takes_speed_off_and_a_steering_offset_turns_the_car() -> None:
+    calm = driven("steering_offset", 1.0, (1.5, 0.0)).values[3]
+    windy = driven("headwind", 4.0, (1.5, 0.0))
+    assert windy.values[3] == pytest.approx(calm - 1.0 / windy.world.parameters.servo_gain, abs=0.03)
+    assert hypot(*windy.world.wind) == pytest.approx(1.0)
+    assert atan2(-windy.world.wind[1], -windy.world.wind[0]) == pytest.approx(0.3, abs=0.02)
+    robot = driven("steering_offset", 4.0, (1.0, 0.0))
+    earlier = driven("steering_offset", 3.0, (1.0, 0.0))
+    rate = robot.values[2] - earlier.values[2]
+    assert rate == pytest.approx(robot.values[3] * tan(0.08) / 0.32, rel=0.1)
+
+
+def test_nothing_is_hitched_without_motion_or_room_and_an_unknown_change_is_refused() -> None:
+    assert driven("hitch", 3.0, (0.0, 0.0)).changed_at is None
+    assert driven("hitch", 3.0, (1.0, 0.0), NARROW).changed_at is None
+    assert driven("hitch", 3.0, (1.0, 0.0)).world.towed is not None
+    with pytest.raises(InputError, match="headwind, hitch, steering_offset"):
+        PlannedChange("flood", 1.0)
+
+
+PERIOD = 0.05
+
+
+def programme(kind: str, seed: int, ticks: int) -> list[tuple[float, float]]:
+    """Random stretches of forwards and backwards that turn the load about, after a second straight ahead."""
+    draw, actions = np.random.default_rng([seed, len(kind)]), [(1.0, 0.0)] * 20
+    speeds = {"rocking": (-0.6, 0.8), "mixed": (-0.6, -0.6, 0.6, 1.8), "backwards": (-0.6, -0.6, -0.6, 1.2)}[kind]
+    longest = {"rocking": 24, "mixed": 50, "backwards": 120}[kind]
+    while len(actions) < ticks:
+        stretch = int(draw.integers(5, longest))
+        actions += [(float(draw.choice(speeds)), float(draw.choice((-0.34, 0.34))))] * stretch
+    return actions[:ticks]
+
+
+class Claimed:
+    """The regions that the line and the disc around the hitch have claimed so far, and how far the load leaves them."""
+
+    def __init__(self, load: str) -> None:
+        self.load, self.world = LOADS[load], CarWorld((0.0, 0.0, 0.0), (-200.0, 200.0, -200.0, 200.0), (), LOADS[load])
+        self.rear, self.front, self.radius = footprint(self.load)
+        self.begin, self.end, self.reach = towed_reach(self.load)
+        self.way = self.end  # unknown at the start
+        self.hitches: list[tuple[float, float, float]] = []
+        self.lines: list[tuple[float, float, float, float]] = []
+        self.claim()
+
+    def claim(self) -> None:
+        x, y, yaw, _ = self.world.state
+        c, s = cos(yaw), sin(yaw)
+        share = min(max((self.way - self.begin) / (self.end - self.begin), 0.0), 1.0)
+        self.hitches.append((x - self.rear * c, y - self.rear * s, self.radius + share * (self.reach - self.radius)))
+        self.lines.append((x - self.rear * c, y - self.rear * s, x + self.front * c, y + self.front * s))
+
+    def drive(self, action: tuple[float, float]) -> float:
+        """One period; by how much the load's farthest point lies outside of everything claimed [m]."""
+        x, y, yaw, _ = self.world.state
+        self.world.advance(*action, PERIOD)
+        now_x, now_y, _, _ = self.world.state
+        self.way -= cos(yaw) * (now_x - x) + sin(yaw) * (now_y - y)
+        self.way = min(max(self.way, 0.0), self.end)
+        self.claim()
+        assert self.world.towed is not None
+        points = [self.world.towed.body.local_to_world(v) for v in self.world.towed.shape.get_vertices()]
+        return max(self.outside(*point) for point in points)
+
+    def outside(self, x: float, y: float) -> float:
+        discs, lines = np.array(self.hitches), np.array(self.lines)
+        along = lines[:, 2:] - lines[:, :2]
+        apart = np.array((x, y)) - lines[:, :2]
+        share = np.clip((apart * along).sum(1) / (along**2).sum(1), 0.0, 1.0)
+        to_line = np.hypot(*(apart - share[:, np.newaxis] * along).T).min() - self.radius
+        return float(min(to_line, (np.hypot(discs[:, 0] - x, discs[:, 1] - y) - discs[:, 2]).min()))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("load", list(LOADS))
+@pytest.mark.parametrize("kind", ["rocking", "mixed", "backwards"])
+def test_a_load_that_is_pushed_about_stays_within_what_is_claimed_for_it(load: str, kind: str) -> None:
+    worst = -1.0
+    for seed in range(4):
+        claimed = Claimed(load)
+        worst = max(worst, *(claimed.drive(action) for action in programme(kind, 4000 + seed, 240)))
+    assert worst <= 0.005, "m; beyond it the clearance of 5 cm begins"
+
+
+def test_without_the_growth_a_pushed_load_leaves_what_is_claimed() -> None:
+    worst = -1.0
+    for seed in range(4):
+        claimed = Claimed("box")
+        claimed.reach = claimed.radius
+        worst = max(worst, *(claimed.drive(action) for action in programme("backwards", 4000 + seed, 240)))
+    assert worst > 0.05
+
+
+def test_the_reach_is_that_of_the_farthest_corner_and_is_told_while_something_is_towed() -> None:
+    for load in LOADS.values():
+        begin, end, reach = towed_reach(load)
+        assert 0.0 <= reach - hypot(load.drawbar + load.side, load.side / 2) < 0.01
+        assert 0.0 < begin < end < reach
+    assert towed_reach(None) == ()
+    robot = CarRobot(Scene.random(1, "box"), PERIOD)
+    assert robot.state_message().towed == towed_reach(LOADS["box"])
+    robot.unhitch()
+    assert robot.state_message().towed == ()
+    robot.hitch(LOADS["chair"])
+    assert robot.state_message().towed == towed_reach(LOADS["chair"])
+
+
+def drive(robot: CarRobot, ticks: int, speed: float, steer: float) -> None:
+    for _ in range(ticks):
+        action = ActionMessage(
+            epoch=robot.guard.epoch, tick=robot.tick, robot_time=robot.tick * robot.period, publish_time=0.0,
+            values=(speed, steer),
+        )  # fmt: skip
+        assert robot.receive(action) is None
+        robot.advance()
+
+
+def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
+    robot, way = CarRobot(Scene.random(3, "box")), ReversedWay()
+    told = []
+    for number, speed in enumerate([0.0, *[1.0] * 20, *[-0.5] * 15, *[0.6] * 5]):
+        state = robot.state_message()
+        told.append(state.reversed_way)
+        way.follow(replace(state, reversed_way=-1.0))
+        assert state.reversed_way == way.way, f"tick {number}, to the last bit"
+        drive(robot, 1, speed, 0.1)
+    assert told[0] == robot.state_message().towed[1], "at first nobody knows how the load hangs"
+    assert min(told) == 0.0
+    assert told[-1] > 0.0
+
+
+def test_another_load_hangs_at_an_unknown_angle_and_none_is_not_counted() -> None:
+    robot = CarRobot(Scene.random(3, "none"))
+    drive(robot, 5, 1.0, 0.0)
+    assert robot.state_message().reversed_way == -1.0
+    robot.hitch(LOADS["chair"])
+    state = robot.state_message()
+    assert state.reversed_way == state.towed[1]
+    drive(robot, 12, 1.0, 0.0)
+    assert robot.state_message().reversed_way < state.towed[1]
+    robot.unhitch()
+    assert robot.state_message().reversed_way == -1.0
+
+
+def test_a_filter_that_is_started_again_sees_the_room_that_the_old_one_saw() -> None:
+    robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
+    old = CarScene(settings)
+    for _ in range(25):
+        old.of(robot.state_message())
+        drive(robot, 1, 1.0, 0.0)
+    state = robot.state_message()
+    before, after = old.of(state), CarScene(settings).of(state)
+    assert not isinstance(before, str)
+    assert not isinstance(after, str)
+    assert after.heights(state.values) == before.heights(state.values)
+
+
+def test_the_barriers_follow_the_load_as_if_they_were_built_again() -> None:
+    robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
+    scene = CarScene(settings)
+    for number, speed in enumerate([0.0, *[1.0] * 6, *[-0.5] * 8]):
+        state = robot.state_message()
+        if number == 9:  # what is seen changes, too
+            state = replace(state, obstacles=state.obstacles[1:])
+        found, anew = scene.of(state), CarScene(settings)
+        anew.remember(scene)
+        wanted = anew.of(state)
+        assert not isinstance(found, str)
+        assert not isinstance(wanted, str)
+        assert found.names == wanted.names
+        assert found.rows == wanted.rows
+        at = np.array(state.values)
+        assert found.heights(state.values) == wanted.heights(state.values)
+        np.testing.assert_array_equal(found.gradient(at), wanted.gradient(at))
+        for part, other in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(part.evaluate(at)[1], other.evaluate(at)[1])
+        drive(robot, 1, speed, 0.1)
+
+
+def test_a_car_that_tows_has_its_obstacles_read_once() -> None:
+    """Each tick moves the load; obstacles, field and what their rows are called stay."""
+    robot = CarRobot(Scene.random(3, "box"))
+    scene = CarScene(settings_named("car"))
+    before = scene.of(robot.state_message())
+    drive(robot, 1, 1.0, 0.0)
+    after = scene.of(robot.state_message())
+    assert not isinstance(before, str)
+    assert not isinstance(after, str)
+    assert after is not before
+    assert after.names is before.names
+    assert after.rows is before.rows
+    for part, other in zip(before, after, strict=True):
+        assert isinstance(part, AbstractEquationBarrier)
+        assert isinstance(other, AbstractEquationBarrier)
+        assert other.each is part.each
+
+
+def test_a_load_that_is_hitched_is_no_error_of_the_model() -> None:
+    """Told between two ticks, it takes h down by its reach; the model foresaw the motion, and not the load."""
+    model = load_model("car")
+    node = SafetyFilterNode(model, settings_named("car"), margin_for(model))
+    state = replace(CarRobot(Scene.random(3, "none")).state_message(), applied_by="filter", values=(0.0, 0.0, 0.0, 0.0))
+    state = replace(state, obstacles=((-1.0, 0.0, 0.2),))
+    for towed in ((), (), (0.1, 0.5, 0.6)):
+        state = replace(state, tick=state.tick + 1, robot_time=state.robot_time + state.period, towed=towed)
+        stamped = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
+        known = tuple(model.latent.tolist())
+        latent = LatentMessage(  # type: ignore[arg-type]
+            **stamped, model=fingerprint(model), values=known, deviations=(0.1,) * len(known)
+        )
+        wish = WishMessage(**stamped, values=(0.0, 0.0), controller="t")  # type: ignore[arg-type]
+        node.step("r", state, {LATENT: latent, WISH: wish})
+        verdict = node.afterwards("r")[VERDICT]
+        assert isinstance(verdict, VerdictMessage)
+        state = replace(state, values=verdict.predicted[0], applied=verdict.action)
+    assert verdict.h_now < 0.2
+    assert verdict.coverage == 1.0, "no step missed its margin"

@@ -33,19 +33,10 @@ class Case:
     """h(a) (rows,) of actions within -1 and 1, at a state whose h are ``now``; the state is a itself."""
 
     def __init__(
-        self,
-        h: Callable[[Values], Sequence[float]],
-        now: Sequence[float],
-        wish: Sequence[float],
-        *,
-        eta: float = 1.0,
-        epsilon: float = 0.0,
-        limit: float = 1.0,
-        affine: bool = True,
-        backup: Sequence[float] | None = None,
-        program: Any = None,
-        highest: Any = None,
-    ) -> None:
+        self, h: Callable[[Values], Sequence[float]], now: Sequence[float], wish: Sequence[float], *, eta: float = 1.0,
+        epsilon: float = 0.0, limit: float = 1.0, affine: bool = True, backup: Sequence[float] | None = None,
+        program: Any = None, highest: Any = None,
+    ) -> None:  # fmt: skip
         self.h, self.wish, actions = h, tuple(wish), len(wish)
         self.affine, self.resting, self.stuck = affine, backup, ("not run",)
         self.asked: list[tuple[float, ...]] = []
@@ -62,15 +53,9 @@ class Case:
         self.highest = HighestProgram(actions) if highest is None else highest
         self.sides = QuadraticProgram(low, high, np.ones(actions)).sides
         self.conditions = Conditions(
-            Barriers([FunctionBarrier(heights, names=names)]),
-            self._prediction(),
-            start,
-            None,
-            None,
-            eta,
-            [epsilon] * len(now),
-            self.sides,
-        )
+            Barriers([FunctionBarrier(heights, names=names)]), self._prediction(), start, None, None, eta,
+            [epsilon] * len(now), self.sides,
+        )  # fmt: skip
 
     def _prediction(self) -> Prediction:
         eye = np.eye(len(self.wish))

@@ -20,40 +20,27 @@ def slide(x: Values) -> tuple[Values, Values]:
 
 
 def made(
-    *barriers: AbstractBarrier | Callable[[Values], Any],
-    model: Callable[..., Any] = slide,
-    epsilon: Any = 0.002,
-    eta: float = 0.1,
-    actions: int = 1,
-    backup: Any = None,
-    latent: Values | None = None,
+    *barriers: AbstractBarrier | Callable[[Values], Any], model: Callable[..., Any] = slide, epsilon: Any = 0.002,
+    eta: float = 0.1, actions: int = 1, backup: Any = None, latent: Values | None = None,
     limits: tuple[float, float] = (-1.0, 2.0),
-) -> Checked:
+) -> Checked:  # fmt: skip
     """A filter of some barriers, asked directly; no backup: the settings' action, 0."""
     parts = [
         one if isinstance(one, AbstractBarrier) else FunctionBarrier(one, names=(f"h{at}",))
         for at, one in enumerate(barriers)
     ]
     settings = FilterSettings(
-        action_low=(limits[0],) * actions,
-        action_high=(limits[1],) * actions,
-        backup_action=(0.0,) * actions,
-        eta=eta,
+        action_low=(limits[0],) * actions, action_high=(limits[1],) * actions, backup_action=(0.0,) * actions, eta=eta,
         epsilon=epsilon if isinstance(epsilon, dict) else {"default": epsilon},
-    )
+    )  # fmt: skip
     safe = SafetyFilter(model, parts, settings, backup=backup)
     return Checked(safe, stacked(parts), settings.epsilon, latent)
 
 
 def probe(
-    *state: float,
-    h: Any = 1.0,
-    residuals: Any = 0.0,
-    moved: Any = 0.1,
-    reached: Any = 0.3,
-    inside: bool = True,
+    *state: float, h: Any = 1.0, residuals: Any = 0.0, moved: Any = 0.1, reached: Any = 0.3, inside: bool = True,
     kept: bool = True,
-) -> Probe:
+) -> Probe:  # fmt: skip
     def flat(numbers: Any, axes: int) -> Values:
         return np.array(numbers, dtype=np.float64, ndmin=axes)
 

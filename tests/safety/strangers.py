@@ -15,11 +15,7 @@ DRONE = System(
 
 DIFFERENTIAL = System(
     name="differential",
-    state=(
-        Variable("x", "m", -1e4, 1e4),
-        Variable("y", "m", -1e4, 1e4),
-        Variable("yaw", "rad", -1e4, 1e4, angle=True),
-    ),
+    state=(Variable("x", "m", -1e4, 1e4), Variable("y", "m", -1e4, 1e4), Variable("yaw", "rad", -1e4, 1e4, angle=True)),
     action=(Variable("v", "m/s", -2.0, 2.0), Variable("omega", "rad/s", -3.0, 3.0)),
 )
 
@@ -39,13 +35,9 @@ class Hover(AbstractBase):
         """Rates of the state by name."""
         share = parameters["share"]
         return {
-            "x": state["vx"],
-            "y": state["vy"],
-            "z": state["vz"],
-            "vx": share * action["ax"],
-            "vy": share * action["ay"],
-            "vz": -state["vz"],
-        }
+            "x": state["vx"], "y": state["vy"], "z": state["vz"], "vx": share * action["ax"],
+            "vy": share * action["ay"], "vz": -state["vz"],
+        }  # fmt: skip
 
 
 class TwoWheels(AbstractBase):

@@ -1,16 +1,31 @@
 """Barriers against finite differences, plain geometry, and the braking argument."""
 
+from __future__ import annotations
+
 import math
+from math import inf, nan, nextafter
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.safety.dual_numbers import DUALS, Dual, dual
 
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers import FieldBarrier, ObstacleBarrier
-from safedpa.safety import AbstractBarrier, Barriers, FunctionBarrier, SpeedBarrier
-from safedpa.safety.braking import Braking
+from safedpa.safety import (
+    AbstractBarrier,
+    Barriers,
+    CorridorBarrier,
+    FilterSettings,
+    FunctionBarrier,
+    HigherOrderBarrier,
+    SafetyFilter,
+    SpeedBarrier,
+    Status,
+)
+from safedpa.safety.braking import Braking, stopping_distance
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 BRAKING = Braking(2.0, 2.5)
@@ -98,28 +113,22 @@ def test_braking_straight_never_lowers_h(state: np.ndarray, harder: float, quick
             before = now
 
 
-def test_standing_still_looks_both_ways() -> None:
+def test_standing_still_looks_both_ways_and_in_motion_only_the_end_ahead_is_stretched() -> None:
     """At speed 0 both ends count as stretched: driving off towards an obstacle is no surprise either way."""
     ahead = ObstacleBarrier([(1.0, 0.0, 0.2), (-1.0, 0.0, 0.2)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
     np.testing.assert_allclose(ahead[:, 3], [-0.4, 0.4])
     walls = FieldBarrier(FIELD, FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
     np.testing.assert_allclose(walls[:, 3], [0.4, -0.4, 0, 0, 0.4, -0.4, 0, 0])
-
-
-def test_only_the_end_in_driving_direction_is_stretched() -> None:
     for speed, expected in ((1.0, [-0.5, 0.0]), (-1.0, [0.0, 0.5])):
         barrier = ObstacleBarrier([(3.0, 0.0, 0.2), (-3.0, 0.0, 0.2)], FOOTPRINT, BRAKING)
         np.testing.assert_allclose(barrier.evaluate(np.array([0, 0, 0, speed]))[1][:, 3], expected)
 
 
-def test_centre_on_the_segment_still_has_a_finite_gradient() -> None:
+def test_a_centre_on_the_segment_has_a_finite_gradient_and_one_almost_on_it_a_unit_gradient() -> None:
     barrier = ObstacleBarrier([(0.2, 0.0, 0.3)], FOOTPRINT, BRAKING)
     h, gradient = barrier.evaluate(np.zeros(4))
     assert h[0] == pytest.approx(-0.42)
     np.testing.assert_allclose(gradient[0], [0.0, -1.0, -0.2, 0.0])
-
-
-def test_centre_almost_on_the_segment_has_a_unit_gradient() -> None:
     gradient = ObstacleBarrier([(0.2, 1e-9, 0.3)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
     assert np.linalg.norm(gradient[0, :2]) == pytest.approx(1.0)
 
@@ -247,3 +256,185 @@ def test_limits_of_what_is_accepted() -> None:
     assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING).values(np.zeros(4))[0] == 0.0
     long_nose = ObstacleBarrier([(1.0, 0.0, 0.1)], (-0.2, 0.4, 0.1), BRAKING)
     assert long_nose.values(np.zeros(4))[0] == pytest.approx(0.4)
+
+
+finite = st.floats(-20.0, 20.0)
+
+
+@given(finite, finite, st.floats(-3.0, 3.0), st.floats(0.01, 5.0), st.floats(0.01, 2.0))
+def test_gradient_is_exact(angle: float, rate: float, low: float, width: float, time: float) -> None:
+    barrier = CorridorBarrier(low, low + width, time)
+    state, move = np.array([angle, rate]), np.array([0.3, -0.7])
+    h, gradient = barrier.evaluate(state)
+    np.testing.assert_allclose(barrier.values(state + move), h + gradient @ move, atol=1e-9)
+    np.testing.assert_allclose(h, barrier.values(state))
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60), st.floats(0.0, 1.0), st.floats(0.05, 1.0))
+def test_the_angle_stays_where_the_barrier_is_kept(ahead: list[float], start: float, time: float) -> None:
+    """Whatever s does within the corridor, the angle that moves at the rate (s - angle) / time stays within it."""
+    barrier, angle, period = CorridorBarrier(0.0, 1.0, time), start, 0.01
+    for s in ahead:
+        rate = (s - angle) / time
+        assert barrier.values(np.array([angle, rate])).min() >= -1e-12
+        angle += period * rate
+        assert -1e-12 <= angle <= 1.0 + 1e-12
+
+
+def test_other_entries_of_the_state_and_names() -> None:
+    barrier = CorridorBarrier(-1.0, 2.0, 0.5, angle=2, rate=0, name="elbow")
+    assert barrier.names == ("elbow lower edge", "elbow upper edge")
+    np.testing.assert_allclose(barrier.values(np.array([1.0, 9.0, 0.5])), [2.0, 1.0])
+    np.testing.assert_allclose(barrier.evaluate(np.zeros(3))[1], [[0.5, 0.0, 1.0], [-0.5, 0.0, -1.0]])
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (nan, 1.0), (0.0, nan), (-inf, 1.0), (0.0, inf)])
+def test_empty_and_endless_limits_are_refused(low: float, high: float) -> None:
+    with pytest.raises(InputError, match=f"corridor: got {low} to {high}, wanted finite low < high"):
+        CorridorBarrier(low, high, 0.2)
+    with pytest.raises(InputError, match=f"speed limits: got {low} to {high}, wanted finite numbers, low < high"):
+        SpeedBarrier(low, high)
+
+
+@given(st.floats(-1e9, 1e9))
+def test_the_narrowest_limits_are_taken(low: float) -> None:
+    high = nextafter(low, inf)
+    assert CorridorBarrier(low, high, 1e-300).values(np.array([low, 0.0])).min() == 0.0
+    assert SpeedBarrier(low, high, 0).values(np.array([high])).tolist() == [0.0, high - low]
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0, nan, inf])
+def test_a_time_that_is_none_is_refused(time: float) -> None:
+    with pytest.raises(InputError, match="wanted a finite time > 0"):
+        CorridorBarrier(0.0, 1.0, time)
+
+
+def test_without_named_entries_it_reads_a_pendulums_state() -> None:
+    assert CorridorBarrier(-1.0, 1.0, 0.2).reads == ("angle", "rate")
+    for named in ({"angle": 0}, {"rate": 1}, {"angle": 2, "rate": 3}):
+        assert CorridorBarrier(-1.0, 1.0, 0.2, **named).reads == ()
+
+
+def slope(deceleration: float, gain: float, speed: float) -> float:
+    return dual(stopping_distance(Dual(speed, 1.0), deceleration, gain, DUALS)).slope
+
+
+@pytest.mark.parametrize(("deceleration", "gain"), [(2.0, 2.5), (0.5, 4.0), (9.0, 1.0)])
+@pytest.mark.parametrize("speed", [-20.0, -1.0, -0.2, 0.0, 0.3, 0.8, 1.0, 2.0, 15.0])
+def test_distance_is_what_the_brake_takes(deceleration: float, gain: float, speed: float) -> None:
+    """Integrates d|v|/dt = -min(k |v|, b) in small steps: an independent road to D."""
+    left, travelled, dt = abs(speed), 0.0, 1e-4
+    while left > 1e-7:
+        middle = left - 0.5 * dt * min(gain * left, deceleration)
+        travelled += dt * middle
+        left -= dt * min(gain * middle, deceleration)
+    assert Braking(deceleration, gain).distance(speed) == pytest.approx(math.copysign(travelled, speed), abs=1e-6)
+
+
+@pytest.mark.parametrize("speed", [-3.0, -0.8, -0.5, 0.0, 0.1, 0.79, 0.8, 0.81, 2.0])
+def test_slope_is_the_larger_of_both_and_continuous(speed: float) -> None:
+    braking, step = Braking(2.0, 2.5), 1e-6
+    difference = (braking.distance(speed + step) - braking.distance(speed - step)) / (2 * step)
+    assert slope(2.0, 2.5, speed) == pytest.approx(difference, abs=1e-6)
+    assert slope(2.0, 2.5, speed) == pytest.approx(max(1.0 / 2.5, abs(speed) / 2.0), abs=1e-15)
+
+
+def test_corner_of_the_servo() -> None:
+    braking = Braking(2.0, 2.5)
+    assert braking.distance(0.8) == pytest.approx(0.32)
+    assert braking.distance(2.0) == pytest.approx(0.32 + (4.0 - 0.64) / 4.0)
+    assert slope(2.0, 2.5, 2.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+def test_refuses_what_is_no_braking_ability(bad: float) -> None:
+    with pytest.raises(InputError, match=r"braking deceleration: got .*, wanted a positive finite"):
+        Braking(bad, 1.0)
+    with pytest.raises(InputError, match=r"braking gain: got"):
+        Braking(1.0, bad)
+
+
+def test_accepts_small_and_large_abilities() -> None:
+    assert Braking(0.5, 0.5).distance(0.1) == pytest.approx(0.2)
+    assert slope(1e-3, 30.0, 1.0) == pytest.approx(1000.0)
+
+
+PERIOD = 0.05
+A = np.eye(4) + PERIOD * np.eye(4, k=2)
+B = np.vstack((0.5 * PERIOD**2 * np.eye(2), PERIOD * np.eye(2)))
+CENTRE, RADIUS = np.array([1.5, 0.2]), 0.5
+SETTINGS = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon=0.002)
+
+
+def room(x: np.ndarray) -> float:
+    return float(np.hypot(*(x[:2] - CENTRE)) - RADIUS)
+
+
+def closing(x: np.ndarray) -> float:
+    """d(room)/dt, which no action changes at once."""
+    apart = x[:2] - CENTRE
+    return float(apart @ x[2:] / np.hypot(*apart))
+
+
+def allowed(h: np.ndarray) -> np.ndarray:
+    """Closing speed that a brake of 0.8 takes away over h, linear below 0.2 m: increasing, 0 at 0."""
+    return np.where(h < 0.2, 2.0 * h, np.sqrt(1.6 * np.maximum(h, 0.2) - 0.16))
+
+
+def drive(barrier: AbstractBarrier, seed: int) -> tuple[float, set[Status]]:
+    random, x, least = np.random.default_rng(seed), np.zeros(4), np.inf
+    x[:2] = random.uniform((-0.5, -0.8), (0.3, 1.2))
+    safe, said = SafetyFilter(lambda x: (A @ x, B), [barrier], SETTINGS), set()
+    for _ in range(100):
+        wish = np.clip(3.0 * (CENTRE - x[:2]) + random.normal(size=2), -1.0, 1.0)
+        verdict = safe.decide(x, wish)
+        said.add(verdict.status)
+        x = A @ x + B @ verdict.action
+        least = min(least, room(x))
+    return least, said
+
+
+def test_a_double_integrator_hits_nothing() -> None:
+    plain = [drive(FunctionBarrier(room), seed)[0] for seed in range(20)]
+    assert sum(least < 0.0 for least in plain) >= 5, "distance less radius has relative degree two"
+    higher = [drive(HigherOrderBarrier([room, closing], [allowed]), seed) for seed in range(80)]
+    assert min(least for least, _ in higher) >= 0.0
+    assert set.union(*(said for _, said in higher)) <= {Status.passed, Status.corrected}
+
+
+def test_it_is_the_recursion_of_its_source() -> None:
+    """h = x^3 + y in time: derivatives of polynomials are known, psi_2 = psi_1' + alpha_2 psi_1."""
+    derivatives = [lambda t: t[0] ** 3, lambda t: 3.0 * t[0] ** 2, lambda t: 6.0 * t[0]]
+    first, second = 0.7, 1.9
+    barrier = HigherOrderBarrier(derivatives, [first, second])
+    t = 1.3
+    psi_1, psi_1_rate = 3 * t**2 + first * t**3, 6 * t + first * 3 * t**2
+    assert barrier.values(np.array([t]))[0] == pytest.approx(psi_1_rate + second * psi_1, rel=1e-14)
+    squared = HigherOrderBarrier(derivatives, [first, np.square])
+    assert squared.values(np.array([t]))[0] == pytest.approx(psi_1_rate + psi_1**2, rel=1e-14)
+
+
+def test_several_values_and_a_gradient_of_their_own() -> None:
+    barrier = HigherOrderBarrier(
+        [lambda x: np.array([x[0], 2.0 * x[0]]), lambda x: np.array([x[1], 2.0 * x[1]])],
+        [3.0],
+        gradient=lambda x: [[3.0, 1.0], [6.0, 2.0]],
+        names=("one", "two"),
+        kind="wall",
+    )
+    h, gradient = barrier.evaluate(np.array([0.5, -0.2]))
+    np.testing.assert_allclose(h, [1.3, 2.6])
+    np.testing.assert_array_equal(gradient, [[3.0, 1.0], [6.0, 2.0]])
+    np.testing.assert_array_equal(barrier.along(np.array([0.5, -0.2]), np.array([[1.0], [2.0]])), [[5.0], [10.0]])
+    assert (barrier.names, barrier.kind) == (("one", "two"), "wall")
+
+
+@pytest.mark.parametrize(
+    ("derivatives", "rates"),
+    [([room], []), ([room, closing], []), ([room, closing], [1.0, 2.0]), ([room, closing], [0.0]),
+     ([room, closing], [-1.0]), ([room, closing], [np.inf]),
+     ([room, closing], [np.nan]), ([room, closing, closing], [allowed, 1.0])],
+)  # fmt: skip
+def test_what_does_not_fit_is_named(derivatives: list[Any], rates: list[Any]) -> None:
+    with pytest.raises(InputError, match="rates: got"):
+        HigherOrderBarrier(derivatives, rates)

@@ -42,14 +42,9 @@ def drawn(seed: int, robots: int, obstacles: int, latent: np.ndarray[Any, Any]) 
 
 
 def decided(
-    many: BatchFilter,
-    *,
-    obstacles: Any,
-    footprint: Any = FOOTPRINT,
-    field: Any = None,
-    epsilon: dict[str, Any] | None = None,
-    **inputs: Any,
-) -> ManyVerdicts:
+    many: BatchFilter, *, obstacles: Any, footprint: Any = FOOTPRINT, field: Any = None,
+    epsilon: dict[str, Any] | None = None, **inputs: Any,
+) -> ManyVerdicts:  # fmt: skip
     return many.decide(**inputs, barriers=barriers_of_cars(many.settings, obstacles, footprint, field), epsilon=epsilon)
 
 
@@ -171,10 +166,7 @@ def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_re
     f[1, 2], f[2, 2] = np.nan, np.inf
     for wish in (-0.5, 1.9):
         found = many.decide(
-            state,
-            np.full((robots, 2), (wish, 0.0)),
-            barriers=many_barriers([[own]] * robots, 4),
-            affine=(f, g),
+            state, np.full((robots, 2), (wish, 0.0)), barriers=many_barriers([[own]] * robots, 4), affine=(f, g)
         )
         wanted = Status.passed if wish < 0.0 else Status.corrected
         assert [STATUSES[index] for index in found.status] == [wanted, Status.fallback, Status.fallback]
@@ -210,12 +202,9 @@ def test_where_there_is_no_barrier_all_fall_back_and_say_so(own: list[AbstractBa
     np.testing.assert_array_equal(found.action, np.zeros((3, 2)))
 
 
-def test_without_the_latent_that_the_model_needs_all_fall_back() -> None:
+def test_without_a_latent_all_fall_back_and_a_filter_that_is_switched_off_says_so() -> None:
     given_ = {**drawn(2, 3, 2, FILTERS["car"].model.latent), "latent": None}
     assert decided(FILTERS["car"], **given_, footprint=FOOTPRINT).count(Status.fallback) == 3
-
-
-def test_a_filter_that_is_switched_off_says_so() -> None:
     many = BatchFilter(load_model("car"), FilterSettings(enabled=False))
     assert decided(many, **drawn(2, 3, 2, many.model.latent), footprint=FOOTPRINT).count(Status.disabled) == 3
 

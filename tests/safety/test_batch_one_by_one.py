@@ -124,12 +124,9 @@ def test_what_lies_on_a_limit_is_answered_with_the_others() -> None:
         g[:, 0, 0] = 0.1
         wish = np.array([[1.0, 1.0], [-0.5, 1.0]])
         found = BatchFilter(SYSTEM, OWN).decide(
-            at,
-            wish,
-            barriers=around,
-            epsilon={"function": epsilon, "default": 0.5, "obstacle": 0.5},
+            at, wish, barriers=around, epsilon={"function": epsilon, "default": 0.5, "obstacle": 0.5},
             affine=(at.copy(), g),
-        )
+        )  # fmt: skip
         assert found.count(Status.passed) == 1
         assert found.count(Status.corrected) == 1
         assert not found.alone.any()

@@ -56,9 +56,12 @@ def test_one_entry_of_another_backup_is_enough() -> None:
     assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stands=False)) == 1
 
 
-def test_the_condition_that_breaks_most_is_named_first() -> None:
+def test_of_conditions_that_break_or_are_missed_the_worst_is_named_first() -> None:
     checked = made(first, lambda x: 3.0 * x[0], backup=lambda x: [-1.0])
     (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], stands=True)
+    assert found.names == ("h1", "h0")
+    one = probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.3], [-0.9, -0.3]], kept=False)
+    (found,) = condition_issues(made(first, first), [one])
     assert found.names == ("h1", "h0")
 
 
@@ -120,19 +123,10 @@ def test_where_it_answers_at_once_somewhere_the_degree_is_one() -> None:
     assert "answers with its time to the 2 at any of 2 states" in found.sentence, "the quickest answer counts"
 
 
-def test_the_condition_that_is_missed_by_most_at_its_best_is_named_first() -> None:
-    one = probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.3], [-0.9, -0.3]], kept=False)
-    (found,) = condition_issues(made(first, first), [one])
-    assert found.names == ("h1", "h0")
-
-
-def test_a_condition_that_some_action_just_keeps_is_not_missed() -> None:
+def test_a_condition_that_is_just_kept_is_not_missed_and_an_effect_within_rounding_is_ignored() -> None:
     one = probe(0.5, h=0.5, residuals=[[-0.1], [0.0]], kept=False)
     (found,) = condition_issues(made(first), [one])
     assert found.names == (), "all of them together, it says then"
-
-
-def test_an_effect_within_the_rounding_of_h_is_ignored() -> None:
     (found,) = condition_issues(
         made(lambda x: 1e6 + 1e-6 * x[0]), [probe(0.5, h=1e6, residuals=[[-0.3], [-0.1]], kept=False)]
     )
@@ -142,12 +136,9 @@ def test_an_effect_within_the_rounding_of_h_is_ignored() -> None:
 # where it is looked
 
 
-def test_a_kind_without_a_margin_has_none() -> None:
+def test_a_kind_without_a_margin_has_none_and_the_middle_lies_between_the_ends() -> None:
     checked = replace(made(first), margins={"some": 0.3})
     assert checked.epsilon.tolist() == [0.0]
-
-
-def test_the_middle_lies_between_the_ends() -> None:
     assert made(first, limits=(-1.0, 3.0)).corners()[-1] == [1.0]
 
 
@@ -200,11 +191,8 @@ def test_every_extreme_action_is_held_to_the_end_in_six_drives() -> None:
 # margins, units, gradients
 
 
-def test_of_a_kind_with_some_margin_nothing_is_said() -> None:
+def test_of_a_kind_with_some_margin_nothing_is_said_and_a_unit_is_off_by_its_ratio() -> None:
     assert margin_issues(made(first, epsilon={"function": 0.1}), []) == []
-
-
-def test_how_far_off_a_unit_is_counts_by_its_ratio() -> None:
     parts = [FunctionBarrier(first, names=(name,), kind=name) for name in ("a", "b")]
     checked = made(*parts, epsilon={"a": 1e-3, "b": 1e3})
     (found,) = scale_issues(checked, [probe(0.0, h=[1e6, 1e6], reached=[1e-6, 1e-2])])
@@ -226,15 +214,12 @@ def test_a_hundredth_of_the_largest_part_may_be_missing(gradient: tuple[float, f
     assert told in "".join(issue.sentence for issue in found)
 
 
-def test_the_entry_that_matters_most_in_a_tick_is_reported_for_the_worst_state() -> None:
+def test_where_a_slope_matters_most_is_reported_and_what_moves_somewhere_is_judged_everywhere() -> None:
     """Entry 1 is off by less, but moves a thousand times as far; the state at 3 is the worst."""
     barrier = FunctionBarrier(lambda x: x[0] + x[1], lambda x: np.array([30.0, 1.5 + x[0]]), ("h",))
     probes = [probe(at, 0.0, h=at, moved=[0.001, 1.0]) for at in (1.0, 3.0, 2.0)]
     (found,) = gradient_issues(made(barrier), probes)
     assert "got a slope of 4.5 in entry 1 of the state, wanted 1," in found.sentence
-
-
-def test_what_moves_somewhere_is_judged_everywhere() -> None:
     barrier = sloped(lambda x: x[0], 5.0)
     assert gradient_issues(made(barrier), [probe(0.0, h=0.0, moved=0.1), probe(1.0, h=1.0, moved=0.0)])
 
@@ -260,28 +245,22 @@ def walls(*deep: tuple[float, float]) -> Callable[[Values], float]:
     return lambda x: float(1.0 - 0.01 * x[0] - sum(depth * (abs(x[0] - at) < 0.025) for at, depth in deep))
 
 
-def test_h_is_chased_by_the_actions_that_lower_it_most() -> None:
+def test_h_is_chased_by_the_actions_that_lower_it_most_and_of_several_by_those_that_do_something() -> None:
     """To the right by 0.3 a tick, with an action of 3: at 0.3 and 0.6, and what lies at 0.45 is jumped over."""
     checked = made(walls((0.45, 3.0)), limits=(-1.0, 3.0))
     (found,) = tick_issues(checked, [probe(0.0, h=1.0)])
     assert "got h = 0.994 at two ticks and -2 between them" in found.sentence
     (left,) = tick_issues(made(lambda x: walls((0.35, 3.0))(-x), limits=(-3.0, 1.0)), [probe(0.0, h=1.0)])
     assert "at two ticks" in left.sentence
-
-
-def test_of_several_actions_those_that_do_something_are_taken() -> None:
     checked = made(walls((0.45, 3.0)), limits=(-1.0, 3.0), actions=2, model=lambda x: (x, np.array([[0.1, 0.0]])))
     (found,) = tick_issues(checked, [probe(0.0, h=1.0)])
     assert "got h = 0.994 at two ticks" in found.sentence
 
 
-def test_the_deepest_of_all_dips_is_reported() -> None:
+def test_the_deepest_of_all_dips_is_reported_with_the_barrier_that_dips_from_whichever_start() -> None:
     for deep in (((0.45, 3.0), (1.05, 2.5)), ((0.45, 2.5), (1.05, 3.0))):
         (found,) = tick_issues(made(walls(*deep), limits=(-1.0, 3.0)), [probe(0.0, h=1.0)])
         assert "and -1.5" not in found.sentence
-
-
-def test_the_barrier_that_dips_is_named_and_every_start_is_tried() -> None:
     checked = made(first, first, lambda x: walls((20.45, 3.0))(x) + 0.011 * x[0], limits=(-1.0, 0.0))
     low, high = probe(0.0, h=[0.0, 0.0, 1.0]), probe(20.6, h=[20.6, 20.6, 1.02])
     (found,) = tick_issues(checked, [low, high])

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.safety.checked import first, made, probe
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
@@ -29,6 +30,9 @@ from safedpa.safety import (
     SafetyFilter,
     check_filter,
 )
+from safedpa.safety.check_backup import backup_issues
+from safedpa.safety.check_report import FilterIssue, gathered, shown
+from safedpa.safety.compatibility import check_backup
 from safedpa.safety.shipped import settings_named
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -51,13 +55,9 @@ def brake(x: np.ndarray) -> np.ndarray:
 
 
 def report(
-    h: AbstractBarrier | Callable[[np.ndarray], Any] = room,
-    *,
-    settings: FilterSettings = SETTINGS,
-    backup: Callable[[Any], Any] | None = None,
-    states: Any = STATES,
-    **known: Any,
-) -> FilterReport:
+    h: AbstractBarrier | Callable[[np.ndarray], Any] = room, *, settings: FilterSettings = SETTINGS,
+    backup: Callable[[Any], Any] | None = None, states: Any = STATES, **known: Any,
+) -> FilterReport:  # fmt: skip
     barrier = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, **known)
     return check_filter(SafetyFilter(affine, [barrier], settings, backup=backup), states)
 
@@ -126,16 +126,13 @@ def test_the_example_among_discs_runs_and_hits_nothing() -> None:
     assert float(re.findall(r"least room (\S+) cm", said)[0]) >= 0.0
 
 
-def test_a_wrong_unit() -> None:
+def test_a_wrong_unit_and_actions_that_reach_less_than_the_margin_are_told() -> None:
     small = report(lambda x: 1e-8 * room(x))
     assert small.subjects == {"scale"}
     assert "are h and epsilon in the same unit?" in small[0].sentence
     assert report(lambda x: 1e8 * room(x)).subjects == {"scale"}
     for unit in (1e-6, 1e6):
         assert not report(lambda x, unit=unit: unit * room(x), settings=replace(SETTINGS, epsilon=0.002 * unit))
-
-
-def test_actions_that_reach_less_than_the_margin() -> None:
     found = report(lambda x: 10.0 * room(x) if x[1] < -9.0 else 100.0 - 1e-3 * x[1])
     assert found.subjects == {"scale"}
     assert "wanted more than epsilon" in found[0].sentence
@@ -152,21 +149,20 @@ def test_a_relative_degree_above_one() -> None:
     assert "does not answer to the action in one tick" in str(ahead)
 
 
-def test_an_h_that_falls_under_the_backup() -> None:
+def test_an_h_that_falls_under_the_backup_is_told_even_of_a_filter_that_is_switched_off() -> None:
     found = report(settings=replace(SETTINGS, backup_action=(1.0,)))
     assert found.subjects == {"backup"}
     assert "under the backup" in found[0].sentence
+    assert not report(settings=replace(SETTINGS, enabled=False))
+    assert report(settings=replace(SETTINGS, enabled=False, backup_action=(1.0,))).subjects == {"backup"}
 
 
-def test_a_condition_that_no_action_can_satisfy_is_reported() -> None:
+def test_conditions_that_no_action_can_satisfy_or_that_exclude_each_other_are_reported() -> None:
     """Relative degree one, but braking is overrated."""
     found = report(lambda x: float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 16.0 - 0.02 * max(x[1], 0.0)))
     assert "conditions" in found.subjects
     assert "every action tried misses its condition" in str(found)
-
-
-def test_conditions_that_exclude_each_other() -> None:
-    """Each can be kept, both cannot: at x = 0 all room is used up by either side."""
+    # Each can be kept, both cannot: at x = 0 all room is used up by either side.
     both = FunctionBarrier(
         lambda x: np.array([0.5 + x[1] + 0.2 * x[0], 0.5 - x[1] - 0.2 * x[0]]) ** 3, names=("left", "right")
     )
@@ -207,15 +203,12 @@ def test_an_obstacle_thinner_than_a_tick() -> None:
     assert not check_filter(SafetyFilter(jumping, [looking], limits), states)
 
 
-def test_a_margin_of_zero() -> None:
+def test_a_margin_of_zero_and_a_gradient_that_its_own_h_contradicts_are_told() -> None:
     found = report(settings=replace(SETTINGS, epsilon={"obstacle": 0.01}), kind="wall")
     assert found.subjects == {"margin"}
     assert "epsilon = { wall = ... }" in found[0].sentence
     given = SafetyFilter(affine, [FunctionBarrier(room, kind="wall")], replace(SETTINGS, epsilon={"obstacle": 0.01}))
     assert not check_filter(given, STATES, epsilon={"wall": 0.002}), "as in decide, the call's margins come first"
-
-
-def test_a_gradient_that_its_own_h_contradicts() -> None:
     found = report(gradient=lambda x: [1.0, -0.1])
     assert "gradient" in found.subjects
     assert "got a slope of 1 in entry 0 of the state, wanted -1" in str(found)
@@ -223,18 +216,10 @@ def test_a_gradient_that_its_own_h_contradicts() -> None:
     assert not right
 
 
-def test_a_filter_that_is_switched_off_is_checked_all_the_same() -> None:
-    assert not report(settings=replace(SETTINGS, enabled=False))
-    assert report(settings=replace(SETTINGS, enabled=False, backup_action=(1.0,))).subjects == {"backup"}
-
-
-def test_an_error_in_a_users_function_is_reported_and_not_raised() -> None:
+def test_an_error_in_a_users_function_is_reported_in_a_report_that_reads_as_a_list() -> None:
     found = report(lambda x: 1.0 / 0.0 if x[0] > 0.6 else room(x))
     assert found.subjects == {"failure"}
     assert "ZeroDivisionError" in str(found)
-
-
-def test_a_report_reads_as_a_list() -> None:
     found = report(FunctionBarrier(lambda x: [1.0 - x[0], 2.0 - x[0]], names=("near", "far")))
     assert found[0] in found[:1]
     assert len(list(found)) == len(found) == len(str(found).splitlines())
@@ -250,3 +235,70 @@ def test_states_are_numbers(states: Any) -> None:
 def test_there_is_something_to_check() -> None:
     with pytest.raises(InputError, match="barriers: got none"):
         check_filter(SafetyFilter(affine, [], SETTINGS), [0.0, 0.0])
+
+
+def rollout(backup: Any) -> RolloutBarrier:
+    return RolloutBarrier(lambda x: (0.5 * x, 0.1 * np.eye(1)), backup, first, 5, ["r"])
+
+
+@pytest.mark.parametrize(("foreign", "told"), [(False, ["h0"]), (True, ["r"])])
+def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: bool, told: list[str]) -> None:
+    """From 0.5 with -1 to 0.4: a condition of 0.9 x 0.5 + 0.002 is missed, by whichever backup the rollout thinks of.
+
+    But with another one than the filter's, every condition of the rollout is about something that is not done.
+    """
+    own = [-1.0]
+    checked = made(first, rollout([0.5] if foreign else own), backup=lambda x: own)
+    near = probe(0.5, h=[0.5, 9.0])
+    found = backup_issues(checked, [near], stands=True)
+    assert [name for issue in found for name in issue.names if name in told] == told
+    assert all("the same; give the filter" in issue.sentence for issue in found) is foreign
+    assert any("misses its condition" in issue.sentence for issue in found) is not foreign
+    unasked = backup_issues(checked, [near], stands=False)
+    assert len(unasked) == foreign, "a robot without a stand is not asked, and another backup is told all the same"
+
+
+@pytest.mark.parametrize("backup", ["stop", 0.0, (0.0, 0.0), [0.0, 0.0], np.zeros(2)])
+def test_a_backup_that_cannot_be_called_is_refused_when_it_is_given(backup: Any) -> None:
+    """Else it would be found out when it is needed."""
+    with pytest.raises(InputError, match=rf"backup: got {type(backup).__name__}, wanted a function of the state"):
+        check_backup(backup, 2)
+
+
+@pytest.mark.parametrize("answer", [[0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], [np.nan, 0.0], [np.inf, 0.0], 0.0])
+def test_a_backup_that_answers_no_action_is_refused_when_it_is_given(answer: Any) -> None:
+    with pytest.raises(InputError, match="wanted 2 finite numbers, one for each action"):
+        check_backup(lambda _: answer, 2)
+
+
+def test_a_backup_that_needs_a_state_is_taken() -> None:
+    check_backup(lambda x: x[0], 2)
+    check_backup(lambda _: [0.0, 0.0], 2)
+    check_backup(None, 2)
+
+
+NAMES = ("a", "b", "c", "d", "e", "f")
+
+
+def test_the_worst_is_named_first_and_gives_its_sentence() -> None:
+    cases = {0: (1.0, "slightly"), 3: (7.0, "badly"), 5: (2.0, "somewhat")}
+    assert gathered("scale", NAMES, cases) == [FilterIssue("scale", ("d", "f", "a"), "badly")]
+    assert gathered("scale", NAMES, {}) == []
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(0, "scale: x"), (1, "scale (a): x"), (4, "scale (a, b, c, d): x"), (5, "scale (a, b, c, d, ...): x")],
+)
+def test_four_names_are_said_and_that_there_are_more(count: int, said: str) -> None:
+    assert str(FilterIssue("scale", NAMES[:count], "x")) == said
+
+
+def test_a_report_is_its_issues() -> None:
+    issues = [FilterIssue("scale", (), "x"), FilterIssue("margin", ("a",), "y")]
+    report = FilterReport(issues, 7)
+    assert (list(report), len(report), report[1], report[:1]) == (issues, 2, issues[1], (issues[0],))
+    assert (report.subjects, str(report)) == ({"scale", "margin"}, "- scale: x\n- margin (a): y")
+    assert not FilterReport([], 7)
+    assert str(FilterReport([], 7)) == "Nothing amiss at 7 states."
+    assert shown([1.0, -0.123456]) == "[1, -0.1235]"

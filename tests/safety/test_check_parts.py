@@ -12,12 +12,7 @@ import pytest
 from tests.safety.checked import Values, first, made, probe
 
 from safedpa.errors import InputError
-from safedpa.safety import (
-    FunctionBarrier,
-    RolloutBarrier,
-    Verdict,
-    check_filter,
-)
+from safedpa.safety import FunctionBarrier, RolloutBarrier, Verdict, check_filter
 from safedpa.safety.check_backup import backup_issues, horizon_issues
 from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_issues, tick_issues
 from safedpa.safety.check_influence import condition_issues
@@ -28,18 +23,12 @@ from safedpa.safety.verdict import Status, resting_verdict
 # what is asked of a filter without a verdict
 
 
-def test_thresholds_and_what_is_slight() -> None:
+def test_thresholds_and_residuals_follow_worked_examples_and_the_latent_is_the_models() -> None:
     checked = made(first, lambda x: 5.0 - x[0], epsilon=0.002, eta=0.1)
     np.testing.assert_allclose(checked.threshold, [0.02, 0.02])
     np.testing.assert_allclose(checked.slight(np.array([3.0, -4e6])), [0.0001 + 3e-9, 0.0001 + 4e-3])
-
-
-def test_a_residual_follows_a_worked_example() -> None:
-    """From 3 with a = -1 to 2.9: 2.9 - 0.9 x 3 - 0.002."""
+    # From 3 with a = -1 to 2.9: 2.9 - 0.9 x 3 - 0.002.
     np.testing.assert_allclose(made(first).residual(np.array([3.0]), np.array([-1.0])), [0.198])
-
-
-def test_the_latent_is_the_models() -> None:
     checked = made(first, model=lambda x, z: (x + z, 0.1 * np.eye(1)), latent=np.array([0.5]))
     np.testing.assert_allclose(checked.after(np.array([3.0]), np.array([-1.0])), [3.4])
 
@@ -224,12 +213,9 @@ def test_a_gradient_wrong_at_few_states_is_a_kink() -> None:
         assert bool(found) is told
 
 
-def test_an_entry_that_nothing_moves_is_not_judged() -> None:
+def test_an_entry_that_nothing_moves_is_not_judged_and_a_gradient_of_a_constant_has_to_be_zero() -> None:
     barrier = FunctionBarrier(lambda x: x[0] + x[1], lambda x: np.array([1.0, 99.0]), ("h",))
     assert gradient_issues(made(barrier, actions=2), [probe(0.0, 0.0, h=0.0, moved=[0.1, 0.0])] * 3) == []
-
-
-def test_a_gradient_of_a_constant_has_to_be_zero() -> None:
     barrier = FunctionBarrier(lambda x: 7.0, lambda x: np.array([0.1]), ("h",))
     assert gradient_issues(made(barrier), [probe(0.0, h=7.0)] * 3)
 
@@ -262,14 +248,11 @@ def test_a_fall_of_the_threshold_is_none() -> None:
         assert bool(tick_issues(checked, [probe(0.0, h=0.3 * depth)])) is told
 
 
-def test_what_dips_is_named_behind_others_of_several_values() -> None:
+def test_what_dips_is_named_among_several_values_and_outside_nothing_is_followed() -> None:
     flat = FunctionBarrier(lambda x: [5.0, 6.0], names=("high", "higher"))
     checked = made(flat, wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     (issue,) = tick_issues(checked, [probe(-0.3, h=[5.0, 6.0, float(checked.h(np.array([-0.3]))[2])])])
     assert issue.names == ("h1",)
-
-
-def test_a_state_that_is_outside_already_is_not_followed() -> None:
     checked = made(wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     assert tick_issues(checked, [probe(0.0, h=-0.1)]) == []
 
@@ -405,9 +388,7 @@ def test_an_error_in_a_users_function_is_reported() -> None:
     checked = made(fails)
     (found,) = check_filter(checked.safe, [0.5]).issues
     assert found == FilterIssue(
-        "failure",
-        (),
-        "got RuntimeError: too far; wanted an answer at every probed state, as the robot needs one",
+        "failure", (), "got RuntimeError: too far; wanted an answer at every probed state, as the robot needs one"
     )
 
 

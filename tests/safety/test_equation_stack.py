@@ -1,9 +1,9 @@
-"""Barriers that are equations: recorded, in one go, for many at once, beside the equation run on plain numbers."""
+"""Barriers that are equations, beside the equation run on plain numbers, and the slope of every operation."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from hypothesis import strategies as st
 from tests.safety.dual_numbers import DUALS, Dual, dual
 
 from safedpa.equations import Given, NotStraightError
+from safedpa.equations.many_rows import ManyRows
+from safedpa.equations.plain_rows import plain_rows
+from safedpa.equations.rows import RowGroup, RowTape
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations
 from safedpa.robots.car import written_barriers
@@ -146,16 +149,25 @@ def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None
     assert stacks.of((), 4).names == ()
 
 
-def test_a_stack_travels_to_another_process() -> None:
+def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_made_of_them() -> None:
     stack = stacked(car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)]))
     state = (0.1, 0.2, 0.3, 0.4)
     expected = stack.heights(state)
     assert pickle.loads(pickle.dumps(stack)).heights(state) == expected
+    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD)
+    here = np.array([0.3, -0.2, 0.4, 1.1])
+    for part in parts:
+        before = part.values(here)
+        other = pickle.loads(pickle.dumps(part))
+        assert other.values(here).tobytes() == before.tobytes()
+        assert (other.names, other.kind, other.reads) == (part.names, part.kind, part.reads)
 
 
-def test_what_was_written_ahead_of_time_is_what_recording_gives_today() -> None:
+def test_what_was_written_ahead_of_time_is_what_recording_gives_today_and_no_branch_on_a_number_is_recorded() -> None:
     source = Path(written_barriers.__file__).with_name("written_barriers.py")
     assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.robots.car.write_barriers"
+    with pytest.raises(NotStraightError, match="branch"):
+        Branching().values(np.zeros(2))
 
 
 @pytest.mark.parametrize("way", [None, 0.3])
@@ -175,24 +187,102 @@ class Branching(AbstractEquationBarrier):
         return (given.state[0] if given.state[0] > 0.0 else 0.0,)
 
 
-def test_an_equation_that_branches_on_a_number_cannot_be_recorded() -> None:
-    with pytest.raises(NotStraightError, match="branch"):
-        Branching().values(np.zeros(2))
-
-
-def test_a_barrier_travels_without_the_functions_that_were_made_of_it() -> None:
-    parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD)
-    here = np.array([0.3, -0.2, 0.4, 1.1])
-    for part in parts:
-        before = part.values(here)
-        other = pickle.loads(pickle.dumps(part))
-        assert other.values(here).tobytes() == before.tobytes()
-        assert (other.names, other.kind, other.reads) == (part.names, part.kind, part.reads)
-
-
 def test_the_same_parts_are_refused_again_for_a_state_of_another_size() -> None:
     parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), Stacks()
     for scene in (parts, stacks.of(parts, 4)):
         assert stacks.of(scene, 4).names
         with pytest.raises(InputError, match="got a state of 5 entries"):
             stacks.of(scene, 5)
+
+
+POINTS = [(0.3, -0.7), (-0.4, 0.9), (1.2, 1.2), (0.0, 0.5), (0.5, 0.0), (-1.0, 1.0), (0.0, 0.0), (2.0, -3.0)]
+FORMS: dict[str, Callable[[Any, Any, Any, Operations], Any]] = {
+    "sum": lambda x, y, e, o: x + y + e,
+    "difference": lambda x, y, e, o: e - x - y,
+    "product": lambda x, y, e, o: x * y * e,
+    "quotient": lambda x, y, e, o: (x + e) / (y * y + 1.0),
+    "under a constant": lambda x, y, e, o: 2.0 / (x * x + e * e) - y,
+    "square": lambda x, y, e, o: x**2 * e + (+y) ** 2.0,
+    "sign of both": lambda x, y, e, o: -x * e - (-y),
+    "sin": lambda x, y, e, o: o.sin(x * e + y),
+    "cos": lambda x, y, e, o: o.cos(x * e) * o.sin(x * e) + y,
+    "tan": lambda x, y, e, o: o.tan(0.3 * x) * e + o.tan(0.1 * y),
+    "atan": lambda x, y, e, o: o.atan(x * y + e),
+    "tanh": lambda x, y, e, o: o.tanh(x - e * y),
+    "exp": lambda x, y, e, o: o.exp(0.5 * x + e * y),
+    "sqrt": lambda x, y, e, o: o.sqrt(x * x + y * y + e * e),
+    "absolute": lambda x, y, e, o: o.absolute(x - e) + o.absolute(y + 0.1),
+    "sign": lambda x, y, e, o: o.sign(x + 0.01) * y + e,
+    "minimum": lambda x, y, e, o: o.minimum(x, y) * e + o.minimum(e, x),
+    "maximum": lambda x, y, e, o: o.maximum(x, y) * e + o.maximum(y, e),
+    "clip": lambda x, y, e, o: o.clip(x, y - 3.0, e) + o.clip(e, x, 5.0),
+    "where": lambda x, y, e, o: o.where(x < y, x * e, o.where(y >= 0.5, y, -y)) + o.where(x != y, y, x),
+    "hypot": lambda x, y, e, o: o.hypot(x, y) + o.hypot(x - e, 2.0 * y),
+    "of the state alone": lambda x, y, e, o: o.sin(x) * y,
+    "of neither": lambda x, y, e, o: e + 0.0 * e,
+}
+EACH = (0.5, 1.5)
+
+
+def recorded(form: Callable[[Any, Any, Any, Operations], Any]) -> RowTape:
+    def equation(given: Given, operations: Operations) -> Sequence[Any]:
+        x, y = given.state
+        return form(x, y, given.each[0], operations), form(y, x, given.shared[0] * given.each[0], operations)
+
+    return RowTape(2, [RowGroup(equation, 1, 1)])
+
+
+def by_dual_numbers(form: Callable[..., Any], point: Sequence[float], shared: float) -> tuple[Any, Any]:
+    h, slopes = [], []
+    for each in EACH:
+        for turned, number in ((False, each), (True, shared * each)):
+            found = []
+            for nudged in range(2):
+                x, y = (Dual(value, float(index == nudged)) for index, value in enumerate(point))
+                found.append(dual(form(y, x, number, DUALS) if turned else form(x, y, number, DUALS)))
+            h.append(found[0].value)
+            slopes.append([entry.slope for entry in found])
+    return np.array(h), np.array(slopes)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_values_and_slopes_are_those_of_dual_numbers(name: str) -> None:
+    tape, shared = recorded(FORMS[name]), 0.7
+    rows = plain_rows(tape)(((shared,),), (tuple((each,) for each in EACH),))
+    many, robots = ManyRows(tape), len(POINTS)
+    columns = [[np.full((robots, 1), shared)]], [[np.tile(EACH, (robots, 1))]]
+    values, slopes = many.heights(np.array(POINTS), *columns), many.slopes(np.array(POINTS), *columns)
+    for index, point in enumerate(POINTS):
+        h, expected = by_dual_numbers(FORMS[name], point, shared)
+        assert rows.heights(point) == pytest.approx(h, abs=1e-14)
+        np.testing.assert_allclose(rows.slopes(point, range(4)), expected, rtol=1e-13, atol=1e-14)
+        np.testing.assert_allclose(rows.slopes(point, [3, 1]), expected[[3, 1]], rtol=1e-13, atol=1e-14)
+        np.testing.assert_allclose(values[index], h, rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(slopes[index], expected, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("form", [lambda x, y, e, o: x**3, lambda x, y, e, o: x**y])
+def test_a_power_without_a_rule_is_refused_and_never_level(form: Callable[..., Any]) -> None:
+    with pytest.raises(KeyError, match="exponent"):
+        plain_rows(recorded(form))
+
+
+def test_pythons_own_absolute_value_has_a_slope_as_well() -> None:
+    rows = plain_rows(recorded(lambda x, y, e, o: abs(x)))(((1.0,),), (((1.0,),),))
+    assert rows.slopes((-2.0, 3.0), range(2)) == [(-1.0, 0.0), (0.0, 1.0)]
+    assert rows.slopes((0.0, 0.0), range(2)) == [(0.0, 0.0), (0.0, 0.0)]
+
+
+def test_groups_with_the_same_body_share_what_they_compute() -> None:
+    def reach(given: Given, operations: Operations) -> Sequence[Any]:
+        return (operations.sin(given.state[0]) * given.shared[0] - given.each[0],)
+
+    alone = RowTape(1, [RowGroup(reach, 1, 1)])
+    both = RowTape(1, [RowGroup(reach, 1, 1), RowGroup(reach, 1, 1, body=0)])
+    apart = RowTape(1, [RowGroup(reach, 1, 1), RowGroup(reach, 1, 1)])
+    assert len(both.of("state", [name for names in both.results for name in names])) == 2
+    assert len(apart.of("state", [name for names in apart.results for name in names])) == 3
+    assert alone.steepest is None
+    rows = plain_rows(both)(((2.0,), ()), (((1.0,),), ((3.0,), (4.0,))))
+    assert rows.heights([0.0]) == [-1.0, -3.0, -4.0]
+    assert rows.steepest([0.0]) is None

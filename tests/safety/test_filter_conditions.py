@@ -1,6 +1,9 @@
-"""Conditions at one state: saturated actuators, chords, shapes."""
+"""Conditions at one state: saturated actuators, chords, shapes, numbers by whichever road."""
+
+from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from safedpa.errors import InputError
 from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction
 from safedpa.safety.conditions import ROUNDING, Conditions, Outcome
+from safedpa.safety.inputs import Plausible, Unusable, checked_input
 from safedpa.safety.stacks import stacked
 from safedpa.safety.tangent import Tangent
 
@@ -148,16 +152,13 @@ def test_a_barriers_scale_is_what_it_is_its_margin_or_what_actions_change_in_it(
     assert steep.sizes == [1.0, 2.0]
 
 
-def test_a_reach_once_known_is_not_forgotten() -> None:
+def test_a_reach_once_known_is_not_forgotten_and_rounding_is_far_below_what_matters() -> None:
     """h = 1 - x^2 / 2: steep where x is large, flat where it is 0."""
     posed = several(lambda x: [1.0 - x[0] ** 2 / 2.0], [0.0])
     posed.linearised(posed.outcome((3.0,))).all(1)
     assert posed.scales[0] == pytest.approx(24.0)
     posed.linearised(posed.outcome((0.5,))).all(1)
     assert posed.scales[0] == pytest.approx(24.0)
-
-
-def test_rounding_errors_are_far_below_what_matters() -> None:
     assert 1e-12 <= ROUNDING <= 1e-10
 
 
@@ -173,7 +174,7 @@ def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: f
     assert outcome.broken == ([] if kept else [0])
 
 
-def test_no_action_is_kept_that_leads_below_zero() -> None:
+def test_no_kept_action_leads_below_zero_and_a_violation_is_the_largest_slack_of_what_is_broken() -> None:
     """With h = 0 now the condition h >= 0 may not be missed at all, though h's scale would allow for rounding."""
     posed = several(lambda x: [-1e-14 * x[0], 1.0], [0.0, 0.0])
     posed.scales[:] = [1.0, 1.0]
@@ -181,9 +182,6 @@ def test_no_action_is_kept_that_leads_below_zero() -> None:
     assert (below.broken, below.kept) == ([], False)
     assert (on.broken, on.kept) == ([], True)
     assert below.violation == 0.0
-
-
-def test_violation_is_the_largest_slack_of_what_is_broken() -> None:
     posed = several(lambda x: [5.0 - x[0], 2.0 - x[0], 100.0], [0.0, 0.0, 0.0])
     outcome = posed.outcome((3.0,))
     assert outcome.broken == [0, 1]
@@ -276,3 +274,38 @@ def test_numbers_whose_sum_is_too_large_are_numbers() -> None:
     )  # fmt: skip
     outcome = posed.outcome((0.0, 0.0))
     assert (outcome.usable, outcome.kept, outcome.h_next) == (True, True, [large, large])
+
+
+NAMES = ("a", "b", "c", "d", "e")
+BELIEVED = Plausible(np.array([-1.0, -2.0, -3.0, -4.0, -5.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]), NAMES)
+ROADS = {
+    "array": np.array,
+    "list": list,
+    "tuple": tuple,
+    "single precision": lambda values: np.array(values, dtype=np.float32),
+    "mixed": lambda values: [np.float64(values[0]), *values[1:]],
+}
+
+
+@pytest.mark.parametrize("road", ROADS)
+def test_the_entry_that_is_out_of_its_range_is_named_and_what_is_no_number_is_not(road: str) -> None:
+    made: Any = ROADS[road]
+    assert checked_input("state", made([1.0, -2.0, 3.0, -4.0, 5.0]), BELIEVED) == (1.0, -2.0, 3.0, -4.0, 5.0)
+    assert checked_input("state", made([0.5] * 3), None) == (0.5,) * 3
+    for entry, name in enumerate(NAMES):
+        for side in (-1.0, 1.0):
+            values = [0.0] * 5
+            values[entry] = side * (entry + 1.5)
+            told = checked_input("state", made(values), BELIEVED)
+            assert isinstance(told, Unusable)
+            assert f" {name} = {values[entry]:g}, wanted {-entry - 1:g} to {entry + 1:g}" in told.reason
+        for number in (np.nan, np.inf, -np.inf):
+            values = [9.0] * 5
+            values[entry] = number
+            assert checked_input("state", made(values), BELIEVED) == Unusable("state holds NaN or infinity")
+
+
+@pytest.mark.parametrize("value", [np.array(1.0), np.zeros((5, 5)), np.zeros((1, 5)), np.zeros(4), [0.0] * 6, []])
+def test_another_shape_is_refused_and_reported(value: Any) -> None:
+    told = checked_input("state", value, BELIEVED)
+    assert told == Unusable(f"state has shape {np.shape(value)}, wanted (5,)")

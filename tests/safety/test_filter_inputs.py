@@ -77,9 +77,14 @@ def test_bad_wish(car_filter: SafetyFilter, wish: Any, reason: str) -> None:
     assert verdict.margin == 0.01
 
 
-def test_edges_of_the_plausible_range_are_believed(car_filter: SafetyFilter) -> None:
+def test_edges_of_the_plausible_range_are_believed_and_of_several_problems_all_are_named(
+    car_filter: SafetyFilter,
+) -> None:
     assert car_filter.decide(GOOD, [28.0, 0.0]).status is not Status.fallback
     assert car_filter.decide([0.0, 0.0, 0.0, 30.0], WISH).status is not Status.fallback
+    verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
+    assert verdict.reason == "Reason: latent is stale; state is missing; wish holds NaN or infinity."
+    assert verdict.solver == "not run"
 
 
 def test_a_latent_that_the_model_needs(car: PhysicsModel) -> None:
@@ -96,12 +101,6 @@ def test_a_latent_that_the_model_needs(car: PhysicsModel) -> None:
         verdict = safe.decide(GOOD, WISH, latent)
         assert_brakes(verdict, reason)
         assert not verdict.known
-
-
-def test_several_problems_are_all_named(car_filter: SafetyFilter) -> None:
-    verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
-    assert verdict.reason == "Reason: latent is stale; state is missing; wish holds NaN or infinity."
-    assert verdict.solver == "not run"
 
 
 @pytest.mark.parametrize("name", ["state", "wish", "latent", "scene"])
@@ -164,12 +163,11 @@ def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, r
     assert_brakes(safe.decide(GOOD, None), "wish is missing")
 
 
-def test_a_backup_beyond_the_actuator_is_clipped(car: PhysicsModel) -> None:
+def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(
+    car: PhysicsModel,
+) -> None:
     safe = SafetyFilter.for_model(car, CAR, backup=lambda _: np.array([-9.0, 9.0]))
     np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
-
-
-def test_resting_action_from_the_settings(car: PhysicsModel) -> None:
     resting = FilterSettings(backup_action=(-0.2, 0.05))
     np.testing.assert_array_equal(SafetyFilter.for_model(car, resting).decide(None, None).action, [-0.2, 0.05])
     away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
@@ -399,13 +397,10 @@ def test_checked_input_gives_plain_numbers_or_a_reason() -> None:
     assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")
 
 
-def test_one_range_may_be_given_for_all_entries() -> None:
+def test_one_range_may_be_given_for_all_entries_but_none_that_leaves_entries_out() -> None:
     broad = Plausible(np.array([0.0]), np.array([1.0]), ("a", "b"))
     assert checked_input("x", [0.5, 1.0], broad) == (0.5, 1.0)
     refused = checked_input("x", [0.5, 1.5], broad)
     assert refused == Unusable("x is out of its plausible range: b = 1.5, wanted 0 to 1")
-
-
-def test_a_range_that_leaves_entries_out_is_refused() -> None:
     with pytest.raises(ValueError, match="broadcast"):
         checked_input("x", [0.5, 0.5, 0.5], Plausible(np.zeros(2), np.ones(2), ("a", "b", "c")))

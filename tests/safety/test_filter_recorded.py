@@ -30,15 +30,10 @@ def verdict_on(safe: SafetyFilter, scene: list[list[float]], case: dict[str, Any
 def answer(verdict: Verdict) -> dict[str, Any]:
     """What is recorded of a verdict."""
     return {
-        "status": verdict.status.value,
-        "reason": verdict.reason,
-        "active": list(verdict.active),
-        "action": verdict.action.tolist(),
-        "slack": verdict.slack,
-        "h_now": verdict.h_now,
-        "h_next": verdict.h_next,
+        "status": verdict.status.value, "reason": verdict.reason, "active": list(verdict.active),
+        "action": verdict.action.tolist(), "slack": verdict.slack, "h_now": verdict.h_now, "h_next": verdict.h_next,
         "solver": verdict.solver,
-    }
+    }  # fmt: skip
 
 
 def drawn_state(random: np.random.Generator, barriers: Sequence[AbstractBarrier], tight: bool) -> list[float]:

@@ -14,13 +14,19 @@ from safedpa.safety import FilterSettings, load_settings, parse_settings, save_s
 from safedpa.safety.settings import without_former_keys
 
 
-def test_defaults_fit_the_car() -> None:
+def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
     settings = FilterSettings()
     np.testing.assert_array_equal(settings.low, [-0.6, -0.34])
     np.testing.assert_array_equal(settings.high, [2.0, 0.34])
     np.testing.assert_array_equal(settings.weight_vector, [1.0, 1.0])
     np.testing.assert_array_equal(settings.resting_action, [0.0, 0.0])
     assert (braking_of(settings).deceleration, braking_of(settings).gain) == (2.0, 2.5)
+    left = FilterSettings()
+    assert (left.eta, left.relinearisations, left.plausible_wish) == (0.2, 3, 10.0)
+    names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance", "own_radius", "creeping")
+    assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05, 0.0, 0.0), strict=True))
+    pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
+    assert pendulum.barriers == {"corridor_seconds": 0.25}
 
 
 @pytest.mark.parametrize(
@@ -37,10 +43,11 @@ def test_file_comes_back_the_same(settings: FilterSettings, tmp_path: Path) -> N
     assert parse_settings(write_settings(settings)) == settings
 
 
-def test_keys_left_out_keep_their_defaults() -> None:
+def test_keys_left_out_keep_their_defaults_and_a_wish_may_be_believed_less_than_a_range_outside() -> None:
     settings = parse_settings("eta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n")
     assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}).with_barriers(clearance=0.0)
     assert parse_settings("epsilon = 0.03").epsilon == {"default": 0.03}
+    assert parse_settings("plausible_wish = 0.5").plausible_wish == 0.5
 
 
 @pytest.mark.parametrize(
@@ -112,20 +119,14 @@ def test_arrays_and_lists_become_tuples(value: Any) -> None:
     assert FilterSettings(weights=value).weights == (0.5, 0.5)
 
 
-def test_what_is_left_out_is_what_the_page_says() -> None:
-    left = FilterSettings()
-    assert (left.eta, left.relinearisations, left.plausible_wish) == (0.2, 3, 10.0)
-    names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance", "own_radius", "creeping")
-    assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05, 0.0, 0.0), strict=True))
-    pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
-    assert pendulum.barriers == {"corridor_seconds": 0.25}
-
-
-def test_a_file_of_an_older_program_is_read_and_keys_of_other_robots_say_nothing() -> None:
+def test_old_files_are_read_and_keys_of_other_robots_or_of_former_settings_say_nothing() -> None:
     """Every file held the numbers of all barriers; those of another robot never said anything."""
     old = "system = 'pendulum'\naction_low = [-1.0]\naction_high = [1.0]\nclearance = 0.2\ncorridor_seconds = 0.4\n"
     assert parse_settings(old).barriers == {"corridor_seconds": 0.4}
     assert parse_settings("corridor_seconds = 0.4\nclearance = 0.2").barrier("clearance") == 0.2
+    text = "format = 1\nslack_tolerance = 0.1\neta = 0.3\n slack_linear=2.0\n"
+    assert without_former_keys(text) == ("format = 1\neta = 0.3\n", ["slack_tolerance", "slack_linear"])
+    assert without_former_keys("eta = 0.3") == ("eta = 0.3", [])
 
 
 def test_numbers_of_barriers_that_a_robot_does_not_have_are_refused() -> None:
@@ -137,10 +138,16 @@ def test_numbers_of_barriers_that_a_robot_does_not_have_are_refused() -> None:
         parse_settings("clearence = 0.2")
 
 
-def test_settings_of_no_named_robot_hold_what_any_robot_knows() -> None:
+def test_settings_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None:
     own = FilterSettings(action_low=(-1.0,), action_high=(1.0,), barriers={"clearance": 0.3})
     assert (own.barriers, own.barrier("clearance"), own.barrier("braking_gain")) == ({"clearance": 0.3}, 0.3, 2.5)
     assert parse_settings(write_settings(own)) == own
+    # With bounds of its own a file speaks of no robot: numbers of any barrier are kept; one bound is enough.
+    both = "action_low = [-1.0]\naction_high = [1.0]\n"
+    assert parse_settings(both + "corridor_seconds = 0.4").barriers == {"corridor_seconds": 0.4}
+    with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
+        parse_settings("action_low = [-0.5, -0.3]\ncorridor_seconds = 0.4")
+    assert parse_settings("corridor_seconds = 0.4").barriers == FilterSettings().barriers
 
 
 @pytest.mark.parametrize(
@@ -187,22 +194,3 @@ def test_what_lies_on_a_limit_is_within_it(backup: tuple[float, float]) -> None:
     assert settings.resting_action.tolist() == list(backup)
     assert parse_settings(write_settings(settings)) == settings
     assert FilterSettings(margin=0.5).margin == 0.5
-
-
-def test_keys_that_are_settings_no_more_are_named_and_left_out() -> None:
-    text = "format = 1\nslack_tolerance = 0.1\neta = 0.3\n slack_linear=2.0\n"
-    assert without_former_keys(text) == ("format = 1\neta = 0.3\n", ["slack_tolerance", "slack_linear"])
-    assert without_former_keys("eta = 0.3") == ("eta = 0.3", [])
-
-
-def test_a_wish_may_be_believed_less_than_a_range_outside() -> None:
-    assert parse_settings("plausible_wish = 0.5").plausible_wish == 0.5
-
-
-def test_bounds_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None:
-    """With bounds of its own a file speaks of no robot: numbers of any barrier are kept; one bound is enough."""
-    both = "action_low = [-1.0]\naction_high = [1.0]\n"
-    assert parse_settings(both + "corridor_seconds = 0.4").barriers == {"corridor_seconds": 0.4}
-    with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
-        parse_settings("action_low = [-0.5, -0.3]\ncorridor_seconds = 0.4")
-    assert parse_settings("corridor_seconds = 0.4").barriers == FilterSettings().barriers

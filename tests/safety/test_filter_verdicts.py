@@ -43,7 +43,7 @@ def check_promises(verdict: Verdict, settings: FilterSettings) -> None:
     assert verdict.as_dict()["status"] == verdict.status.value
 
 
-def test_safe_wish_is_handed_on_bit_for_bit(car_filter: SafetyFilter) -> None:
+def test_a_safe_wish_is_handed_on_bit_for_bit_with_the_sign_of_its_zero(car_filter: SafetyFilter) -> None:
     wish = np.array([0.1 + 0.2, -0.0])
     verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), wish)
     assert verdict.status is Status.passed
@@ -51,9 +51,6 @@ def test_safe_wish_is_handed_on_bit_for_bit(car_filter: SafetyFilter) -> None:
     assert (verdict.slack, verdict.solver, verdict.reason, verdict.active) == (0.0, "not needed", "", ())
     assert not verdict.intervened
     check_promises(verdict, car_filter.settings)
-
-
-def test_minus_zero_survives_a_bound_of_zero() -> None:
     settings = FilterSettings(action_low=(0.0,), action_high=(1.0,))
     safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 5.0 - x[0])], settings)
     verdict = safe.decide(np.zeros(1), np.array([-0.0]))
@@ -304,19 +301,13 @@ def test_memory_of_a_models_actuators_changes_the_prediction(car: PhysicsModel, 
     assert settled.h_next > 1.0 > turning.h_next
 
 
-def test_epsilon_of_a_call_overrides_the_settings(car_filter: SafetyFilter) -> None:
+def test_a_call_may_bring_its_own_margin_and_barriers_but_no_barrier_is_no_permission(car_filter: SafetyFilter) -> None:
     loose, tight = (car_filter.decide(NEAR, [2.0, 0.0], epsilon={"obstacle": e}) for e in (0.0, 0.03))
     assert (loose.margin, tight.margin) == (0.01, 0.03)
     assert tight.h_next - loose.h_next == pytest.approx(0.03, abs=1e-3)
-
-
-def test_barriers_of_a_call_replace_the_filters_own(car_filter: SafetyFilter) -> None:
     free = car_filter.decide(NEAR, [2.0, 0.0], barriers=[SpeedBarrier(-1.0, 3.0)])
     assert free.status is Status.passed
     assert free.h_now == pytest.approx(1.6)
-
-
-def test_no_barrier_is_no_permission(car_filter: SafetyFilter) -> None:
     verdict = car_filter.decide(NEAR, [2.0, 0.0], barriers=[])
     assert verdict.status is Status.fallback
     assert verdict.reason == "Reason: there is no barrier to keep."
@@ -332,14 +323,8 @@ def test_active_names_come_tightest_first() -> None:
 
 def test_statuses_have_sentences() -> None:
     assert {status.value for status in Status} == {
-        "passed",
-        "corrected",
-        "relaxed",
-        "violated",
-        "fallback",
-        "disabled",
-        "stopped",
-    }
+        "passed", "corrected", "relaxed", "violated", "fallback", "disabled", "stopped",
+    }  # fmt: skip
     assert len({status.sentence for status in Status}) == 7
     assert all(status.sentence.endswith(".") for status in Status)
 
@@ -353,16 +338,7 @@ def test_time_comes_from_the_clock_given() -> None:
     verdict = safe.decide(np.zeros(1), [0.5])
     assert verdict.microseconds == 2e6
     assert verdict.as_dict() == {
-        "action": [0.5],
-        "status": "passed",
-        "sentence": Status.passed.sentence,
-        "slack": 0.0,
-        "active": [],
-        "h_now": 5.0,
-        "h_next": 4.5,
-        "margin": 0.0,
-        "solver": "not needed",
-        "microseconds": verdict.microseconds,
-        "wish": [0.5],
-        "known": True,
-    }
+        "action": [0.5], "status": "passed", "sentence": Status.passed.sentence, "slack": 0.0, "active": [],
+        "h_now": 5.0, "h_next": 4.5, "margin": 0.0, "solver": "not needed", "microseconds": verdict.microseconds,
+        "wish": [0.5], "known": True,
+    }  # fmt: skip

@@ -1,20 +1,37 @@
-"""How the filter's service answers one robot, tick by tick: what it remembers, learns and forgets in between."""
+"""How the filter's service answers one robot, tick by tick, and what it remembers in between."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import cos, pi, sin
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, asked, latent_at, state_at
+from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, asked, latent_at, stamp, state_at
 
-from safedpa.bus import ACTION, VERDICT, Request, VerdictMessage
-from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    SURROUNDINGS,
+    VERDICT,
+    WISH,
+    Request,
+    Stale,
+    StateMessage,
+    SurroundingsMessage,
+    VerdictMessage,
+    WishMessage,
+)
+from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.orders import Orders
+from safedpa.safety.shipped import settings_named
 
 AT_REST = (0.0, 0.0, 0.0, 0.0)
+
+
 NEAR: dict[str, Any] = {"obstacles": ((0.9, 0.0, 0.1),)}
 """Near enough for an error of h to count."""
 
@@ -34,8 +51,6 @@ def obeyed(node: SafetyFilterNode, ticks: range, model: PhysicsModel = CAR, **ch
 
 
 # states and latents
-
-
 @pytest.mark.parametrize(("seconds", "good"), [(0.0, True), (1.0, True), (-1e-9, False), (1.0 + 1e-9, False)])
 def test_a_state_may_be_a_second_old_where_its_action_acts(seconds: float, good: bool) -> None:
     verdict = answered(SafetyFilterNode(CAR, SETTINGS), 0, until_action=seconds)
@@ -63,8 +78,6 @@ def test_a_latent_of_another_run_or_another_model_is_refused() -> None:
 
 
 # predictions
-
-
 def test_the_path_is_reported_with_every_fourth_tick_and_the_next_state_with_each() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     for tick in range(9):
@@ -114,8 +127,6 @@ def test_after_a_tick_that_taught_nothing_the_actuators_count_as_settled_at_the_
 
 
 # the watch over the margin
-
-
 @pytest.mark.parametrize(
     ("changed", "compared"),
     [({}, True), ({"applied_by": "watchdog"}, False), ({"applied_by": "none"}, False)]
@@ -164,8 +175,6 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
 
 
 # standing
-
-
 @pytest.mark.parametrize(
     ("changed", "wish", "status", "stands"),
     [
@@ -228,8 +237,6 @@ def test_a_braked_robot_is_at_rest_below_two_centimetres_a_second(speed: float, 
 
 
 # failures and farewells
-
-
 def test_a_rescue_sends_an_action_and_a_verdict_that_promises_nothing() -> None:
     node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
     for known in (False, True, True):
@@ -252,3 +259,141 @@ def test_the_newest_state_and_model_are_known_until_the_robot_leaves() -> None:
     assert node.model_of("r") == fingerprint(CAR)
     node.leave("r")
     assert node.newest("r") is None
+
+
+PENDULUM, POINT = load_model("pendulum"), load_model("point_wind")
+STANDS_IN = "the resting action stood in for it"
+
+
+MOVER = (0.75, 0.0, 0.25, 0.0, 0.0, 1.5)
+"""Half a metre ahead of the car, and it may come at 1.5 m/s."""
+
+
+def answer_to(node: SafetyFilterNode, state: StateMessage, inputs: dict[Any, Any]) -> VerdictMessage:
+    node.step("r", state, inputs)
+    verdict = node.afterwards("r")[VERDICT]
+    assert isinstance(verdict, VerdictMessage)
+    return verdict
+
+
+def pendulum_asked(wish: Any) -> VerdictMessage:
+    corridor: dict[str, Any] = {"corridor": (-1.0, 1.0), "obstacles": (), "field": (), "footprint": ()}
+    state = state_at(0, (0.0, 0.0), applied=(0.0,), period=PENDULUM.period, **corridor)
+    node = SafetyFilterNode(PENDULUM, settings_named("pendulum"))
+    return answer_to(node, state, {LATENT: latent_at(state, PENDULUM), WISH: wish})
+
+
+def test_without_a_wish_a_robot_that_can_stand_is_stopped_and_another_one_filtered() -> None:
+    verdict = pendulum_asked(Stale(WISH, None))
+    assert verdict.status == "corrected"
+    assert STANDS_IN in verdict.sentence
+    assert verdict.wish == ()
+    wish = WishMessage(**stamp(state_at(0)), values=(0.1,), controller="test")
+    verdict = pendulum_asked(wish)
+    assert (verdict.status, verdict.wish) == ("passed", (0.1,))
+    node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
+    verdict = answer_to(node, state, {LATENT: latent_at(state), WISH: Stale(WISH, None)})
+    assert verdict.status == "fallback"
+    assert "the wish (" in verdict.sentence
+    assert STANDS_IN not in verdict.sentence
+
+
+def test_a_robot_whose_speed_is_not_reported_has_none_to_lose() -> None:
+    node = SafetyFilterNode(CAR, SETTINGS)
+    state = state_at(0, (0.0, 0.0, 0.0))
+    assert asked(node, state, latent_at(state)).status == "fallback"
+    assert node.at_rest("r")
+
+
+@pytest.mark.parametrize(("speeds", "still"), [((0.0, 0.5), False), ((0.5, 0.0), False), ((0.0, 0.0), True)])
+def test_a_robot_is_at_rest_when_none_of_its_speeds_is_left(speeds: tuple[float, float], still: bool) -> None:
+    node = SafetyFilterNode(POINT, settings_named("point"))
+    state = state_at(0, (0.0, 0.0, 0.0, *speeds), period=POINT.period, applied=(0.0,) * len(POINT.system.action))
+    assert answer_to(node, state, {LATENT: Stale(LATENT, None), WISH: Stale(WISH, None)}).status == "fallback"
+    assert node.at_rest("r") is still
+
+
+def test_it_decides_half_way_through_a_period_at_the_latest_with_a_latent_of_the_tick_before() -> None:
+    """After that the action would come late at the robot, which then brakes; an older latent may be another load's."""
+    assert SafetyFilterNode.share == 0.5
+    assert dict(SafetyFilterNode.slack) == {LATENT: 1}
+
+
+def test_the_end_of_the_filter_stops_every_robot_until_the_next_one_starts(tmp_path: Path) -> None:
+    orders = Orders(tmp_path / "orders.json")
+    node, state = SafetyFilterNode(CAR, SETTINGS, orders=orders), state_at(0)
+    assert asked(node, state, latent_at(state)).status == "passed"
+    node.wind_up()
+    verdict = asked(node, state_at(1), latent_at(state_at(1)))
+    assert (verdict.status, verdict.action) == ("stopped", (0.0, 0.0))
+    again = SafetyFilterNode(CAR, SETTINGS, orders=Orders(tmp_path / "orders.json"))
+    assert asked(again, state, latent_at(state)).status == "passed"
+
+
+# a robot that names sources
+def sensing(**changed: Any) -> StateMessage:
+    return state_at(0, (0.0, 0.0, 0.0, 0.0), **{"sources": ("laser",), "obstacles": (), **changed})
+
+
+def sees(node: SafetyFilterNode, state: StateMessage, *, latent: bool = True, **seen: Any) -> VerdictMessage:
+    around = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
+    inputs = {
+        LATENT: latent_at(state) if latent else ABSENT,
+        WISH: WishMessage(**stamp(state), values=(0.2, 0.0), controller="test"),
+        SURROUNDINGS: SurroundingsMessage(**stamp(state), **around),
+    }
+    return answer_to(node, state, inputs)
+
+
+def ring(count: int) -> tuple[tuple[float, ...], ...]:
+    """Points (x, y, radius) in m on a circle around the car, near enough to matter and far enough to be safe."""
+    angles = [2.0 * pi * number / count for number in range(count)]
+    return tuple((0.7 * cos(angle), 0.7 * sin(angle), 0.01) for angle in angles)
+
+
+@pytest.mark.parametrize(
+    ("movers", "latent", "status"), [((MOVER,), True, "stopped"), ((MOVER,), False, "fallback"), ((), True, "passed")]
+)
+def test_a_mover_that_may_reach_the_robot_stops_it_where_nothing_is_missing(
+    movers: Any, latent: bool, status: str
+) -> None:
+    """With something missing the verdict says so: a stop for the mover would hide that the filter decides blindly."""
+    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), latent=latent, movers=movers)
+    assert verdict.status == status
+    assert ("mover 0" in verdict.sentence) is (status == "stopped")
+
+
+@pytest.mark.parametrize(("age", "old"), [(-1e-6, False), (1.0, False), (-2e-6, True), (1.0 + 1e-9, True)])
+def test_a_source_may_be_a_second_old(age: float, old: bool) -> None:
+    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), ages=(age,))
+    assert verdict.status == ("fallback" if old else "passed")
+    assert ("a source is" in verdict.sentence) is old
+
+
+@pytest.mark.parametrize(("points", "remark"), [(64, ""), (65, "Of 65 points near it"), (70, "Of 70 points near it")])
+def test_points_beyond_sixty_four_are_reported_as_not_looked_at(points: int, remark: str) -> None:
+    verdict = sees(SafetyFilterNode(CAR, SETTINGS), sensing(), points=ring(points))
+    assert ("near it, those with the least h were looked at." in verdict.sentence) is bool(remark)
+    assert remark in verdict.sentence
+    assert verdict.sentence == verdict.sentence.strip()
+
+
+@pytest.mark.parametrize("seen", [{"movers": (MOVER,)}, {"points": ring(70)}], ids=["mover", "points"])
+def test_a_robot_that_starts_again_without_sources_is_not_judged_by_what_it_saw(seen: dict[str, Any]) -> None:
+    node = SafetyFilterNode(CAR, SETTINGS)
+    sees(node, sensing(), **seen)
+    again = sees(node, sensing(sources=(), epoch=2))
+    assert (again.status, again.action) == ("passed", (0.2, 0.0))
+    assert "near it" not in again.sentence
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_robot_with_sources_is_rescued_like_one_without(known: bool) -> None:
+    node, state = SafetyFilterNode(CAR, SETTINGS), sensing()
+    if known:
+        sees(node, state, points=ring(70))
+    verdict = node.rescue("r", state, "the step raised")[VERDICT]
+    assert isinstance(verdict, VerdictMessage)
+    assert verdict.status == "fallback"
+    assert "the step raised" in verdict.sentence
+    assert "near it" not in verdict.sentence

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.found_delay import MOST, TOLERATED, USUAL, FoundDelay, Passed
@@ -108,23 +111,23 @@ def test_what_is_believed_is_what_the_whole_past_at_once_says(seed: int, noise: 
     assert len(set(told)) > 2
 
 
-def test_three_periods_are_acted_upon_and_two_are_not() -> None:
+def test_three_periods_are_acted_upon_two_are_not_and_the_only_one_that_explains_everything_is_found() -> None:
     """Of 0.05 s each; a delay of 8 is the longest that is looked for. What the robot tells of counts as known."""
     found = after([])
     for periods, told, seconds in ((2, 0.0, 0.0), (3, 0.0, 0.1), (3, 0.05, 0.05), (4, 0.05, 0.15), (8, 0.0, 0.35)):
         found.periods = periods
         assert found.beyond(told) == pytest.approx(seconds)
     assert MOST * CAR.period == pytest.approx(0.4)
+    # The car stands, exactly, and of the last commands none but the one of three periods ago is to stand.
+    commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MOST + 1))
+    assert after([Passed((0.0,) * 4, (0.0,) * 4, commands)] * 20).periods == 3
 
 
-def test_commands_that_differ_by_less_than_a_hundredth_of_their_range_tell_nothing() -> None:
+def test_commands_of_either_sign_tell_as_much_and_less_than_a_hundredth_of_their_range_nothing() -> None:
     periods = way(CAR, 4, 40, noise=1e-3)
     assert after(periods, scale=200.0).periods == 0, "1.5 of a range of 520"
     assert after(periods, scale=50.0).periods == 4
-
-
-def test_commands_of_either_sign_tell_as_much() -> None:
-    """Forwards and backwards alike, so that their largest and least sum up to nothing."""
+    # Forwards and backwards alike, so that their largest and least sum up to nothing.
     periods, state = [], np.array([0.0, 0.0, 0.3, 0.0])
     speeds = [0.5 if tick // 3 % 2 else -0.5 for tick in range(60)]
     for tick in range(MOST + 4, 60):
@@ -135,13 +138,7 @@ def test_commands_of_either_sign_tell_as_much() -> None:
     assert after(periods).periods == 4
 
 
-def test_the_only_delay_that_explains_everything_is_found() -> None:
-    """The car stands, exactly, and of the last commands none but the one of three periods ago is to stand."""
-    commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MOST + 1))
-    assert after([Passed((0.0,) * 4, (0.0,) * 4, commands)] * 20).periods == 3
-
-
-def test_what_is_believed_is_doubted_where_it_is_the_longest_or_longer_than_is_looked_at() -> None:
+def test_what_is_believed_is_doubted_at_the_ends_and_a_longer_delay_is_taken_for_the_longest() -> None:
     found = after(way(CAR, MOST, 40, noise=1e-3))
     assert found.periods == MOST
     for passed in way(CAR, MOST - 1, 120, 4, noise=1e-3)[MOST:]:
@@ -150,9 +147,6 @@ def test_what_is_believed_is_doubted_where_it_is_the_longest_or_longer_than_is_l
     for passed in way(CAR, 1, 60, 5, noise=1e-3)[MOST:]:
         found.observe(passed._replace(commands=passed.commands[:3]), LATENT_VALUES)
     assert found.periods == 1
-
-
-def test_a_longer_one_is_taken_for_the_longest() -> None:
     assert after(way(CAR, MOST + 1, 40, noise=1e-3)).periods == MOST
 
 
@@ -238,13 +232,10 @@ def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPa
     assert robot.pending.sent, "what is on its way is known"
 
 
-def test_what_the_robot_tells_is_not_counted_twice() -> None:
+def test_what_the_robot_tells_is_not_counted_twice_and_the_verdict_says_what_was_found() -> None:
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
     ticks = list(drive(Lateness(0.2, told="clock").robot(905, "box"), nodes, 60))
     assert "later than told" not in ticks[-1].verdict.sentence
-
-
-def test_the_verdict_says_so() -> None:
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
     ticks = list(drive(Lateness(0.2, told="nobody").robot(905, "box"), nodes, 30))
     assert "later than told" not in ticks[3].verdict.sentence
@@ -266,3 +257,94 @@ def test_a_number_whose_square_is_none_spoils_nothing_however_early_it_comes(bro
     for place in range(4):
         now = (*periods[0].now[:place], broken, *periods[0].now[place + 1 :])
         assert after([periods[0]._replace(now=now), *periods]).periods == 4
+
+
+FAR = 1e6
+"""m; a billionth of it is a millimetre."""
+
+
+SHORT = 1e-18
+"""s; over periods of it nothing is forgotten."""
+
+
+def moved(state: Any, action: Any) -> Any:
+    """A point that an action moves by itself. Refuses what is not finite, as a function of a user's may."""
+    if not np.isfinite([*state, *action]).all():
+        raise InputError("not finite")
+    return np.array([entry + action[0] for entry in state])
+
+
+def delay(period: float = 0.05, width: float = 1e-6) -> FoundDelay:
+    return FoundDelay(Prediction(lambda state: (state, np.ones((len(state), 1))), moved), [width], period)
+
+
+def stayed(place: float, away: float, late: int = 3) -> Passed:
+    """A period in which the point stayed, as the command of ``late`` periods before alone says: the others move it."""
+    return Passed((place,), (place,), tuple(((0.0 if n == late else away,), None) for n in range(5)))
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "speeds", "stood"),
+    [
+        ((9.0, 0.0), (9.0, 0.0), (1,), True),
+        ((9.0, 0.1), (9.0, -0.1), (1,), True),
+        ((9.0, -0.09), (9.0, 0.09), (1,), True),
+        ((9.0, 0.11), (9.0, 0.0), (1,), False),
+        ((9.0, 0.0), (9.0, -0.11), (1,), False),
+        ((9.0, 0.5), (9.0, 0.5), (1,), False),
+        ((9.0, 0.05, 0.0), (9.0, 0.05, 0.0), (1, 2), True),
+        ((9.0, 0.05, 0.0), (9.0, 0.05, 0.2), (1, 2), False),
+        ((9.0, 0.2, 0.0), (9.0, 0.05, 0.0), (1, 2), False),
+        ((9.0, 0.0), (9.0, 0.0), (), False),
+        ((9.0, 0.0), (9.0, 0.0, 0.0), (1,), False),
+        ((9.0, 0.0, 0.0), (9.0, 0.0), (1,), False),
+        ((9.0, 0.0), (9.0, 0.0), (2,), False),
+        ((9.0, 0.0), (9.0, 0.0), (1, 2), False),
+    ],
+)
+def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary(
+    before: tuple[float, ...], now: tuple[float, ...], speeds: tuple[int, ...], stood: bool
+) -> None:
+    """Of what has no speeds, or is no state, that is not known."""
+    assert Passed(before, now, ()).stood(speeds) is stood
+
+
+def test_six_periods_that_count_are_enough_where_one_delay_alone_explains_them() -> None:
+    found, told = delay(SHORT), list[int]()
+    for _ in range(8):
+        found.observe(stayed(0.0, 1.0), None)
+        told.append(found.periods)
+    assert told == [0, 0, 0, 0, 0, 3, 3, 3]
+
+
+@pytest.mark.parametrize(("away", "tells"), [(1.0, False), (-1.0, False), (1.0 + 1e-9, True), (-1.0 - 1e-9, True)])
+def test_commands_have_to_differ_by_more_than_a_hundredth_of_their_range(away: float, tells: bool) -> None:
+    found = delay(width=100.0)
+    for _ in range(20):
+        found.observe(stayed(0.0, away), None)
+    assert found.periods == (3 if tells else 0)
+
+
+@pytest.mark.parametrize(("place", "periods"), [(0.0, 3), (FAR, 0), (-FAR, 0)])
+def test_an_error_of_a_billionth_of_the_state_is_no_evidence(place: float, periods: int) -> None:
+    """Far from the origin the numbers say no more; at the origin the same error refutes all delays but one."""
+    found = delay()
+    for _ in range(200):
+        found.observe(stayed(place, 1.05e-9 * FAR), None)
+    assert found.periods == periods
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])
+def test_a_model_that_refuses_numbers_is_not_asked_about_what_is_not_finite(broken: float) -> None:
+    found = delay()
+    period = stayed(0.0, 1.0)._replace(before=(0.0, 0.0), now=(0.0, 0.0))
+    for _ in range(5):
+        found.observe(period, None)
+    for place in range(2):
+        bad = tuple(broken if index == place else 0.0 for index in range(2))
+        found.observe(period._replace(before=bad), None)
+        found.observe(period._replace(now=bad), None)
+    assert found.periods == 0, "five periods count, and the broken ones do not"
+    for _ in range(2):
+        found.observe(period, None)
+    assert found.periods == 3

@@ -104,9 +104,14 @@ def test_barriers_that_write_one_array_are_two_barriers() -> None:
     np.testing.assert_allclose(verdict.action, [0.02])
 
 
-def test_differences_of_an_array_that_is_written_again() -> None:
+def test_arrays_that_are_written_again_or_of_another_length_are_not_mixed_up() -> None:
     h, gradient = FunctionBarrier(writing(wall)).evaluate(np.array([0.5]))
     np.testing.assert_allclose((h[0], gradient[0, 0]), (0.5, -1.0))
+    # Three values for three names, but not the right ones: the margin of one was that of the other.
+    parts = [Counts("function", ("a",), [0.8, 5.0]), Counts("speed", ("b", "c"), [5.0])]
+    verdict = SafetyFilter(still, parts, SETTINGS).decide([0.2], [1.0])
+    assert verdict.status is Status.fallback
+    assert "h of barrier a: got shape (2,), wanted (1,)" in verdict.reason
 
 
 class Counts(AbstractBarrier):
@@ -120,14 +125,6 @@ class Counts(AbstractBarrier):
 
     def evaluate(self, state: Any) -> Any:
         return np.array(self._h), np.zeros((len(self._h), 1))
-
-
-def test_values_of_one_barrier_are_not_taken_for_the_next_ones() -> None:
-    """Three values for three names, but not the right ones: the margin of one was that of the other."""
-    parts = [Counts("function", ("a",), [0.8, 5.0]), Counts("speed", ("b", "c"), [5.0])]
-    verdict = SafetyFilter(still, parts, SETTINGS).decide([0.2], [1.0])
-    assert verdict.status is Status.fallback
-    assert "h of barrier a: got shape (2,), wanted (1,)" in verdict.reason
 
 
 @pytest.mark.parametrize(

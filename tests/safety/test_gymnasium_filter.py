@@ -82,15 +82,12 @@ def test_reset_passes_through_and_scenes_may_change() -> None:
     assert env.step(np.array([0.5], np.float32))[4]["verdict"].h_now == 11.0
 
 
-def test_a_policy_that_returns_nan_gets_the_brake() -> None:
+def test_a_policy_that_returns_nan_gets_the_brake_and_the_observation_is_the_state_by_default() -> None:
     env = wrapped()
     env.reset()
     verdict = env.step(np.array([np.nan], np.float32))[4]["verdict"]
     assert verdict.status is Status.fallback
     assert env.env.taken.tolist() == [-1.0]
-
-
-def test_observation_is_the_state_by_default() -> None:
     safe = SafetyFilter(lambda x: (x, np.zeros((3, 1))), [FunctionBarrier(lambda x: x[2])], SETTINGS)
     env = GymnasiumSafetyFilter(Cart(), safe)
     env.reset()
@@ -252,7 +249,7 @@ def test_each_bound_of_each_action_has_to_be_in_the_box(low: tuple[float, ...], 
         GymnasiumSafetyFilter(env, safe, lambda seen: seen[:2])
 
 
-def test_vector_environments_that_do_not_fit() -> None:
+def test_environments_that_do_not_fit_and_mistakes_around_them_are_reported() -> None:
     class Whole(Cart):
         action_space = gymnasium.spaces.Box(-1, 1, (1,), np.int64)
 
@@ -262,6 +259,12 @@ def test_vector_environments_that_do_not_fit() -> None:
     env.reset()
     with pytest.raises(InputError, match="actions: got 3, wanted 2, one for each environment"):
         env.step(np.zeros((3, 1)))
+    with pytest.raises(InputError, match="safety_filter: got int, wanted a SafetyFilter"):
+        GymnasiumSafetyFilter(Cart(), 3)
+    env = GymnasiumSafetyFilter(many(2), filter_of(), lambda seen: seen[:2])
+    env.reset()
+    with pytest.raises(InputError, match=r"actions: got 1.0, wanted 2, one for each environment"):
+        env.step(1.0)
 
 
 def test_before_the_first_observation_nothing_is_known() -> None:
@@ -280,15 +283,6 @@ def test_a_policy_that_writes_into_its_observation_moves_no_state(count: int) ->
         observation -= 50.0
         observation = env.step(wish)[0]
         assert np.all(observation[..., 0] < 1.0)
-
-
-def test_mistakes_around_an_environment_are_reported() -> None:
-    with pytest.raises(InputError, match="safety_filter: got int, wanted a SafetyFilter"):
-        GymnasiumSafetyFilter(Cart(), 3)
-    env = GymnasiumSafetyFilter(many(2), filter_of(), lambda seen: seen[:2])
-    env.reset()
-    with pytest.raises(InputError, match=r"actions: got 1.0, wanted 2, one for each environment"):
-        env.step(1.0)
 
 
 def test_a_wrapped_environment_can_be_copied() -> None:

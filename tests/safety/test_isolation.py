@@ -59,16 +59,13 @@ def test_a_barrier_that_writes_changes_nothing(writer: AbstractBarrier, first: b
     np.testing.assert_array_equal(verdict.action, [0.0])
 
 
-def test_neither_does_a_gradient_that_writes() -> None:
+def test_a_gradient_that_writes_and_a_barrier_asked_alone_leave_the_state_alone() -> None:
     def gradient(x: Any) -> Any:
         x[0] = 0.0
         return [-1.0]
 
     verdict = made(FunctionBarrier(lambda x: 1.0 - x[0], gradient)).decide(np.array([0.9]), [1.0])
     assert (verdict.status, "read-only" in verdict.reason) == (Status.fallback, True)
-
-
-def test_a_barrier_asked_alone_leaves_its_state_alone() -> None:
     state = np.array([0.5])
     for barrier in (FunctionBarrier(writes), FunctionBarrier(lambda x: x[0], writes)):
         with pytest.raises(ValueError, match="read-only"):
@@ -186,14 +183,11 @@ def test_a_masked_backup_is_none() -> None:
     np.testing.assert_array_equal(safe.decide(None, None).action, [0.3])
 
 
-def test_an_array_that_cannot_be_written_to() -> None:
+def test_states_may_be_read_only_arrays_tuples_or_lists() -> None:
     mine = np.zeros(2)
     view = read_only(mine)
     assert (view.flags.writeable, mine.flags.writeable) == (False, True)
     assert read_only(view) is view
-
-
-def test_plain_tuples_and_lists_are_read_without_an_array() -> None:
     assert checked_input("it", (1.0, 2.0), None) == (1.0, 2.0)
     assert checked_input("it", [1.0, float("nan")], None) == Unusable("it holds NaN or infinity")
     assert checked_input("it", [1, 2.0], None) == (1.0, 2.0)

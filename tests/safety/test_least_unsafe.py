@@ -52,36 +52,30 @@ def test_of_an_actuator_that_saturates_the_corners_tell_and_not_the_slope(
     assert case.run(*known).action[0] == pytest.approx(1.0 - 0.05 * TOLERANCE, abs=1e-5)
 
 
-def test_a_little_height_is_given_away_for_the_wish() -> None:
+def test_a_little_height_is_given_away_for_the_wish_but_not_from_just_zero_or_to_below_it() -> None:
     """The programs give away half of what the comparison allows for: rounding refuses nothing."""
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0 - TOLERANCE, abs=1e-6)
-
-
-def test_height_above_zero_is_given_away_too_but_not_below() -> None:
-    """h = 0.001 at best: of that no more is given away than there is."""
+    # h = 0.001 at best: of that no more is given away than there is.
     found = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run()
     assert 0.999 <= found.action[0] < 0.9999
     assert found.h_next[0] >= 0.0
     plenty = Case(lambda a: [a[0] + 1.0], [-3.0], [-1.0]).run()
     assert plenty.h_next[0] == pytest.approx(2.0 - TOLERANCE, abs=1e-6)
-
-
-def test_just_zero_is_not_given_away() -> None:
     found = Case(lambda a: [a[0] - 1.0, 0.5], [3.0, 1.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_shares_of_their_scales_are_compared() -> None:
+def test_after_the_least_share_the_next_least_is_raised_and_then_the_third() -> None:
     """h_0 is worth a hundredth: -0.5 of 1 and -50 of 100 are alike, and 0 lies between them."""
     found = Case(lambda a: [a[0] - 0.5, 100.0 * (-a[0] - 0.5)], [-1.0, -100.0], [0.9]).run()
     assert found.action[0] == pytest.approx(0.0, abs=0.01)
-
-
-def test_after_the_least_the_next_least_is_raised() -> None:
-    """h_0 moves with the first action alone, h_1 with the second: both go up, though h_0 is the least."""
+    # h_0 moves with the first action alone, h_1 with the second: both go up, though h_0 is the least.
     found = Case(lambda a: [a[0] - 5.0, a[1] - 3.0], [-5.0, -3.0], [-1.0, -1.0]).run()
     assert found.action == pytest.approx((1.0, 1.0), abs=0.02)
+    heights = [5.0, 3.0, 1.5]
+    found = Case(lambda a: [a[row] - heights[row] for row in range(3)], [-h for h in heights], [-1.0] * 3).run()
+    assert found.action == pytest.approx((1.0, 1.0, 1.0), abs=0.02)
 
 
 def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
@@ -103,19 +97,10 @@ def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
     assert both.action == pytest.approx((1.0, 0.5), abs=0.02)
 
 
-def test_of_three_the_third_follows_the_second() -> None:
-    heights = [5.0, 3.0, 1.5]
-    found = Case(lambda a: [a[row] - heights[row] for row in range(3)], [-h for h in heights], [-1.0] * 3).run()
-    assert found.action == pytest.approx((1.0, 1.0, 1.0), abs=0.02)
-
-
-def test_a_row_that_no_action_moves_holds_nothing_up() -> None:
+def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_wish_is_left() -> None:
     """h_0 is the least and stays it; h_1 is brought to its condition, the second action stays as wished."""
     found = Case(lambda a: [-7.0, a[0] - 0.5], [-7.0, 0.1], [-1.0, 0.25], eta=0.0).run()
     assert found.action == pytest.approx((0.6, 0.25), abs=0.02)
-
-
-def test_where_no_action_moves_anything_the_wish_is_left() -> None:
     case = Case(lambda a: [-7.0], [-7.0], [0.3])
     assert case.run([0.3], [0.1]).action == (0.3,)
     assert case.run([0.1], [0.3]).action == (0.3,)
@@ -170,14 +155,11 @@ def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
     assert found.action[0] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_bends_is_followed_to_its_top() -> None:
+def test_what_bends_is_followed_to_its_top_on_a_line_and_in_the_plane() -> None:
     """A tangent anywhere else leads past it: the programs are posed anew, steps on the way are tried."""
     for wish, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
         found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [wish]).run()  # type: ignore[misc]
         assert found.h_next[0] >= -1.0 - 0.02 * 4.0
-
-
-def test_a_top_in_the_plane() -> None:
     random = np.random.default_rng(0)
     for _ in range(20):
         top, wish = random.uniform(-0.8, 0.8, (2, 2))
@@ -185,14 +167,11 @@ def test_a_top_in_the_plane() -> None:
         assert found.h_next[0] >= -1.0 - 0.15
 
 
-def test_corners_are_tried_where_a_tangent_is_blind() -> None:
+def test_corners_are_tried_where_a_tangent_is_blind_and_programs_posed_from_the_best() -> None:
     """Flat from -0.9 to 0.5, steep beyond: no slope at the wish tells of it."""
     found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0], [-3.0], [0.0]).run()
     assert found.h_next[0] >= -2.5 - 0.01
-
-
-def test_from_the_best_corner_the_programs_are_posed_once_more() -> None:
-    """The corner is a foothold; between it and the top the tangent leads on to the wish."""
+    # The corner is a foothold; between it and the top the tangent leads on to the wish.
     found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0, 2.0 - a[1]], [-3.0, 1.5], [0.0, 0.0]).run()
     assert found.h_next[0] >= -2.5 - 0.01
     assert found.action[1] == pytest.approx(0.0, abs=0.05)
@@ -292,15 +271,12 @@ def test_it_is_the_same_in_any_unit() -> None:
         np.testing.assert_allclose(decided(unit, limit), decided(1.0, 1.0), atol=1e-6)
 
 
-def test_what_no_action_moves_within_one_step_brings_the_backup_for_the_wish() -> None:
+def test_what_no_action_moves_within_one_step_brings_the_backup_unless_it_is_well() -> None:
     """h_0 is below 0 and does not depend on the action yet; h_1 is free, h_2 asks for a_1 >= 0.25."""
     case = Case(lambda a: [-7.0, a[0] + 9.0, a[1] + 1.0], [-7.0, 1.0, 1.25], [-1.0, -1.0], eta=0.0, backup=[0.5, -0.5])
     found = case.run()
     assert case.stuck == ("h0",)
     assert found.action == pytest.approx((0.5, 0.25), abs=0.02)
-
-
-def test_what_no_action_moves_but_is_well_brings_no_backup() -> None:
     case = Case(lambda a: [3.0, a[0] - 3.0], [3.0, -3.0], [0.0, 0.7], backup=[0.5, -0.5])
     assert case.run().action == pytest.approx((1.0, 0.7), abs=0.02)
     assert case.stuck == ()
@@ -315,14 +291,11 @@ def test_stuck_is_what_is_below_zero_or_not_kept(now: float, required: float, st
     assert case.stuck == stuck
 
 
-def test_actions_without_a_finite_prediction_are_left_out() -> None:
+def test_actions_without_a_finite_prediction_are_left_out_and_without_any_there_is_no_decision() -> None:
     """h is a number for actions below 0.5 alone: of these the highest that is found."""
     case = Case(lambda a: [a[0] - 3.0 if a[0] < 0.5 else np.nan], [-3.0], [-1.0], affine=False)
     found = case.run()
     assert found.usable
     assert 0.0 <= found.action[0] < 0.5
-
-
-def test_without_any_finite_prediction_there_is_no_decision() -> None:
     with pytest.raises(DecisionError, match="no finite number for any action"):
         Case(lambda a: [np.nan], [-3.0], [-1.0]).run()

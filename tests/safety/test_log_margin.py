@@ -1,20 +1,31 @@
-"""The margin of a diagnosed model is of the steps that its logs have: those of the model, or of the one other rate."""
+"""Margins of logs, over drives, and kept from the last decision: never beyond what they were made for."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from scipy.stats import binom
 
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
-from safedpa.safety import MarginCalibration
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, MarginCalibration, Prediction, parse_settings, split_conformal_margin
+from safedpa.safety.ceiling import Ceiling, Seen
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.margin import margins_over_drives
+from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.run_calibration import LogMargin, calibration_from_runs, log_margin, log_margin_told
+from safedpa.safety.search import DecisionError
 from safedpa.safety.shipped import settings_named
+from safedpa.safety.speed_barrier import SpeedBarrier
+from safedpa.safety.stacks import stacked
 from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
 from safedpa_services.driving import drive_command
 
@@ -76,15 +87,12 @@ def test_it_is_that_of_the_steps_themselves_and_not_one_that_was_scaled() -> Non
     assert 0.0 < 3.0 * quick["obstacle"] < slow["obstacle"]
 
 
-def test_a_clock_that_jitters_leaves_steps_near_the_usual_one() -> None:
+def test_gaps_and_single_rows_are_left_out_and_a_jittering_clock_leaves_steps_near_the_usual_one() -> None:
     found, _ = told(log_of(0.01 * DRAW.uniform(0.7, 1.3, 900)))
     assert found.period == pytest.approx(0.01, rel=0.03)
     assert 200 < found.calibration.transitions < 400
     found, _ = told(log_of(0.01 * DRAW.uniform(0.97, 1.03, 300)))
     assert found.calibration.transitions == 300
-
-
-def test_gaps_and_single_rows_are_left_out() -> None:
     found, _ = told(log_of(np.full(600, 0.01), gaps=5), log_of(np.full(50, 0.2), "alone", gaps=1))
     assert found.period == pytest.approx(0.01)
     assert found.calibration.transitions == 480
@@ -114,14 +122,11 @@ def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) 
     assert "98 of the model's own 0.05 s" in few
 
 
-def test_a_moment_at_another_rate_does_not_hide_that_of_the_log() -> None:
+def test_the_rate_of_a_log_is_that_of_most_of_its_time_not_of_a_moment_or_of_rows() -> None:
     found, said = told(log_of(np.concatenate([np.full(1000, 0.01), np.full(20, 0.04)])))
     assert (found.calibration.transitions, found.others) == (1000, 20)
     assert "20 steps of other lengths tell nothing of it" in said
-
-
-def test_the_time_counts_and_not_the_rows() -> None:
-    """Of quick steps there are many in a moment, of slow ones few in most of a drive."""
+    # Of quick steps there are many in a moment, of slow ones few in most of a drive.
     slow, moment = log_of(np.full(300, 1.0 / 7.0)), log_of(np.full(400, 0.01))
     assert told(slow, moment)[0].period == pytest.approx(1.0 / 7.0)
     assert "got steps of 0.01 to 0.143 s" in refused(log_of(np.full(3000, 0.01)), slow)
@@ -137,10 +142,13 @@ def test_a_log_that_is_too_short_is_refused(rows: int, period: float) -> None:
     )
 
 
-def test_a_log_without_a_step_is_refused() -> None:
+def test_a_log_without_a_step_is_refused_and_stretches_of_two_rows_have_one() -> None:
     alone = log_of(np.full(10, 0.05), gaps=1)
     for runs in ((), (alone,), (replace(alone, stretches=()),)):
         assert refused(*runs).startswith("margin: got no step, wanted recordings with at least 99 of one length")
+    # Of a log that loses every third row.
+    found = log_margin(CAR, SETTINGS, [log_of([0.1] * 399, gaps=2)], 0.99, "2026-11-28")
+    assert (found.period, found.calibration.transitions) == (pytest.approx(0.1), 200)
 
 
 def test_networks_tell_no_other_steps_than_those_that_they_were_trained_on() -> None:
@@ -171,7 +179,189 @@ def test_the_margin_of_a_model_with_free_numbers_stays_its_own() -> None:
     assert MarginCalibration.parse(found.calibration.write()) == found.calibration
 
 
-def test_stretches_of_two_rows_have_a_step() -> None:
-    """Of a log that loses every third row."""
-    found = log_margin(CAR, SETTINGS, [log_of([0.1] * 399, gaps=2)], 0.99, "2026-11-28")
-    assert (found.period, found.calibration.transitions) == (pytest.approx(0.1), 200)
+def test_margins_over_four_drives_are_the_stated_order_statistics() -> None:
+    drives = [np.array([0.1, 0.5]), np.array([0.2, 0.2]), np.array([0.3]), np.array([0.0, 0.4])]
+    step, drive = margins_over_drives(drives, 0.6)
+    assert drive == 0.4  # the third of four largest errors: 5 x 0.6
+    assert step == 0.3  # shares reach 3 = 5 x 0.6 with 0, 0.1, 0.2, 0.2 (a half each) and 0.3 (a whole one)
+    assert margins_over_drives(drives, 0.81) == (math.inf, math.inf)
+    assert margins_over_drives([], 0.5) == (math.inf, math.inf)
+    assert margins_over_drives([[1.0]], 0.5) == (1.0, 1.0)
+    assert margins_over_drives([[1.0, 3.0, 2.0]], 0.5) == (3.0, 3.0)
+    assert margins_over_drives([[1.0, 3.0, 2.0]], 0.51) == (math.inf, math.inf)
+
+
+@pytest.mark.parametrize("bad", [[[]], [[math.nan]], [[[1.0]]], [[math.inf]], [[1.0], [1.0, math.nan]]])
+def test_refuses_drives_without_errors_or_with_none_that_are_numbers(bad: list[list[float]]) -> None:
+    with pytest.raises(InputError, match="errors of a drive"):
+        margins_over_drives(bad, 0.5)
+
+
+def drawn(random: np.random.Generator, count: int) -> list[np.ndarray]:
+    """Drives of which each has its own size of errors, as a load has, and its own length."""
+    sizes = np.exp(random.normal(0.0, 1.0, count))
+    return [size * np.abs(random.normal(0.0, 0.1, random.integers(5, 30))) for size in sizes]
+
+
+def test_fresh_drives_are_covered_as_often_as_stated_where_steps_taken_for_exchangeable_are_not() -> None:
+    random, trials, coverage, drives = np.random.default_rng(0), 1500, 0.9, 20
+    whole = step = pooled = 0
+    for _ in range(trials):
+        made, fresh = drawn(random, drives), drawn(random, 1)[0]
+        for_step, for_drive = margins_over_drives(made, coverage)
+        whole += bool(fresh.max() <= for_drive)
+        step += bool(fresh[random.integers(len(fresh))] <= for_step)
+        pooled += bool(fresh.max() <= split_conformal_margin(np.concatenate(made), coverage))
+    low = binom.ppf(0.001, trials, coverage)
+    assert whole >= low
+    assert step >= low
+    assert pooled < 0.8 * low, "a margin that covers steps says nothing about drives"
+    assert whole <= binom.ppf(0.999, trials, math.ceil((drives + 1) * coverage) / (drives + 1)), (
+        "and no more than needed"
+    )
+
+
+def heights(errors: object) -> np.ndarray:
+    """Predicted and measured h with these errors, near the boundary."""
+    wanted = np.asarray(errors, dtype=np.float64)
+    return np.array([Seen(error, 0.0) for error in wanted])
+
+
+def test_a_calibration_says_both_and_the_settings_choose() -> None:
+    drives = [{"a": heights([0.01 * k, 0.0]), "b": np.zeros((0, 4))} for k in range(100)]
+    made = calibration_from_drives(drives, 0.99, "2026-11-22", "x", origin="a command")
+    assert (made.drives, made.transitions, made.origin) == (100, 200, "a command")
+    assert made.epsilon == {"a": pytest.approx(0.99), "b": 0.0}
+    assert made.drive == {"a": pytest.approx(0.99), "b": 0.0}
+    assert MarginCalibration.parse(made.write()) == made
+    smaller = calibration_from_drives(drives, 0.9, "2026-11-22", "x")
+    assert smaller.epsilon["a"] == pytest.approx(0.81), "half of the steps are errors of 0"
+    assert smaller.drive["a"] == pytest.approx(0.9)
+    assert smaller.chosen("drive").epsilon == smaller.drive
+    assert smaller.chosen(parse_settings('margin = "drive"').margin).epsilon == smaller.drive
+    with pytest.raises(InputError, match="margin 'drive': the calibration has it for no kind, wanted a, b"):
+        dataclasses.replace(smaller, drive={}).chosen("drive")
+    with pytest.raises(InputError, match=r"drives: got 98, wanted at least 99 for a coverage of 0\.99"):
+        calibration_from_drives(drives[:98], 0.99, "2026-11-22", "x")
+
+
+def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
+    """At h of 5 nobody is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
+    drives = [{"a": np.array([Seen(5.0, 5.0 - 0.04 * k), Seen(0.3, 0.3)])} for k in range(100)]
+    far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
+    assert far.constants == {"ceiling.a": 0.5, "drive.ceiling.a": 0.5}
+    nobody = [{"a": np.array([Seen(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
+    seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    assert seen.constants["ceiling.a"] == 1.0, "where nobody came near, farther steps have to say something"
+    assert seen.drive["a"] == pytest.approx(0.009)
+    with pytest.raises(InputError, match="transitions: got 0"):
+        calibration_from_drives([{"a": np.zeros((0, 4))}] * 100, 0.9, "", "x")
+    low = [{"a": np.array([Seen(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
+    found = calibration_from_drives(low, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"
+    assert found.constants["drive.ceiling.a"] == 64.0
+
+
+def test_ten_drives_near_are_enough_and_fewer_are_not() -> None:
+    """A drive in which nothing of the kind was there is none that came near, and none with an error."""
+    near, far, low = Seen(0.3, 0.29), Seen(0.9, 0.88), Ceiling(0.1, {"a": 0.5})
+    for count, top, drive in ((10, 0.5, 0.01), (9, 1.0, 0.02)):
+        drives = [{"a": np.array([near, far])}] * count + [{"a": np.array([far])}] + [{}] * (98 - count)
+        made = calibration_from_drives(drives, 0.99, "", "x", low)
+        assert made.constants["ceiling.a"] == top
+        assert made.drive["a"] == pytest.approx(drive)
+        assert made.transitions == 2 * count + 1, "a drive without anything has no step"
+    never = calibration_from_drives([{"a": np.array([Seen(1e13, 1e13)])}] * 99, 0.99, "", "x", low)
+    assert never.constants["ceiling.a"] == 0.5 * 2.0**40
+    assert never.drive == {"a": 0.0}
+
+
+def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
+    low = Ceiling(0.1, {"a": 0.5})
+    drives = [
+        {"a": heights([0.1, 0.2, 0.3, 0.4])},
+        {"a": np.array([Seen(0.9, 0.6)])},
+        {},
+        {"a": np.array([Seen(0.9, 0.6), Seen(0.45, 0.2)])},
+    ]
+    assert covered_shares(drives, "a", 0.0, low).tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert covered_shares([{"a": np.array([Seen(0.25, 0.0), Seen(0.26, 0.0)])}], "a", 0.25).tolist() == [0.5], (
+        "an error of just the margin is covered"
+    )
+    assert covered_shares(drives, "a", 0.25, low).tolist() == [0.5, 0.0, 1.0, 0.5], "a wide margin sees farther"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("drives = -1", "drives: got -1"), ("origin = 3", "origin: got 3"), ("drive = 3", "drive: got 3")],
+)
+def test_the_contents_of_a_margin_file_are_checked(text: str, words: str, tmp_path: Path) -> None:
+    good = MarginCalibration({"a": 0.1}, 0.9, 50, "2026-11-22", "x").write()
+    (tmp_path / "margin.toml").write_text(f"{text}\n{good}")
+    with pytest.raises(InputError, match=words):
+        MarginCalibration.load(tmp_path / "margin.toml")
+
+
+EPSILON = {"obstacle": 0.1, "default": 0.02}
+
+
+def test_margins_follow_the_request_and_the_barriers() -> None:
+    margins = Margins(EPSILON)
+    one, other = (stacked(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)] * n)) for n in (1, 2))
+    asked: dict[str, float] = {}
+    for _ in range(2):
+        assert margins.of(one, asked) == ([0.1, 0.02, 0.02], 0.1)
+    asked["speed"] = 0.3
+    for _ in range(2):
+        assert margins.of(one, asked) == ([0.1, 0.3, 0.3], 0.3)
+    assert margins.of(one, dict(asked)) is margins.of(one, asked)  # kept
+    assert margins.of(other, asked) == ([0.1, 0.1, 0.3, 0.3], 0.3)
+    assert margins.of(one, {}) == ([0.1, 0.02, 0.02], 0.1)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -0.1])
+def test_a_bad_margin_is_refused_every_time_and_forgotten(bad: float) -> None:
+    margins = Margins(EPSILON)
+    stack = stacked(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)]))
+    asked = {"speed": bad}
+    for _ in range(2):
+        with pytest.raises(DecisionError, match="not a finite number >= 0"):
+            margins.of(stack, asked)
+    assert margins.of(stack, {}) == ([0.1, 0.02, 0.02], 0.1)
+
+
+@pytest.mark.parametrize(("name", "affine"), [("car_learned", True), ("car", False)])
+def test_only_networks_have_the_same_slopes_about_every_action(name: str, affine: bool) -> None:
+    model = load_model(name)
+    prediction, latent = Prediction.of_model(model), tuple(model.latent.tolist())
+    assert prediction.affine is affine
+    state, random = (0.3, -0.2, 0.7, 0.9), np.random.default_rng(0)
+    actions = random.uniform((-0.6, -0.34), (2.0, 0.34), (300, 2)).tolist()  # enough for the straight road
+    for action in actions:
+        prediction.following(state, action, latent, None)
+    slopes = [prediction.slopes_of_one(state, action, latent, None) for action in actions]
+    assert all(slope == slopes[0] for slope in slopes) is affine
+    at = np.array(prediction.following(state, actions[0], latent, None))
+    there = np.array(prediction.following(state, actions[1], latent, None))
+    predicted = at + np.array(slopes[0]) @ (np.array(actions[1]) - np.array(actions[0]))
+    assert np.allclose(there, predicted, rtol=0.0, atol=1e-12) is affine
+
+
+def test_a_learned_model_with_effects_is_not_taken_for_affine() -> None:
+    from safedpa.effects import effect
+
+    model = load_model("car_learned").with_effect(effect("car", "quadratic_drag"), {})
+    assert not Prediction.of_model(model).affine
+
+
+def test_what_was_ever_in_sight_may_be_named_though_nothing_was_asked_when_it_came() -> None:
+    margins, bare = Margins(EPSILON), stacked([SpeedBarrier(-1.0, 1.0)])
+    strange = SpeedBarrier(-1.0, 1.0)
+    strange.kind = "wheel"
+    with pytest.raises(DecisionError, match="'wheel', which no barrier is"):
+        margins.of(bare, {"wheel": 0.3})
+    assert margins.of(bare, {}) == ([0.02, 0.02], 0.02)
+    assert margins.of(stacked([strange]), {}) == ([0.02, 0.02], 0.02)
+    assert margins.of(bare, {"wheel": 0.3}) == ([0.02, 0.02], 0.02)
+    assert margins.of(stacked([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)

@@ -300,10 +300,13 @@ def test_online_margin_recovers_coverage_after_a_shift() -> None:
     assert online.value == calibrated  # and comes back
 
 
-def test_online_margin_never_undercuts_the_calibrated_one() -> None:
+def test_the_online_margin_never_undercuts_the_calibrated_one_and_takes_the_ends_of_its_ranges() -> None:
     online = OnlineMargin(0.02, 0.9)
     for error in np.full(300, -1.0):
         assert online.update(error) == 0.02
+    assert OnlineMargin(0.0, 0.9).value == 0.0
+    hasty = OnlineMargin(0.1, 0.5, rate=1.0, window=1)
+    assert [hasty.update(error) for error in (0.3, 0.2)] == [0.6, 0.2]  # alpha 0: twice; alpha 0.5: the one there is
 
 
 def test_the_online_margin_follows_a_worked_example() -> None:
@@ -328,24 +331,13 @@ def test_one_early_miss_does_not_widen_the_margin_but_many_do() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        {"calibrated": -0.1},
-        {"calibrated": math.inf},
-        {"calibrated": math.nan},
-        {"rate": 0.0},
-        {"rate": 1.0001},
-        {"rate": math.nan},
-        {"window": 0},
+        {"calibrated": -0.1}, {"calibrated": math.inf}, {"calibrated": math.nan}, {"rate": 0.0}, {"rate": 1.0001},
+        {"rate": math.nan}, {"window": 0},
     ],
-)
+)  # fmt: skip
 def test_online_margin_refuses(bad: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"calibrated margin: got|wanted 0 < rate <= 1 and window >= 1"):
         OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **bad})
-
-
-def test_online_margin_takes_the_ends_of_its_ranges() -> None:
-    assert OnlineMargin(0.0, 0.9).value == 0.0
-    hasty = OnlineMargin(0.1, 0.5, rate=1.0, window=1)
-    assert [hasty.update(error) for error in (0.3, 0.2)] == [0.6, 0.2]  # alpha 0: twice; alpha 0.5: the one there is
 
 
 def test_coverage_is_the_share_of_the_last_window() -> None:

@@ -86,10 +86,13 @@ def test_margins_that_were_not_calibrated_are_taken_as_they_are() -> None:
     assert own.margin_over(5.0, SETTINGS) == (own.calibration, 1.0)
 
 
-def test_the_margin_that_the_settings_choose_is_the_one_that_is_widened() -> None:
+def test_the_margin_that_the_settings_choose_is_widened_and_of_one_of_no_step_nothing_is_known() -> None:
     whole = replace(OF_QUICK_STEPS, drive={kind: 2.0 * value for kind, value in EPSILON.items()})
     _, verdict = answered(whole, settings=replace(SETTINGS, margin="drive"))
     assert verdict.margin == pytest.approx(20.0 * WIDEST)
+    whole = replace(OF_QUICK_STEPS, drive=dict.fromkeys(EPSILON, 0.1), slower={"0.1": dict.fromkeys(EPSILON, 0.2)})
+    assert whole.chosen("drive").slower == {}
+    assert whole.chosen("conformal") is whole
 
 
 def test_a_robot_that_goes_on_slower_does_not_keep_the_margin_of_its_quick_steps() -> None:
@@ -136,8 +139,7 @@ def test_what_an_offered_margin_would_bring_is_reported_for_the_robots_own_perio
 
 
 TABLES = st.dictionaries(
-    st.sampled_from(["0.1", "0.2", "1.5"]),
-    st.fixed_dictionaries({kind: st.floats(0, 1) for kind in EPSILON}),
+    st.sampled_from(["0.1", "0.2", "1.5"]), st.fixed_dictionaries({kind: st.floats(0, 1) for kind in EPSILON})
 )
 
 
@@ -169,12 +171,6 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     assert narrower.over(0.05, 0.05)[0].epsilon == EPSILON, "a table of the same steps takes nothing away"
 
 
-def test_of_a_margin_that_is_not_that_of_a_step_nothing_is_known_of_longer_ones() -> None:
-    whole = replace(OF_QUICK_STEPS, drive=dict.fromkeys(EPSILON, 0.1), slower={"0.1": dict.fromkeys(EPSILON, 0.2)})
-    assert whole.chosen("drive").slower == {}
-    assert whole.chosen("conformal") is whole
-
-
 @pytest.mark.parametrize(
     ("slower", "said"),
     [
@@ -204,12 +200,9 @@ def test_file_and_text_keep_the_period() -> None:
     )
 
 
-def test_heights_of_a_drive_of_no_tick_are_none() -> None:
+def test_heights_of_a_drive_of_no_tick_are_none_and_a_step_longer_by_its_own_spread_is_as_long() -> None:
     assert drive_heights(CAR, SETTINGS, []) == {}
     assert drive_heights(CAR, SETTINGS, driven_ticks(0.05, 0.05)) == {}
-
-
-def test_a_step_that_is_longer_by_so_little_as_its_own_spread_is_as_long() -> None:
     assert OF_QUICK_STEPS.over(1.01 * QUICK, 0.05) == (OF_QUICK_STEPS, 1.0)
     assert OF_QUICK_STEPS.over(1.02 * QUICK, 0.05)[1] == pytest.approx(1.02)
 

@@ -71,25 +71,19 @@ def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
         assert tuple(actuators.reach(tuple(latent))) == (whole, whole)
 
 
-def test_an_action_is_felt_at_once_where_nothing_waits_and_one_period_is_judged() -> None:
+def test_where_nothing_waits_or_nothing_is_remembered_an_action_is_felt_at_once() -> None:
     for waits, rows, at_once in ((0, 1, True), (1, 1, False), (0, 2, False), (1, 2, False)):
         assert Begin(STATE, (), STATE, None, waits, rows).at_once is at_once
+    assert tuple(Actuators(CAR).reach(LATENT)) == (0, 0)
 
 
-def test_dead_time_is_reported_in_seconds() -> None:
+def test_dead_time_is_in_seconds_and_without_anything_known_of_what_was_sent_an_action_is_in_force() -> None:
     for name, seconds in (("actuator_delay", 0.1), ("steering_delay", 0.2), ("drive_lag", 0.3)):
         assert Actuators(late(name, seconds)).dead_time(LATENT) == pytest.approx(seconds)
     assert Actuators(CAR).dead_time(LATENT) == 0.0
-
-
-def test_without_anything_known_of_what_was_sent_an_action_counts_as_long_in_force() -> None:
     begin = Actuators(late("actuator_delay", 0.1)).begin(STATE, LATENT, None)
     assert begin is not None
     assert (begin.waits, begin.rows, begin.at_once) == (0, 1, True)
-
-
-def test_actuators_without_a_memory_act_at_once() -> None:
-    assert tuple(Actuators(CAR).reach(LATENT)) == (0, 0)
 
 
 def test_slopes_over_a_delay_are_those_of_differences() -> None:
@@ -190,13 +184,10 @@ def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has
     assert found[0] != found[1]
 
 
-def test_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
+def test_two_delays_add_up_and_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
     model = CAR.with_effect(effect("car", "steering_gain"), {"gain": Setting(1.0, free=True)})
     actuators = Actuators(late("steering_delay", 0.15, model))
     assert [tuple(actuators.reach((0.0, 2.5, gain))) for gain in (1.0, 0.4, 2.0)] == [(0, 3)] * 3
-
-
-def test_two_delays_add_up() -> None:
     both = late("drive_delay", 0.1, late("actuator_delay", 0.1))
     assert tuple(Actuators(both).reach(LATENT)) == (2, 4)
 
@@ -371,14 +362,11 @@ def test_a_learned_model_with_a_delay_looks_as_far() -> None:
     filter_ = SafetyFilter.for_model(model, FilterSettings())
     found = [
         filter_.decide(
-            (0.0, 0.0, 0.0, 1.0),
-            [2.0, 0.0],
-            np.array(latent),
-            memory=Pending(memory, (1.0, 0.0)),
+            (0.0, 0.0, 0.0, 1.0), [2.0, 0.0], np.array(latent), memory=Pending(memory, (1.0, 0.0)),
             barriers=scene_ahead(float(distance)),
         ).status
         for distance in np.linspace(1.7, 2.6, 10)
-    ]
+    ]  # fmt: skip
     assert Status.corrected in found
     assert Status.relaxed not in found
 

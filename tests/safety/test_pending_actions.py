@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import cos, hypot, sin, tau
+from typing import Any
 
 import numpy as np
 import pytest
+from tests.safety.node_steps import CAR, LATE, SETTINGS, asked, latent_at, state_at
 
-from safedpa.dynamics import load_model
+from safedpa.bus import SurroundingsMessage, VerdictMessage
+from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import (
@@ -19,11 +23,13 @@ from safedpa.safety import (
     SafetyFilter,
     Status,
 )
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.surroundings_ahead import moved_on
 
-PERIOD, LATE = 0.05, 3
+PERIOD, TICKS = 0.05, 3
 A = np.array([[1.0, PERIOD], [0.0, 1.0]])
 B = np.array([[0.5 * PERIOD**2], [PERIOD]])
-SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)
+ON_A_LINE = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)
 
 
 def affine(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -38,12 +44,12 @@ def room(x: np.ndarray) -> float:
 def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
     """How far a mass gets whose commands arrive three ticks late, and what was said."""
     random = np.random.default_rng(seed)
-    late = PendingActions(affine, LATE, (0.0,))
+    late = PendingActions(affine, TICKS, (0.0,))
     x = np.array([random.uniform(-1.0, 0.0), 0.0])
     xi, said, far = late.state(x), set(), -np.inf
     plain = FunctionBarrier(room)
-    known = SafetyFilter(late.prediction, [late.barrier(plain)], SETTINGS)
-    blind = SafetyFilter(affine, [plain], SETTINGS)
+    known = SafetyFilter(late.prediction, [late.barrier(plain)], ON_A_LINE)
+    blind = SafetyFilter(affine, [plain], ON_A_LINE)
     for _ in range(110):
         wish = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
         verdict = known.decide(xi, wish) if knows else blind.decide(x, wish)
@@ -78,12 +84,12 @@ def test_the_state_holds_what_is_pending_oldest_first() -> None:
 
 def test_the_condition_is_the_one_without_delay_at_the_state_after_what_is_pending() -> None:
     random = np.random.default_rng(2)
-    late = PendingActions(affine, LATE, (0.0,))
+    late = PendingActions(affine, TICKS, (0.0,))
     for _ in range(50):
-        queue = random.uniform(-1.0, 1.0, (LATE, 1))
+        queue = random.uniform(-1.0, 1.0, (TICKS, 1))
         xi = late.state(random.uniform((0.0, -0.5), (0.6, 0.8)), queue)
-        plain = SafetyFilter(affine, [FunctionBarrier(room)], SETTINGS).decide(late.reached(xi), [1.0])
-        known = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], SETTINGS).decide(xi, [1.0])
+        plain = SafetyFilter(affine, [FunctionBarrier(room)], ON_A_LINE).decide(late.reached(xi), [1.0])
+        known = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], ON_A_LINE).decide(xi, [1.0])
         assert known.status is plain.status
         np.testing.assert_allclose(known.action, plain.action, atol=1e-3)
         assert known.h_next == pytest.approx(plain.h_next, abs=1e-4)
@@ -196,3 +202,122 @@ def test_a_barrier_is_judged_with_the_latent_that_it_was_given() -> None:
 def test_what_rests_is_a_row_of_finite_numbers(resting: tuple[object, ...]) -> None:
     with pytest.raises(InputError, match="resting"):
         PendingActions(load_model("car"), 2, resting)  # type: ignore[arg-type]
+
+
+class Robot:
+    """The model itself behind the filter; in the ticks of ``lost`` the watchdog's action is applied."""
+
+    def __init__(self, model: PhysicsModel, until_action: float = 0.0, lost: tuple[int, ...] = ()) -> None:
+        self.model, self.until_action, self.lost = model, until_action, lost
+        self.node = SafetyFilterNode(model, SETTINGS)
+        self.values = np.array((0.0, 0.0, 0.0, 0.0))
+        self.memory: Any = model.initial_memory(np.zeros(2), model.latent)
+        self.applied, self.applied_by, self.tick = (0.0, 0.0), "none", 0
+
+    def turn(self, wish: tuple[float, float] = (1.0, 0.0)) -> VerdictMessage:
+        told: dict[str, Any] = {"applied": self.applied, "applied_by": self.applied_by}
+        state = state_at(self.tick, tuple(self.values.tolist()), until_action=self.until_action, **told)
+        verdict = asked(self.node, state, latent_at(state, self.model), wish)
+        lost = self.tick in self.lost
+        self.applied, self.applied_by = ((0.0, 0.0), "watchdog") if lost else (verdict.action, "filter")
+        self.values, self.memory = self.model.advance(
+            self.values, np.array(self.applied), self.memory, self.model.latent
+        )
+        self.tick += 1
+        return verdict
+
+
+@pytest.mark.parametrize("lost", [(), (5,), (5, 6), (4, 8)])
+def test_the_watchdogs_actions_come_behind_what_is_in_flight(lost: tuple[int, ...]) -> None:
+    """Once they were forgotten: after one lost action the actuators seemed to have settled at the brake."""
+    robot = Robot(LATE, lost=lost)
+    for tick in range(14):
+        truth, start = robot.memory, robot.values
+        verdict = robot.turn((0.2 * tick, 0.01 * tick))
+        path, _ = LATE.held(start, np.array(verdict.action), truth, LATE.latent, 8, period=0.05)
+        np.testing.assert_allclose(verdict.predicted, path[: len(verdict.predicted)], atol=1e-12)
+
+
+def test_predictions_that_come_true_leave_the_margin_as_it_is() -> None:
+    robot = Robot(LATE)
+    for _ in range(12):
+        verdict = robot.turn()
+    np.testing.assert_allclose(verdict.predicted[0], robot.values, atol=1e-12)
+    assert verdict.margin == pytest.approx(SETTINGS.epsilon["obstacle"])
+
+
+@pytest.mark.parametrize("seconds", [-0.01, 1.01, 1e6])
+def test_a_state_that_is_too_old_where_its_action_acts_is_refused(seconds: float) -> None:
+    verdict = Robot(CAR, seconds).turn()
+    assert verdict.status == "fallback"
+    assert f"its action acts {seconds:g} s later, wanted 0 to 1 s" in verdict.sentence
+
+
+@pytest.mark.parametrize("age", [0.1, 0.2])
+def test_the_filter_predicts_from_where_the_action_of_an_old_state_acts(age: float) -> None:
+    new, old = Robot(CAR), Robot(CAR, age)
+    for robot in (new, old):
+        robot.values = np.array((3.4, 0.0, 0.0, 1.6))
+        robot.applied, robot.applied_by = (2.0, 0.0), "filter"
+    assert old.turn((2.0, 0.0)).h_next < new.turn((2.0, 0.0)).h_next - 0.5 * age
+
+
+STAMP = {"epoch": 1, "tick": 3, "robot_time": 0.15, "publish_time": 0.2}
+POINTS = ((1.0, 2.0, 0.05), (3.0, -1.0, 0.4))
+
+
+def seen(movers: tuple[tuple[float, ...], ...], hidden: tuple[tuple[float, ...], ...]) -> SurroundingsMessage:
+    return SurroundingsMessage(
+        **STAMP,  # type: ignore[arg-type]
+        points=POINTS,
+        movers=movers,
+        hidden=hidden,
+        ages=(0.05, 0.1),
+        amiss=("one source is late",),
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_way_a_mover_can_go_ends_within_its_disc_and_the_fastest_at_its_edge(seed: int) -> None:
+    """Ways of ten legs in any directions at any speeds allowed; the straight one at full speed leads to the edge."""
+    random = np.random.default_rng(seed)
+    x, y, radius, speed = random.uniform((-5.0, -5.0, 0.0, 0.1), (5.0, 5.0, 1.0, 3.0)).tolist()
+    seconds = float(random.uniform(0.02, 1.4))
+    found = moved_on(seen(((x, y, radius, 0.3, -0.2, speed),), ((x, y, radius, speed),)), seconds)
+    for row in (*found.movers, *found.hidden):
+        middle_x, middle_y, wide = row[:3]
+        for _ in range(50):
+            legs, at_x, at_y = random.dirichlet(np.ones(10)) * seconds, x, y
+            for leg, angle, pace in zip(
+                legs, random.uniform(0.0, tau, 10), random.uniform(0.0, speed, 10), strict=True
+            ):
+                at_x, at_y = at_x + leg * pace * cos(angle), at_y + leg * pace * sin(angle)
+            assert hypot(at_x - middle_x, at_y - middle_y) + radius <= wide + 1e-12
+        angle = float(random.uniform(0.0, tau))
+        far_x, far_y = x + seconds * speed * cos(angle), y + seconds * speed * sin(angle)
+        assert hypot(far_x - middle_x, far_y - middle_y) + radius == pytest.approx(wide)
+
+
+def test_speeds_and_stationary_points_are_passed_on_unchanged() -> None:
+    before = seen(((1.0, 2.0, 0.3, 0.4, -0.5, 0.8), (0.0, 1.0, 0.2, 0.0, 0.0, 0.0)), ((4.0, 5.0, 0.6, 1.5),))
+    found = moved_on(before, 0.2)
+    assert [row[3:] for row in found.movers] == [(0.4, -0.5, 0.8), (0.0, 0.0, 0.0)]
+    assert [row[3:] for row in found.hidden] == [(1.5,)]
+    assert [len(row) for row in (*found.movers, *found.hidden)] == [6, 6, 4]
+    assert found.movers[1] == before.movers[1], "who may not move is where it was"
+    assert (found.points, found.ages, found.amiss) == (before.points, before.ages, before.amiss)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.1])
+def test_what_acts_at_once_sees_what_is_seen(seconds: float) -> None:
+    before = seen(((1.0, 2.0, 0.3, 0.4, -0.5, 0.8),), ((4.0, 5.0, 0.6, 1.5),))
+    assert moved_on(before, seconds) is before
+
+
+@pytest.mark.parametrize("width", [0, 1, 2, 3, 5, 7])
+def test_rows_of_another_width_are_left_for_the_scene_to_refuse(width: int) -> None:
+    odd = tuple(float(number) for number in range(width))
+    found = moved_on(seen((odd, (1.0, 2.0, 0.3, 0.4, -0.5, 0.8)), (odd,)), 0.5)
+    assert found.movers[0] == odd
+    assert found.movers[1][2] == pytest.approx(0.7)
+    assert found.hidden == (odd,)

@@ -192,15 +192,12 @@ def test_slack_goes_to_the_row_that_it_belongs_to() -> None:
     assert solution.slack[3] == pytest.approx(50.0 * solution.slack[2], rel=1e-4)  # each gives up the same share
 
 
-def test_as_many_slopes_as_actions_and_as_many_rows_as_limits() -> None:
+def test_distance_is_weighted_by_range_and_slopes_and_limits_have_to_fit() -> None:
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     with pytest.raises(ValueError, match="the program has 1 rows and 2 limits"):
         program.solve([[1.0, 0.0]], [0.0, 0.0], [0.0, 0.0])
     with pytest.raises(ValueError, match="row 1 has 1 slopes for 2 actions"):
         program.solve([[1.0, 0.0], [1.0]], [0.0, 0.0], [0.0, 0.0])
-
-
-def test_distance_is_weighted_by_range_and_the_largest_weight_counts_one() -> None:
     program = QuadraticProgram(np.array([0.0, 0.0]), np.array([2.0, 4.0]), np.array([1.0, 4.0]))
     assert program.distance(np.array([1.0, 2.0]), np.array([0.0, 0.0])) == pytest.approx(0.25 / 4.0 + 0.25)
     assert program.distance(np.array([1.0, 2.0]), np.array([2.0, 3.0])) == pytest.approx(0.25 / 4.0 + 1.0 / 16.0)

@@ -304,11 +304,7 @@ def test_it_looks_past_a_delay() -> None:
     """Three actions on their way: the path of the backup begins with them."""
     late = PendingActions(affine, 3, (0.0, 0.0))
     barrier = RolloutBarrier(
-        late.prediction,
-        lambda xi: brake(late.reached(xi)),
-        lambda xi: room(late.split(xi)[0]),
-        44,
-        NAMES,
+        late.prediction, lambda xi: brake(late.reached(xi)), lambda xi: room(late.split(xi)[0]), 44, NAMES
     )
     for seed in range(2):
         random, x = np.random.default_rng(seed), np.zeros(4)

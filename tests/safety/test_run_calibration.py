@@ -1,20 +1,32 @@
-"""Margins from runs: nothing to add where the model is right, more where it lacks something, kept with the model."""
+"""Margins from runs: which steps teach them, and that they are kept with the model."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from tests.safety.node_steps import CAR, SETTINGS, latent_at, state_at
 
+from safedpa.bus import LATENT as LATENTS
+from safedpa.bus import STATE as STATES
+from safedpa.bus import LatentMessage, StateMessage
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.topics import key_of
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
+from safedpa.records import McapRecorder
 from safedpa.records.run import Run, Stretch
 from safedpa.safety import live_margin as live_margin_module
 from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.live_margin import live_margin
 from safedpa.safety.margin_text import margin_from_text
+from safedpa.safety.recorded import RecordedTransitions, calibration_from_recordings
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa.safety.theory_recorded import RecordedBound, recorded_bound
@@ -155,3 +167,124 @@ def test_the_larger_margin_of_all_and_of_the_newest_half_counts(
     found = margin_from_text(live_margin(model, settings_named("car"), run, ())).epsilon
     assert asked == [stretches, (Stretch(10, 12), Stretch(13, 20))]
     assert found == {"obstacle": 0.02, "field": 0.03 if newest else 0.01, "speed": 0.05}
+
+
+STAMP = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
+STATE = StateMessage(
+    **STAMP, values=(0.0, 0.0, 0.0, 1.0), applied=(0.0, 0.0), applied_by="filter", period=0.05, lockstep=False,
+    goal=(1.0, 1.0), obstacles=(), field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.1, 0.3, 0.2),
+)  # fmt: skip
+LATENT = LatentMessage(**STAMP, model="0123456789ab", values=(0.0,), deviations=(0.1,))
+
+
+def tick(number: int, *, by: str = "filter", adapted: bool = True) -> DrivenTick:
+    """The state of a tick is its number, and its latent ten times that; who drove until there."""
+    state = replace(STATE, tick=number, values=(float(number), 0.0, 0.0, 1.0), applied=(0.1 * number, 0.0))
+    latent = replace(LATENT, tick=number, values=(10.0 * number,)) if adapted else None
+    return DrivenTick(replace(state, applied_by=by), latent)
+
+
+def test_a_transition_holds_what_was_known_before_it_and_what_became_of_it() -> None:
+    found = RecordedTransitions([[tick(3), tick(4), tick(5)], [tick(8), tick(9)]])
+    assert found.state[:, 0].tolist() == [3.0, 4.0, 8.0]
+    assert found.following[:, 0].tolist() == [4.0, 5.0, 9.0]
+    np.testing.assert_allclose(found.action[:, 0], [0.4, 0.5, 0.9])  # what led to the second state
+    assert found.latent[:, 0].tolist() == [30.0, 40.0, 80.0]
+    assert found.drive.tolist() == [0, 0, 1]
+
+
+def test_over_gaps_and_where_adaptation_was_silent_there_is_no_transition() -> None:
+    found = RecordedTransitions([[tick(0), tick(1, adapted=False), tick(2), tick(3)]])
+    assert found.state[:, 0].tolist() == [0.0, 2.0]
+    assert RecordedTransitions([[tick(0), tick(2), tick(3)]]).state[:, 0].tolist() == [2.0]
+
+
+@pytest.mark.parametrize("by", ["watchdog", "nobody"])
+def test_steps_under_another_action_than_the_filters_are_left_out(by: str) -> None:
+    found = RecordedTransitions([[tick(0), tick(1, by=by), tick(2)]])
+    assert found.state[:, 0].tolist() == [1.0]
+
+
+@pytest.mark.parametrize("ticks", [[], [tick(0)], [tick(0, adapted=False), tick(1)], [tick(0), tick(1, by="watchdog")]])
+def test_where_none_is_left_it_says_so(ticks: list[DrivenTick]) -> None:
+    with pytest.raises(InputError, match="no transition under an action of the filter with a latent"):
+        RecordedTransitions([ticks])
+
+
+def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab") -> Path:
+    """State and latent of each (robot, epoch, tick), in this order; of tick 2 no latent was heard."""
+    with McapRecorder(path) as recorder:
+        for robot, epoch, number in told:
+            state = replace(tick(number).state, epoch=epoch, values=(0.01 * number, 0.0, 0.0, 0.2))
+            latent = replace(LATENT, epoch=epoch, tick=number, values=tuple(CAR.latent.tolist()), model=model)
+            recorder.write(key_of("fleet", robot, STATES), encode(state), number, number)
+            if number != 2:
+                recorder.write(key_of("fleet", robot, LATENTS), encode(latent), number, number)
+    return path
+
+
+def test_each_start_of_each_robot_is_a_drive_with_its_ticks_in_order(tmp_path: Path) -> None:
+    """Three robots that start twice each, and messages in any order; the fifth drive measures the coverage."""
+    told = [(robot, epoch, number) for robot in "abc" for epoch in (7, 8) for number in range(60)]
+    mixed = [told[place] for place in np.random.default_rng(0).permutation(len(told)).tolist()]
+    path = recorded(tmp_path / "drive.mcap", *mixed, model=fingerprint(CAR))
+    made = calibration_from_recordings(CAR, SETTINGS, [path], 0.5, "2024-01-01")
+    assert (made.drives, made.transitions, made.period) == (5, 5 * 59, 0.05)
+
+
+def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
+    """They have the same numbers, and another meaning: a margin from them would be of neither model."""
+    path = recorded(tmp_path / "drive.mcap", ("a", 7, 0), ("a", 7, 1), model="ba9876543210")
+    with pytest.raises(
+        InputError, match=r"drive\.mcap: latents of model ba9876543210, wanted .*; drive with that model"
+    ):
+        calibration_from_recordings(CAR, SETTINGS, [path], 0.5, "2024-01-01")
+
+
+ALL = range(1, 6)
+
+
+def drive(**changed: Any) -> list[DrivenTick]:
+    """Six ticks of a car that drives straight on at 0.5 m/s; ``changed`` is what is different at the third."""
+    ticks = []
+    for tick in range(6):
+        state = state_at(tick, (0.025 * tick, 0.0, 0.0, 0.5), applied=(0.5, 0.0))
+        ticks.append(DrivenTick(state, latent_at(state)))
+    latent = ticks[3].latent if changed.pop("adapted", True) else None
+    ticks[3] = DrivenTick(replace(ticks[3].state, **changed), latent)
+    return ticks
+
+
+def reached(ticks: list[DrivenTick]) -> list[int]:
+    """Ticks whose measured h was compared with a prediction; the car comes 0.025 m nearer to the wall in each."""
+    found = drive_heights(CAR, SETTINGS, ticks)["obstacle"]
+    assert found.shape[1] == 4
+    first = drive_heights(CAR, SETTINGS, drive())["obstacle"][0, 1]
+    return [round(1 + (first - measured) / 0.025) for measured in found[:, 1]]
+
+
+@pytest.mark.parametrize(
+    ("changed", "counted"),
+    [
+        ({}, [1, 2, 3, 4, 5]), ({"applied_by": "watchdog"}, [1, 2, 4, 5]), ({"applied_by": "none"}, [1, 2, 4, 5]),
+        ({"tick": 7}, [1, 2, 5]), ({"goal": ()}, [1, 2, 3, 4, 5]), ({"adapted": False}, [1, 2, 3, 4, 5]),
+        ({"footprint": ()}, [1, 2, 5]),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_only_steps_under_the_filters_own_action_count(changed: dict[str, Any], counted: list[int]) -> None:
+    assert reached(drive(**changed)) == counted
+
+
+def test_what_the_recorded_action_leads_to_is_compared_with_what_came() -> None:
+    heights = drive_heights(CAR, SETTINGS, drive())
+    assert set(heights) >= {"obstacle", "speed"}
+    np.testing.assert_allclose(heights["obstacle"][:, 0], heights["obstacle"][:, 1], atol=1e-9)
+    faster = [tick._replace(state=replace(tick.state, applied=(1.5, 0.0))) for tick in drive()]
+    hoped, came = drive_heights(CAR, SETTINGS, faster)["obstacle"][:, :2].T
+    assert (hoped < came - 1e-3).all(), "a car that is told to drive faster is expected nearer to the wall"
+
+
+def test_without_ticks_there_are_no_errors() -> None:
+    assert drive_heights(CAR, SETTINGS, []) == {}
+    assert drive_heights(CAR, SETTINGS, [DrivenTick(tick.state, None) for tick in drive()]) == {}

@@ -1,4 +1,6 @@
-"""The page on safety does what it says."""
+"""The pages on safety and on theory do what they say."""
+
+from __future__ import annotations
 
 import re
 from pathlib import Path
@@ -12,7 +14,9 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGE = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("safety.md", "margins.md"))
 
 
-def test_every_example_runs_in_order(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_example_runs_in_order_and_the_first_is_five_lines_plus_the_users_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
     names: dict[str, Any] = {}
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -21,9 +25,6 @@ def test_every_example_runs_in_order(capsys: pytest.CaptureFixture[str]) -> None
         exec(compile(block, f"docs/safety.md, block {number}", "exec"), names)
     assert capsys.readouterr().out.startswith("corrected [")
     assert names["verdict"].status.value == "corrected"
-
-
-def test_the_first_example_is_five_lines_plus_the_users_own() -> None:
     first = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
     own = [line for line in first if line.startswith(("f =", "g =", "h =", "import numpy"))]
     assert len([line for line in first if line and line not in own]) == 5
@@ -32,3 +33,14 @@ def test_the_first_example_is_five_lines_plus_the_users_own() -> None:
 def test_the_settings_example_is_read() -> None:
     block = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[0]
     assert parse_settings(block).epsilon["obstacle"] == 0.012
+
+
+def test_the_first_sentence_of_the_readme_is_the_promise_of_the_theory(repository: Path) -> None:
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    theory = (repository / "docs" / "theory.md").read_text(encoding="utf-8")
+    promised = re.search(r"## What is promised\n(?:<!--.*?-->\n)?\n\*\*(.+?)\*\*", theory, re.DOTALL)
+    bold = re.search(r"\*\*(.+?)\*\*", readme, re.DOTALL)
+    assert promised
+    assert bold
+    assert " ".join(promised[1].split()) in " ".join(bold[1].split())
+    assert "never hit" not in readme

@@ -104,15 +104,12 @@ def test_an_action_that_misses_more_is_searched_for_again() -> None:
     assert robot.asked >= other.asked
 
 
-def test_a_wish_that_keeps_all_passes_at_once() -> None:
+def test_a_wish_that_keeps_all_passes_and_an_action_that_does_by_now_is_not_called_relaxed() -> None:
     robot = Robot(step=0.1)
     assert robot.at(0.0, h=0.01).status is Status.relaxed
     assert robot.at(0.005, h=0.19, wish=0.5).status is Status.passed
     assert robot.at(0.010, h=0.19, wish=-1.0).status is Status.corrected
-
-
-def test_an_action_that_keeps_all_by_now_is_not_called_relaxed() -> None:
-    """The way from the wish leads nowhere there, and what was held keeps everything: it is looked for wholly."""
+    # The way from the wish leads nowhere there, and what was held keeps everything: it is looked for wholly.
     robot = Robot()
     assert robot.at(0.0).status is Status.relaxed
     found = robot.at(0.005, epsilon={"function": 0.0966})
@@ -256,14 +253,11 @@ def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, i
     return least, violated
 
 
-def test_what_one_barrier_is_short_of_does_not_hide_another() -> None:
+def test_what_one_barrier_is_short_of_does_not_hide_another_and_no_memory_is_none() -> None:
     """With the least of all h compared alone, the other one was used up between two searches, and fell below 0."""
     whole, held = eroded(hold=False), eroded(hold=True)
     assert whole[1] == held[1] == 0
     assert held[0] >= whole[0] - 1e-4
-
-
-def test_what_is_no_memory_is_none() -> None:
     robot = Robot()
     assert same(robot.at(0.0, searched=object()), robot.at(0.005, searched=object()))
 

@@ -180,14 +180,11 @@ def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
     assert pushing.reason("relaxed", ("wall",), True).startswith("dead band"), "it is pushed all the time"
 
 
-def test_moving_in_a_tick_without_a_wish_ends_a_stand() -> None:
+def test_moving_in_a_tick_without_a_wish_ends_a_stand_and_without_promised_motion_there_is_none() -> None:
     standing = stood(6.0, 0.005, 0.0)
     standing.measure((1.0, 0.0, 0.0), PERIOD)
     standing.measure((1.5, 0.0, 0.0), PERIOD)
     assert standing.seconds == 0.0
-
-
-def test_a_robot_without_any_promised_motion_does_not_stand() -> None:
     standing = Standstill((0,))
     standing.promise((1.0,), (1.0,), (1.0,))
     for _ in range(5):

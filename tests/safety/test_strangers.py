@@ -74,11 +74,8 @@ def car_scene() -> list[AbstractBarrier]:
     return car_barriers(FilterSettings(), FOOTPRINT, [(2.0, 0.0, 0.3)], (-4.0, 4.0, -4.0, 4.0))
 
 
-def test_shipped_settings_name_their_system() -> None:
+def test_settings_name_their_system_the_defaults_are_the_cars_and_come_back_from_a_file() -> None:
     assert {name: settings_named(name).system for name in NAMES} == {name: name for name in NAMES}
-
-
-def test_the_defaults_are_the_cars_and_say_so() -> None:
     assert FilterSettings().system == "car"
     assert FilterSettings(system="car") == FilterSettings()
     assert FilterSettings(action_high=(1.0, 0.2)).system == "car"
@@ -86,9 +83,6 @@ def test_the_defaults_are_the_cars_and_say_so() -> None:
     assert FilterSettings(system="drone", **BOUNDS).system == "drone"
     assert parse_settings("eta = 0.5").system == "car"
     assert parse_settings("action_low = [-1.0]\naction_high = [1.0]").system == ""
-
-
-def test_a_named_system_comes_back_from_its_file() -> None:
     settings = FilterSettings(system="drone", **BOUNDS)
     assert parse_settings(write_settings(settings)) == settings
     assert replace(FilterSettings(), eta=0.5).system == "car"
@@ -189,16 +183,13 @@ def test_functions_without_names_are_told_by_the_number_of_entries() -> None:
     assert safe.decide(np.zeros(4), [0.0, 0.0]).status is not Status.fallback
 
 
-def test_names_of_a_range_tell_the_states_too() -> None:
+def test_names_of_a_range_tell_the_states_and_each_barrier_says_what_it_reads() -> None:
     wide = Plausible(np.full(5, -9.0), np.full(5, 9.0), ("x", "y", "yaw", "speed", "hitch"))
     safe = SafetyFilter(lambda x: (x, np.zeros((5, 2))), car_scene(), FilterSettings(**BOUNDS), state_range=wide)
     assert safe.decide(np.zeros(5), [0.0, 0.0]).status is not Status.fallback
     other = Plausible(np.full(4, -9.0), np.full(4, 9.0), ("x", "y", "speed", "yaw"))
     with pytest.raises(InputError, match="reads the states x, y, yaw, speed, the model has x, y, speed, yaw"):
         SafetyFilter(lambda x: (x, np.zeros((4, 2))), car_scene(), FilterSettings(**BOUNDS), state_range=other)
-
-
-def test_what_each_barrier_reads() -> None:
     assert [part.reads for part in car_scene()] == [CAR.state_names] * 3
     assert CorridorBarrier(-1.0, 1.0, 0.2).reads == PENDULUM.state_names
     assert StoppingBarrier(np.ones((1, 3)), Motion(np.zeros(2), 1.0, 1.0, 1.0)).reads == POINT.state_names
@@ -227,15 +218,9 @@ def test_default_settings_around_a_users_functions_are_refused() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        (
-            {"action_low": (-1.0,), "action_high": (1.0,), "system": "car"},
-            "got bounds of 1 actions, .* 'car' has 2",
-        ),
+        ({"action_low": (-1.0,), "action_high": (1.0,), "system": "car"}, "got bounds of 1 actions, .* 'car' has 2"),
         ({"action_low": (-1.0,), "action_high": (1.0,)}, r"got bounds of 1 actions, .* \(target_speed, steer\)"),
-        (
-            {"action_high": (2.0, 0.7)},
-            r"got bounds of -0\.34 to 0\.7 rad for steer, .* takes -0\.6 to 0\.6",
-        ),
+        ({"action_high": (2.0, 0.7)}, r"got bounds of -0\.34 to 0\.7 rad for steer, .* takes -0\.6 to 0\.6"),
         ({"action_low": (-9.0, -0.3)}, r"got bounds of -9 to 2 m/s for target_speed"),
     ],
 )
@@ -363,12 +348,8 @@ def test_the_filters_own_process_refuses_a_stranger(
     options = ["--model", str(files[name]), "--settings", "car" if settings == "car" else str(chosen)]
     found = subprocess.run(
         [sys.executable, "-m", "safedpa_services.safety_filter", *options],
-        env={**os.environ, "SAFEDPA_EFFECTS": str(OWN)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+        env={**os.environ, "SAFEDPA_EFFECTS": str(OWN)}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
     assert found.returncode == 2
     said = [line for line in found.stderr.splitlines() if not line.startswith("margin: none was")]
     assert len(said) == 1

@@ -1,20 +1,23 @@
-"""The backup of a car with a throttle brakes as its barriers count on, whatever the model knows of the motor."""
+"""Backups: how a throttle brakes, which functions a loop is driven by, and which are refused."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from safedpa.bus import ACTION, LATENT, SURROUNDINGS, WISH, LatentMessage, Stale, StateMessage, WishMessage
-from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
+from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.robot import robot_like, robots
 from safedpa.robots.car.barriers import braking_of
 from safedpa.robots.car.throttle import BrakingByThrottle, throttle_for
+from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter
+from safedpa.safety.closed_loop import ClosedLoop, fixed, prediction_of
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.scenes import scene_of
 from safedpa.safety.shipped import margin_for, settings_named
@@ -109,14 +112,11 @@ def test_the_latent_counts():
     assert backup(np.array([0.0, 0.0, 0.0, 1.0]))[0] == pytest.approx(weak * 4.48 / 9.0, abs=1e-3)
 
 
-def test_more_than_the_motor_can_is_its_bound():
+def test_more_than_the_motor_can_is_its_bound_and_the_model_says_which_car_it_is():
     model = model_with({})
     state = np.array([0.0, 0.0, 0.0, 1.0])
     assert throttle_for(model, state, 0.0, -50.0, (-1.0, 1.0)) == pytest.approx(-1.0, abs=1e-3)
     assert throttle_for(model, state, 0.0, 50.0, (-0.5, 0.5)) == pytest.approx(0.5, abs=1e-3)
-
-
-def test_the_model_says_which_car_it_is():
     model = load_model("dart_car")
     assert robot_like(model.system).settings_name == "car_throttle"
     assert robots()["car"].of_system(model.system) is robot_like(model.system)
@@ -169,3 +169,121 @@ def test_after_a_step_that_raised_the_car_is_braked_and_not_let_roll():
     assert first[0] < -0.2
     assert again[0] < -0.2
     assert node.rescue("nobody", state, "a fault")[ACTION].values == (0.0, 0.0), "nothing is known of it"
+
+
+def halved(x: Any, latent: Any = None) -> Any:
+    """Affine: a second argument that need not be given makes no step of it."""
+    return 0.5 * x, np.eye(1)
+
+
+def test_functions_are_known_by_their_arguments_and_actuators_that_remember_nothing_are_taken() -> None:
+    assert ClosedLoop(halved, [1.0]).after(np.array([4.0]), np.array([1.0])) == [3.0]
+    assert ClosedLoop(lambda x, a: x + 2.0 * a, [1.0]).after(np.array([4.0]), np.array([1.0])) == [6.0]
+    model = load_model("car").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.1)})
+    assert prediction_of(model).of_this_project
+
+
+@pytest.mark.parametrize("model", [halved, load_model("car")])
+def test_a_users_function_cannot_write_into_what_the_next_one_sees(model: Any) -> None:
+    size, actions = (1, [0.0]) if model is halved else (4, [0.0, 0.0])
+    loop = ClosedLoop(model, actions)
+    for kept in (loop.after(np.ones(size), np.array(actions)), fixed(np.ones(size)), loop.action(np.ones(size))):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0] = 7.0
+
+
+@pytest.mark.parametrize("wrong", [None, 1.0, "model", [halved]], ids=["none", "number", "text", "list"])
+def test_what_is_no_model_cannot_be_driven(wrong: Any) -> None:
+    with pytest.raises(InputError, match=r"^model: got .*, wanted a model, a Prediction, affine"):
+        RolloutBarrier(wrong, [0.0], lambda x: x[0], 2)
+
+
+def test_a_backup_answers_with_a_row_of_actions_and_a_path_ends_where_nothing_moves() -> None:
+    with pytest.raises(InputError, match=r"^backup: got shape .*, wanted"):
+        ClosedLoop(lambda x, a: x + a, lambda _: [[1.0]]).action(np.zeros(1))
+    assert ClosedLoop(lambda x, a: x + a, lambda _: [1.0]).action(np.zeros(1)).tolist() == [1.0]
+    path = ClosedLoop(lambda x, a: np.maximum(x - 1.0, 0.0), [0.0]).path(np.array([2.0]), 50)
+    assert [float(x[0]) for x in path] == [2.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("backup", [1.0, [[1.0]], [1.0, np.inf], [np.nan]], ids=str)
+def test_a_backup_that_is_one_action_is_a_vector_of_finite_numbers(backup: Any) -> None:
+    with pytest.raises(InputError, match=r"^backup: got .*, wanted \(actions,\) finite numbers"):
+        ClosedLoop(halved, backup)
+    with pytest.raises(InputError, match=r"^latent: got .*, wanted \(actions,\) finite numbers"):
+        ClosedLoop(halved, [1.0], latent=backup)
+
+
+def test_the_backup_of_a_rollout_is_the_one_along_which_it_looks() -> None:
+    def half(x: Any) -> Any:
+        return [0.5 * x[0]]
+
+    barrier = RolloutBarrier(lambda x, a: x - a, half, lambda x: x[0], 2)
+    assert barrier.backup(np.array([3.0])).tolist() == [1.5]
+    held = RolloutBarrier(lambda x, a: x - a, [0.25], lambda x: x[0], 2)
+    assert held.backup(np.array([3.0])).tolist() == [0.25]
+
+
+class Own(AbstractDynamics):
+    """A model of one's own: a car that stays where it is."""
+
+    def __init__(self, memory: Any) -> None:
+        self.system, self.period, self.latent_names = load_model("car").system, 0.05, ()
+        self._memory = memory
+
+    def initial_memory(self, action: Any, latent: Any = None) -> Any:
+        return self._memory
+
+    def advance(self, state: Any, action: Any, memory: Any, latent: Any = None, **_: Any) -> tuple[Any, Any]:
+        return state, memory
+
+    def affine(self, state: Any, latent: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
+        return state, np.zeros((4, 2))
+
+
+@pytest.mark.parametrize("memory", [None, (), (None,), ((), None), (np.empty(0), [])], ids=str)
+def test_a_users_model_may_say_in_any_way_that_nothing_is_remembered(memory: Any) -> None:
+    assert prediction_of(Own(memory)).system is not None
+
+
+@pytest.mark.parametrize("memory", [(0.0,), (None, (1.0,)), (np.zeros(1),), ({"steer": 0.1},)], ids=str)
+def test_a_users_model_whose_actuators_remember_is_refused(memory: Any) -> None:
+    with pytest.raises(InputError, match=r"^model: got one of 'car' whose actuators remember"):
+        prediction_of(Own(memory))
+
+
+UNIT = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), epsilon=0.0)
+
+
+def made(backup: Any) -> SafetyFilter:
+    return SafetyFilter(lambda x: (x, np.eye(2)), [FunctionBarrier(lambda x: 5.0 - x[0])], UNIT, backup=backup)
+
+
+@pytest.mark.parametrize(
+    "backup",
+    [np.array([0.5, -0.5]), [0.5, -0.5], (0.5, -0.5), 0.5, "brake", object(), {}],
+    ids=lambda one: repr(one)[:9],
+)
+def test_what_cannot_be_called_is_no_backup(backup: Any) -> None:
+    """Its action looks like one; nobody would ask it, and the robot would rest where it was to be steered away."""
+    assert not callable(backup)
+    with pytest.raises(
+        InputError, match=f"backup: got {type(backup).__name__}, wanted a function of the state or None"
+    ):
+        made(backup)
+
+
+@pytest.mark.parametrize("answer", [[0.5], [0.5, -0.5, 0.0], [0.5, np.nan], [np.inf, 0.0], [[0.5, -0.5]]])
+def test_nor_is_what_answers_something_else_than_one_number_for_each_action(answer: Any) -> None:
+    with pytest.raises(InputError, match="backup: got"):
+        made(lambda state: answer)
+
+
+def test_what_wants_a_state_is_one() -> None:
+    safe = made(lambda state: np.array([0.25, state[0]]) if state is not None else state[0])
+    assert safe.decide(np.zeros(2), [0.1, 0.1]).action.tolist() == [0.1, 0.1]
+
+
+@pytest.mark.parametrize(("backup", "wanted"), [(lambda state: [0.5, -0.5], [0.5, -0.5]), (None, [0.0, 0.0])])
+def test_a_backup_that_was_taken_is_what_acts_where_no_state_is_known(backup: Any, wanted: list[float]) -> None:
+    assert made(backup).decide(None, None).action.tolist() == wanted

@@ -1,23 +1,38 @@
-"""What is towed claims more room around the hitch the farther the robot was driven backwards."""
+"""What the filter makes of a state message: corridors, what is towed and how far it reaches, the car's body."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from math import hypot
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from safedpa.bus import StateMessage
+from safedpa.dynamics import load_model
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers import braking_of, car_barriers
+from safedpa.robots.car.barriers import (
+    FieldBarrier,
+    ObstacleBarrier,
+    braking_of,
+    car_barriers,
+    swept_capsule,
+    towed_again,
+)
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.robots.car.reversed_way import ReversedWay
-from safedpa.robots.car.swept import body_of, hitch_of
+from safedpa.robots.car.swept import body_of, hitch_of, steepest
 from safedpa.robots.car.towed_reach import TowedReach
-from safedpa.safety import Barriers, FilterSettings
+from safedpa.robots.pendulum.pendulum_scene import PendulumScene
+from safedpa.safety import Barriers, CorridorBarrier, FilterSettings, FunctionBarrier, scenes
+from safedpa.safety.scene import AbstractScene, DeclaredScene
+from safedpa.safety.scenes import scene_of
+from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.stacks import EquationStack, stacked
 
@@ -105,20 +120,11 @@ def message(tick: int, x: float, y: float = 0.0, yaw: float = 0.0, **other: Any)
     given: dict[str, Any] = {"obstacles": ((2.0, 0.0, 0.3),), "footprint": FOOTPRINT, "towed": TOWED, **other}
     return StateMessage(
         **{
-            "epoch": 1,
-            "tick": tick,
-            "robot_time": 0.05 * tick,
-            "publish_time": 0.0,
-            "values": (x, y, yaw, 0.0),
-            "applied": (0.0, 0.0),
-            "applied_by": "filter",
-            "period": 0.05,
-            "lockstep": True,
-            "goal": (1.0, 0.0),
-            "field": FIELD,
-            **given,
+            "epoch": 1, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0, "values": (x, y, yaw, 0.0),
+            "applied": (0.0, 0.0), "applied_by": "filter", "period": 0.05, "lockstep": True, "goal": (1.0, 0.0),
+            "field": FIELD, **given,
         }
-    )
+    )  # fmt: skip
 
 
 def test_the_way_is_unknown_first_then_forgotten_forwards_and_counted_backwards() -> None:
@@ -207,3 +213,200 @@ def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() 
     assert new.way == TOWED[1], "more than this is not remembered"
     new.follow(message(62, 1.6, reversed_way=math.nan))
     assert new.way == pytest.approx(TOWED[1] - 0.1), "no number: it counts itself"
+
+
+DEFAULTS, BODY = FilterSettings(), (0.08, 0.40, 0.12)
+ROOM, OBSTACLES = (-3.0, 3.0, -3.0, 3.0), [(1.0, 0.5, 0.3), (-2.0, 0.0, 0.2)]
+MESSAGE = StateMessage(
+    epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
+    applied_by="none", period=0.05, lockstep=True, goal=(1.0, 1.0), obstacles=(), field=(), footprint=BODY,
+)  # fmt: skip
+
+
+def distance_to_stop(speed: float) -> float:
+    """By small steps of a car that loses what it can: b, and at low speed k v."""
+    way, step, braking = 0.0, 1e-4, braking_of(DEFAULTS)
+    while speed > 1e-6:
+        way += speed * step
+        speed -= min(braking.deceleration, braking.gain * speed) * step
+    return way
+
+
+@pytest.mark.parametrize("speed", [-0.7, -0.1, 0.0, 0.3, 1.7])
+def test_the_body_is_stretched_to_where_the_car_is_driving_by_as_far_as_it_needs_to_stop(speed: float) -> None:
+    found = swept_capsule(replace(MESSAGE, values=(0.3, -0.2, 1.1, speed)), DEFAULTS)
+    assert found is not None
+    more = distance_to_stop(abs(speed))
+    wanted = (-0.08, 0.40 + more, 0.12) if speed > 0.0 else (-0.08 - more, 0.40, 0.12)
+    assert found == pytest.approx(wanted, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"footprint": ()}, {"footprint": (0.1, 0.2, 0.3, 0.4)}, {"values": (0.0, 0.0, 0.0)},
+        {"values": (0.0, 0.0, 0.0, np.nan)}, {"values": (np.inf, 0.0, 0.0, 0.0)},
+    ],
+)  # fmt: skip
+def test_an_unknown_body_is_not_reported(changed: dict[str, tuple[float, ...]]) -> None:
+    assert swept_capsule(replace(MESSAGE, **changed), DEFAULTS) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("field", [ROOM, None])
+def test_barriers_of_a_load_that_was_moved_on_are_those_of_a_new_stack(field: tuple[float, ...] | None) -> None:
+    random = np.random.default_rng(1)
+    before, after = (TowedReach(0.1, 0.5, 0.2, way, (0.1 * way, 0.2, way)) for way in (0.0, 0.4))
+    old, new = (car_barriers(DEFAULTS, BODY, OBSTACLES, field, towed) for towed in (before, after))
+    found = towed_again(old, after)  # type: ignore[arg-type]
+    assert [type(part) for part in found] == [type(part) for part in new]
+    assert found[-1] is old[-1]
+    differ = 0
+    for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 1.0), (40, 4)):
+        for part, wanted, former in zip(found, new, old, strict=True):
+            np.testing.assert_array_equal(part.values(state), wanted.values(state))
+            differ += not np.array_equal(wanted.values(state), former.values(state))
+    assert differ > 10
+
+
+def test_a_load_that_has_not_folded_claims_no_room() -> None:
+    """Wherever the car stands or reverses: h is that of the car alone, of obstacles and of walls."""
+    braking = braking_of(DEFAULTS)
+    for state in np.random.default_rng(2).uniform((-1.0, -1.0, -3.0, -0.3), (1.0, 1.0, 3.0, 1.0), (60, 4)):
+        towed = TowedReach(0.3, 0.6, 0.2, 0.0, tuple(state[:3].tolist()))
+        pairs = (
+            (FieldBarrier(ROOM, BODY, braking), FieldBarrier(ROOM, BODY, braking, towed=towed)),
+            (
+                ObstacleBarrier(OBSTACLES, BODY, braking),
+                ObstacleBarrier(OBSTACLES, BODY, braking, towed=towed),
+            ),
+        )
+        for alone, with_load in pairs:
+            np.testing.assert_allclose(with_load.values(state), alone.values(state), rtol=0.0, atol=1e-12)
+
+
+def test_no_slope_exceeds_the_stated_bound_and_unread_states_have_slope_zero() -> None:
+    braking, random = braking_of(DEFAULTS), np.random.default_rng(3)
+    for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 2.0), (60, 4)):
+        part = ObstacleBarrier([(*random.uniform(-1.0, 1.0, 2), 0.1)], BODY, braking)
+        told = steepest(Given([*state.tolist(), 7.0], part.shared, (), part.form), FLOATS)
+        assert told[4:] == [0.0]
+        _, gradient = part.evaluate(state)
+        assert (np.abs(gradient[0]) <= np.array(told[:4]) + 1e-9).all()
+        assert hypot(*gradient[0, :2]) <= 1.0 + 1e-9
+
+
+PENDULUM = settings_named("pendulum")
+
+
+def state(**other: Any) -> StateMessage:
+    given: dict[str, Any] = {"corridor": (-0.5, 0.7), "obstacles": (), "field": (), "footprint": (), **other}
+    return StateMessage(
+        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.1, 0.2), applied=(0.0,), applied_by="none",
+        period=0.01, lockstep=True, goal=(0.0,), **given,
+    )  # fmt: skip
+
+
+def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None:
+    barriers = PendulumScene(PENDULUM).of(state())
+    assert not isinstance(barriers, str)
+    (barrier,) = barriers
+    assert isinstance(barrier, CorridorBarrier)
+    assert (barrier.low, barrier.high, barrier.time) == (-0.5, 0.7, 0.25)
+
+
+def test_it_is_kept_while_the_scene_stays_and_built_again_when_it_changes() -> None:
+    scene = PendulumScene(PENDULUM)
+    first = scene.of(state())
+    assert scene.of(state()) is first
+    other = scene.of(state(corridor=(-0.5, 0.8)))
+    assert not isinstance(other, str)
+    assert isinstance(other[0], CorridorBarrier)
+    assert other[0].high == 0.8
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"corridor": ()}, "got 0 numbers, wanted 2"),
+        ({"corridor": (0.1,)}, "wanted 2"),
+        ({"corridor": (0.5, 0.1)}, "low < high"),
+        ({"footprint": (0.1, 0.3, 0.1)}, "a robot that does not drive"),
+        ({"obstacles": ((0.0, 0.0, 1.0),)}, "a robot that does not drive"),
+        ({"field": (-1.0, 1.0, -1.0, 1.0)}, "a robot that does not drive"),
+    ],
+)
+def test_an_invalid_scene_is_described_every_time(other: dict[str, Any], message: str) -> None:
+    scene = PendulumScene(PENDULUM)
+    scene.of(state())
+    for _ in range(2):
+        answer = scene.of(state(**other))
+        assert isinstance(answer, str)
+        assert message in answer
+
+
+def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
+    answer = CarScene(FilterSettings()).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
+    assert isinstance(answer, str)
+    assert "a robot that drives between obstacles" in answer
+
+
+def test_the_settings_of_the_pendulum() -> None:
+    assert PENDULUM.action_low == (-10.0,)
+    assert PENDULUM.action_high == (10.0,)
+    assert PENDULUM.eta == 0.5
+    assert PENDULUM.epsilon == {"corridor": 0.02}
+    assert PENDULUM.resting_action.tolist() == [0.0]
+    assert parse_settings(write_settings(PENDULUM)) == PENDULUM
+    assert parse_settings(write_settings(PENDULUM).replace("0.25", "0.4")).barrier("corridor_seconds") == 0.4
+    for wrong in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="corridor_seconds"):
+            PENDULUM.with_barriers(corridor_seconds=wrong)
+
+
+def declared(barriers: Any, stands: bool = True) -> DeclaredScene:
+    robot: Any = SimpleNamespace(
+        name="toy", stands=stands, barriers=barriers, backup=lambda state, _model, _settings: np.array([state[0]])
+    )
+    return DeclaredScene(robot, load_model("pendulum"), PENDULUM)
+
+
+def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> None:
+    latents: list[Any] = []
+
+    def barriers(_state: Any, _model: Any, latent: Any, _settings: Any) -> list[FunctionBarrier]:
+        latents.append(latent)
+        return [FunctionBarrier(lambda x: 1.0 - x[0])]
+
+    scene = declared(barriers, stands=False)
+    scene.learn(np.array([2.0]))
+    found = scene.of(state())
+    assert not isinstance(found, str)
+    assert found.heights((0.25, 0.0)) == pytest.approx([0.75])
+    assert latents[0].tolist() == [2.0]
+    assert scene.backup is not None
+    assert scene.backup(np.array([3.0, 0.0])).tolist() == [3.0]
+    assert scene.backup(None).tolist() == PENDULUM.resting_action.tolist(), "where it is, nobody knows"
+    assert (scene.stands, declared(barriers).stands) == (False, True)
+    assert (AbstractScene.stands, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
+
+
+def test_whatever_a_declared_robot_raises_or_however_many_obstacles_it_has_a_sentence_says_so() -> None:
+    scene = declared(lambda *_: [FunctionBarrier(lambda x: 1.0 - x[0])])
+    assert not isinstance(scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 64)), str)
+    told = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 65))
+    assert told == "scene (obstacles: got 65, wanted at most 64; send the nearest)"
+
+    def broken(*_: Any) -> Any:
+        raise KeyError("towed")
+
+    assert declared(broken).of(state()) == "scene (barriers of robot 'toy': KeyError: 'towed')"
+
+
+def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, own = load_model("pendulum"), scene_of(load_model("pendulum"), PENDULUM)
+    assert not isinstance(own, DeclaredScene)
+    for scene in (own, None):
+        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, stands=True, name="any", backup=None)
+        monkeypatch.setattr(scenes, "robot_like", lambda _, robot=robot: robot)
+        found = scene_of(model, PENDULUM)
+        assert found is own if scene is own else isinstance(found, DeclaredScene)

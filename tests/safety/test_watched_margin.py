@@ -89,12 +89,15 @@ def test_the_coverage_is_that_of_the_kind_that_has_the_least(order: tuple[str, .
     assert watch.coverage == pytest.approx(1.0 - missed.count("a") / 4.0)
 
 
-def test_a_kind_that_has_missed_all_the_time_has_a_coverage_of_none() -> None:
+def test_only_a_calibration_promises_a_coverage_and_a_kind_that_always_missed_has_one_of_none() -> None:
     for order in (("a", "b"), ("b", "a")):
         watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
         watch.expect([1.0, 1.0])
         watch.observe([0.0 if kind == "a" else 1.0 for kind in order], kinds(**dict.fromkeys(order, 0.0)))
         assert watch.coverage == 0.0
+    assert WatchedMargin(CALIBRATION).promised == 0.99
+    settings = settings_named("car")
+    assert WatchedMargin(uncalibrated(settings, "m")).promised == -1.0
 
 
 def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
@@ -105,12 +108,6 @@ def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
         told.append(watch.coverage)
     assert told[499] == pytest.approx(499 / 500)
     assert told[500] == 1.0
-
-
-def test_only_a_calibration_promises_a_coverage() -> None:
-    assert WatchedMargin(CALIBRATION).promised == 0.99
-    settings = settings_named("car")
-    assert WatchedMargin(uncalibrated(settings, "m")).promised == -1.0
 
 
 def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
@@ -202,15 +199,12 @@ def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
     assert Ceiling.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
-def test_the_settings_leave_room_for_ten_layers_below_the_ceiling() -> None:
+def test_the_settings_leave_room_for_ten_layers_and_a_margin_that_just_fits_keeps_its_ceiling() -> None:
     """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
     ceiling = Ceiling.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
     assert ceiling.error("a", Seen(2.1, 2.1), 0.0) is None
     assert ceiling.error("a", Seen(2.1, 1.9), 0.0) == pytest.approx(0.1)
     assert ceiling.error("b", Seen(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
-
-
-def test_a_margin_that_just_fits_its_ceiling_keeps_it() -> None:
     low = Ceiling(0.25, {"a": 0.5})
     assert low.fitting("a", lambda _: 0.125) == (0.125, low)
     assert low.fitting("a", lambda _: 0.126) == (0.126, Ceiling(0.25, {"a": 1.0}))

@@ -102,12 +102,7 @@ def test_it_ends_where_a_tick_is_missing(tick: int) -> None:
 
 def test_nothing_is_taken_that_leads_through_less_than_half_of_the_layer() -> None:
     """Not even where it leads far out; from further down, nothing below what h is now."""
-    for start, lowest, wanted in (
-        (0.19, 0.1, True),
-        (0.19, 0.099, False),
-        (0.05, 0.0485, True),
-        (0.05, 0.047, False),
-    ):
+    for start, lowest, wanted in ((0.19, 0.1, True), (0.19, 0.099, False), (0.05, 0.0485, True), (0.05, 0.047, False)):
         found = led(way_out(), lambda action, ticks, a=start, b=lowest: [[a, b, b, 1.0][min(ticks, 3)]])  # type: ignore[misc]
         assert (abs(found.action[0]) == 1.0) == wanted, (start, lowest)
     found = led(way_out(), lambda action, ticks: [[0.001, -0.0005, 1.0][min(ticks, 2)]])
@@ -132,12 +127,9 @@ def test_of_those_that_lead_far_the_nearest_to_the_wish() -> None:
     assert "held for 0.5 s" in found.reason, "no longer than that takes"
 
 
-def test_what_gains_nothing_is_not_taken() -> None:
+def test_only_a_standing_robot_is_led_and_only_by_an_action_that_gains_something_and_moves_it() -> None:
     assert led(way_out(), lambda action, ticks: [0.15 + 0.003 * (ticks > 1)]).action[0] == 0.0
     assert led(way_out(), lambda action, ticks: [0.15 + 0.005 * (ticks > 1)]).action[0] != 0.0
-
-
-def test_only_a_standing_robot_is_led_and_not_by_an_action_that_failed_to_move_it() -> None:
     assert led(way_out(), dips, stood=0.4).action[0] == 0.0
     assert led(way_out(), dips, fails=1.0).action[0] == 0.0
     assert led(way_out(), dips, known=0).action[0] == 0.0, "the model has no numbers"

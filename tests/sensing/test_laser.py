@@ -1,4 +1,4 @@
-"""The simulated laser measures the objects around it, at its own times, and reports them late."""
+"""The simulated laser measures the objects around it, and where its rays end nobody hides."""
 
 from __future__ import annotations
 
@@ -7,26 +7,29 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
+from safedpa.bus import StateMessage
 from safedpa.bus.wire.codec import decode, encode
 from safedpa.bus.wire.messages import ScanMessage
 from safedpa.errors import InputError
+from safedpa.perception.grid import CELL, Grid, disc_offsets, grown, shrunk
+from safedpa.perception.hiding import Hiding
+from safedpa.perception.settings import PerceptionSettings
+from safedpa.perception.sweep import Sweep
+from safedpa.perception.things import Things
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, StepsOut, Walks
 from safedpa_sim.sensing.senses import Senses
-from safedpa_sim.sensing.shapes import Outline, box, cast, room_to
+from safedpa_sim.sensing.shapes import Outline, box, cast, room_to, rooms_to
 
 FIELD = (-4.0, 4.0, -3.0, 3.0)
 EXACT = LaserSettings(noise=0.0, drop_outs=0.0)
 
 
-def test_a_ray_ends_at_the_first_thing() -> None:
+def test_rays_end_at_the_first_thing_and_agree_with_steps_along_them() -> None:
     outline = Outline(((2.0, 0.0, 0.5),), (box(0.0, 2.0, 1.0, 0.5),), (FIELD,))
     angles = np.array([0.0, pi / 2, pi, -pi / 2, pi / 4])
     np.testing.assert_allclose(cast(outline, 0.0, 0.0, angles), [1.5, 1.75, 4.0, 3.0, 3.0 * 2**0.5], atol=1e-12)
-
-
-def test_rays_agree_with_steps_along_them() -> None:
     draw = np.random.default_rng(3)
     outline = Outline(((1.0, 1.0, 0.4), (-2.0, 0.5, 0.3)), (box(0.5, -1.5, 1.2, 0.4, 0.7),), (FIELD,))
     angles = draw.uniform(-pi, pi, 60)
@@ -151,3 +154,163 @@ def test_a_collision_has_the_speed_of_the_car() -> None:
 def test_a_laser_that_cannot_be_is_refused(name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"laser {name}"):
         LaserSettings(**{name: value})
+
+
+SLIMMEST = 0.2
+ROOM = (-4.0, 4.0, -4.0, 4.0)
+
+
+def state() -> StateMessage:
+    return StateMessage(
+        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
+        applied_by="filter", period=0.05, lockstep=True, goal=(0.0, 0.0), obstacles=(), field=(), footprint=(),
+    )  # fmt: skip
+
+
+def sweep(ranges: np.ndarray, field_of_view: float = 2.0 * pi) -> Sweep:
+    """From the origin, the first ray straight behind."""
+    scan = ScanMessage(
+        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, source="laser", mount=(0.0, 0.0, 0.0),
+        first_angle=-0.5 * field_of_view, angle_step=field_of_view / len(ranges), ranges=tuple(ranges.tolist()),
+        nearest=0.05, farthest=12.0, number=0,
+    )  # fmt: skip
+    return Sweep(scan, (0.0, 0.0, 0.0), state(), open_air=False)
+
+
+def looked(one: Sweep) -> Things:
+    things = Things(PerceptionSettings(), 0.0, 0.0)
+    things.take(one, np.zeros((things.grid.size, things.grid.size), dtype=bool))
+    return things
+
+
+def hidden(things: Things, places: np.ndarray) -> np.ndarray:
+    i, j, _ = things.grid.cells(places)
+    found: np.ndarray = things.hiding.present[i, j]
+    return found
+
+
+@pytest.mark.parametrize("dropped", [2, 3])
+def test_between_dropped_rays_no_person_hides_while_others_pass(dropped: int) -> None:
+    """Every other ray measures nothing: a body of 0.4 m would have stood in one of those that do."""
+    ranges = np.full(360, 3.0)
+    ranges[::dropped] = -1.0
+    draw = np.random.default_rng(1)
+    distance, turn = draw.uniform(0.3, 2.5, 500), draw.uniform(-pi, pi, 500)
+    places = np.column_stack([distance * np.cos(turn), distance * np.sin(turn)])
+    assert not hidden(looked(sweep(ranges)), places).any()
+
+
+def test_a_person_may_hide_where_a_whole_sector_is_dropped() -> None:
+    ranges = np.full(360, 3.0)
+    ranges[170:191] = -1.0
+    assert hidden(looked(sweep(ranges)), np.array([[2.0, 0.0]])).all()
+
+
+@pytest.mark.parametrize("rays", [90, 360, 1080])
+def test_a_person_whom_no_ray_hits_is_accounted_for(rays: int) -> None:
+    """Places for a body of 0.2 m among pillars and a box, drawn at random."""
+    draw = np.random.default_rng(rays)
+    outline = Outline(
+        ((1.5, 0.5, 0.3), (-1.0, 1.4, 0.25), (0.3, -1.8, 0.2)), (box(-1.5, -1.0, 0.9, 0.4, 0.5),), (ROOM,)
+    )
+    angles: np.ndarray = -pi + 2.0 * pi / rays * np.arange(rays, dtype=np.float64)
+    ranges = cast(outline, 0.0, 0.0, angles)
+    things = looked(sweep(ranges))
+    places = draw.uniform(-3.7, 3.7, (6000, 2))
+    places = places[(rooms_to(outline, places) > SLIMMEST + 0.15) & (np.hypot(*places.T) > 0.5)]
+    along = places[:, :1] * np.cos(angles) + places[:, 1:] * np.sin(angles)
+    across = places[:, 1:] * np.cos(angles) - places[:, :1] * np.sin(angles)
+    chord = SLIMMEST**2 - across**2
+    meets = (along > 0.0) & (chord > 0.0)
+    hit = (meets & (along - np.sqrt(np.maximum(chord, 0.0)) < ranges)).any(axis=1)
+    assert (~hit).sum() > 50
+    assert hidden(things, places[~hit]).all()
+    if rays == 360:
+        assert hidden(things, places[hit]).mean() < 0.1
+
+
+def test_one_ray_past_the_middle_of_a_cell_rules_out_a_person_anywhere_in_it() -> None:
+    width = Hiding(11, SLIMMEST, 1.5).width
+    grid = Grid(5.0, 0.0, 0.0)
+    x, y = (part[3, 4] for part in grid.middles)
+    draw = np.random.default_rng(3)
+    for turn in draw.uniform(-pi, pi, 200):
+        ray = np.array((x, y)) + width * np.array((np.cos(turn), np.sin(turn)))
+        centres = np.array((x, y)) + draw.uniform(-CELL / 2, CELL / 2, (50, 2))
+        assert (np.hypot(*(centres - ray).T) <= SLIMMEST + 1e-9).all()
+
+
+def test_the_farthest_past_a_place_is_the_most_of_the_rays_that_pass_it() -> None:
+    draw = np.random.default_rng(4)
+    for field_of_view, rays in ((2.0 * pi, 120), (4.0, 90)):
+        ranges = draw.uniform(0.5, 6.0, rays)
+        one = sweep(ranges, field_of_view)
+        angles = -0.5 * field_of_view + field_of_view / rays * np.arange(rays)
+        places = draw.uniform(-3.0, 3.0, (400, 2))
+        found = one.farthest_past(places[:, 0], places[:, 1], 0.12)
+        along = places[:, :1] * np.cos(angles) + places[:, 1:] * np.sin(angles)
+        across = np.abs(places[:, 1:] * np.cos(angles) - places[:, :1] * np.sin(angles))
+        most = np.where((across <= 0.12 + 1e-9) & (along > 0.0), ranges, 0.0).max(axis=1)
+        assert (found <= most + 1e-9).all()
+        assert (found == most).mean() > 0.6
+
+
+@pytest.mark.parametrize("slimmest", [0.1, 0.15, 0.2])
+def test_next_to_the_robot_a_person_may_hide_unless_they_would_stand_in_it(slimmest: float) -> None:
+    hiding, grid, draw = Hiding(21, slimmest, 1.5), Grid(1.0, 0.0, 0.0), np.random.default_rng(6)
+    nothing, own = np.zeros((21, 21), dtype=bool), np.zeros((21, 21), dtype=bool)
+    own[8:12, 9:12] = True
+    hiding.look(0.0, nothing, nothing, own, nothing)
+    x, y = grid.middles
+    for i, j in np.argwhere(~hiding.present):
+        centres = np.array((x[i, j], y[i, j])) + draw.uniform(-CELL / 2, CELL / 2, (50, 2))
+        apart = np.hypot(centres[:, :1] - x[own], centres[:, 1:] - y[own])
+        assert (apart.min(axis=1) <= slimmest + 1e-9).all()
+
+
+@pytest.mark.parametrize("slimmest", [0.1, 0.2])
+def test_in_an_empty_room_no_person_hides_however_slim(slimmest: float) -> None:
+    things = Things(PerceptionSettings(slimmest=slimmest), 0.0, 0.0)
+    things.take(sweep(np.full(360, 4.5)), np.zeros((things.grid.size, things.grid.size), dtype=bool))
+    assert not things.hiding.present[np.hypot(*things.grid.middles) < 2.0].any()
+
+
+def test_what_is_slimmer_than_a_cell_is_refused() -> None:
+    with pytest.raises(InputError, match=r"slimmest: got 0\.09, wanted 0\.1 to 5"):
+        PerceptionSettings(slimmest=0.09)
+
+
+def _flag(cells: np.ndarray, i: int, j: int, beyond: bool) -> bool:
+    inside = 0 <= i < len(cells) and 0 <= j < len(cells)
+    return bool(cells[i, j]) if inside else beyond
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+@pytest.mark.parametrize("radius", [0.0, 0.1, 0.15, 0.2, 0.25, 0.3, 0.42, 1.3])
+@pytest.mark.parametrize("size", [1, 2, 5, 9])
+def test_cells_grow_by_a_disc(size: int, radius: float, beyond: bool) -> None:
+    draw = np.random.default_rng([size, int(100 * radius)])
+    for share in (0.0, 0.1, 0.9, 1.0):
+        cells = draw.uniform(size=(size, size)) < share
+        before = cells.copy()
+        wanted = [
+            [any(_flag(cells, i + a, j + b, beyond) for a, b, _ in disc_offsets(radius)) for j in range(size)]
+            for i in range(size)
+        ]
+        found = grown(cells, radius, beyond=beyond)
+        assert found.dtype == np.bool_
+        np.testing.assert_array_equal(found, wanted)
+        np.testing.assert_array_equal(shrunk(~cells, radius, beyond=not beyond), ~found)
+        found[:] = True  # the result is a copy
+        np.testing.assert_array_equal(cells, before)
+
+
+def test_the_middles_move_with_the_grid_and_are_read_only() -> None:
+    grid = Grid(0.3, 0.0, 0.0)
+    x, y = grid.middles
+    assert grid.middles[0] is x
+    with pytest.raises(ValueError, match="read-only"):
+        x[0, 0] = 1.0
+    grid.move((2, -1))
+    np.testing.assert_allclose(grid.middles[0], x + 2 * CELL, atol=1e-12)
+    np.testing.assert_allclose(grid.middles[1], y - CELL, atol=1e-12)

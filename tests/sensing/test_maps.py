@@ -51,12 +51,9 @@ def covered(places: np.ndarray, discs: np.ndarray) -> np.ndarray:
 @pytest.mark.long
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    seed=st.integers(0, 10**6),
-    resolution=st.sampled_from([0.02, 0.05, 0.1, 0.13, 0.4]),
-    x=st.floats(-30.0, 30.0),
-    y=st.floats(-30.0, 30.0),
-    yaw=st.sampled_from([0.0, 0.0, 0.3, -math.pi / 2, 2.5]),
-)
+    seed=st.integers(0, 10**6), resolution=st.sampled_from([0.02, 0.05, 0.1, 0.13, 0.4]), x=st.floats(-30.0, 30.0),
+    y=st.floats(-30.0, 30.0), yaw=st.sampled_from([0.0, 0.0, 0.3, -math.pi / 2, 2.5]),
+)  # fmt: skip
 def test_all_that_is_occupied_is_covered_and_nothing_far_beyond(
     tmp_path: Path, seed: int, resolution: float, x: float, y: float, yaw: float
 ) -> None:

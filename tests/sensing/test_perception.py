@@ -36,14 +36,9 @@ def unchanged(scan: ScanMessage, state: StateMessage) -> ScanMessage | None:
 
 
 def driven(
-    ticks: int,
-    action: tuple[float, float] = (0.4, 0.1),
-    people: tuple[Person, ...] = (),
-    scene: Scene = SCENE,
-    laser: LaserSettings | None = None,
-    change: Changes = unchanged,
-    settings: PerceptionSettings | None = None,
-) -> list[tuple[CarRobot, StateMessage, SurroundingsMessage]]:
+    ticks: int, action: tuple[float, float] = (0.4, 0.1), people: tuple[Person, ...] = (), scene: Scene = SCENE,
+    laser: LaserSettings | None = None, change: Changes = unchanged, settings: PerceptionSettings | None = None,
+) -> list[tuple[CarRobot, StateMessage, SurroundingsMessage]]:  # fmt: skip
     robot = CarRobot(scene, senses=Senses((Laser(laser or LaserSettings(), 1),), people))
     node, told = PerceptionNode(settings), []
     for tick in range(ticks):
@@ -67,19 +62,10 @@ def seen_from(name: str, x: float, time: float, radius: float, state: StateMessa
     hits = (np.abs(across) < radius) & (along > 0.0)
     near = along - np.sqrt(np.where(hits, radius**2 - across**2, 0.0))
     scan = ScanMessage(
-        epoch=state.epoch,
-        tick=state.tick,
-        robot_time=time,
-        publish_time=0.0,
-        source=name,
-        mount=(x, 0.0, 0.0),
-        first_angle=0.0,
-        angle_step=0.01,
-        ranges=tuple(np.where(hits, near, 3.0).tolist()),
-        nearest=0.02,
-        farthest=8.0,
+        epoch=state.epoch, tick=state.tick, robot_time=time, publish_time=0.0, source=name, mount=(x, 0.0, 0.0),
+        first_angle=0.0, angle_step=0.01, ranges=tuple(np.where(hits, near, 3.0).tolist()), nearest=0.02, farthest=8.0,
         number=int(100 * time),
-    )
+    )  # fmt: skip
     return Sweep(scan, (0.0, 0.0, 0.0), state, open_air=False)
 
 
@@ -383,14 +369,10 @@ def test_people_from_a_blind_quarter_are_accounted_for() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"mount": (0.0, 0.0)},
-        {"ranges": (1.0,)},
-        {"ranges": (1.0,) * 2000},
-        {"angle_step": 0.0},
-        {"angle_step": 3.0},
+        {"mount": (0.0, 0.0)}, {"ranges": (1.0,)}, {"ranges": (1.0,) * 2000}, {"angle_step": 0.0}, {"angle_step": 3.0},
         {"nearest": 5.0, "farthest": 1.0},
     ],
-)
+)  # fmt: skip
 def test_a_scan_that_can_be_none_is_refused(wrong: dict[str, object]) -> None:
     scans: list[ScanMessage] = []
     driven(4, change=lambda scan, state: scans.append(scan) or scan)  # type: ignore[func-returns-value]

@@ -1,4 +1,4 @@
-"""The file of perception: its keys, its refusals, and the orders that change it."""
+"""The file of perception: its keys, its refusals, the orders that change it, and which are kept."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from safedpa.bus.wire.requests import SENSE
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings, Zone, load_perception
 from safedpa.perception.settings import parse_perception
+from safedpa.perception.switches import Switches
 from safedpa_services.command_line import sense
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.core import CarRobot
@@ -49,10 +50,7 @@ def test_a_complete_file_is_taken_as_written() -> None:
         open_air=True,
         min_points=2,
         most=100,
-        sources={
-            "front": SourceSettings(use=False),
-            "rear laser": SourceSettings(time_out=0.3, min_points=4),
-        },
+        sources={"front": SourceSettings(use=False), "rear laser": SourceSettings(time_out=0.3, min_points=4)},
         zones=(
             Zone("dock", "ignored", square, "robot", (0.0, 0.5), ("r1", "r2"), use=False),
             Zone("wet", "closed", square),
@@ -157,12 +155,9 @@ def test_what_is_wrong_is_named(text: str, said: str, tmp_path: Path) -> None:
     assert said in str(refusal.value)
 
 
-def test_polygons_may_go_either_way_round_and_bend_inwards() -> None:
+def test_polygons_may_bend_inwards_either_way_round_and_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     for corners in ([[0, 0], [2, 0], [2, 2], [1, 1], [0, 2]], [[0, 2], [1, 1], [2, 2], [2, 0], [0, 0]]):
         assert len(parse_perception(zone(polygon=str(corners))).zones) == 1
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nothing\.toml: cannot be read"):
         load_perception(tmp_path / "nothing.toml")
 
@@ -290,11 +285,113 @@ def test_the_command_asks_over_the_bus(monkeypatch: pytest.MonkeyPatch, capsys: 
     bus.answer_requests(node.switches.answer, tell=remember, kinds=(SENSE,))
     assert safedpa.run(["sense", "r1", "--source", "laser=off", "--zone", "dock=off", "--who", "me"]) == 0
     assert "source laser off (was on), zone dock off (was on)" in capsys.readouterr().out
-    assert heard == [
-        ("r1", Request(do="switch", switches=("source laser=off", "zone dock=off"), who="me"), True),
-    ]
+    assert heard == [("r1", Request(do="switch", switches=("source laser=off", "zone dock=off"), who="me"), True)]
     assert stepped(node, robot).amiss
     assert safedpa.run(["sense", "r1", "--json"]) == 0
     assert "source laser off, zone dock off" in json.loads(capsys.readouterr().out)["sentence"]
     assert safedpa.run(["sense", "r1", "--zone", "dok=off"]) == 2
     assert "did you mean 'dock'" in capsys.readouterr().err
+
+
+ZONES = """
+[[zones]]
+name = "dock"
+kind = "ignored"
+frame = "map"
+polygon = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
+use = {dock}
+
+[[zones]]
+name = "wet"
+kind = "closed"
+frame = "map"
+polygon = [[2.0, 0.0], [3.0, 0.0], [3.0, 1.0]]
+use = {wet}
+"""
+
+
+def switches(path: Path | None, dock: str = "true", wet: str = "false", text: str = ZONES) -> Switches:
+    """Of a process that has met a robot with two sources."""
+    found = Switches(parse_perception(text.format(dock=dock, wet=wet)), path)
+    found.in_force("r1", ("laser", "sonar"), 0)
+    return found
+
+
+def counted(one: Switches) -> str:
+    return one.answer("r1", Request(do="status")).sentence.removeprefix("robot 'r1': ")
+
+
+def order(one: Switches, *words: str) -> str:
+    return one.answer("r1", Request(do="switch", switches=words)).sentence
+
+
+def test_what_closes_and_which_sources_count_is_known_to_the_next_process(tmp_path: Path) -> None:
+    path = tmp_path / "senses.json"
+    said = order(switches(path), "source sonar=off", "zone dock=off", "zone wet=on")
+    assert said.endswith("from its next tick after 0 on, until another order")
+    after = switches(path)
+    assert counted(after) == "source laser on, source sonar off, zone dock off, zone wet on"
+    assert after.kept == {"r1": "source sonar off, zone dock off, zone wet on"}
+    assert after.in_force("r2", ("laser", "sonar"), 0).off == frozenset(), "another robot's are its own"
+
+
+def test_an_order_that_opens_a_zone_ends_with_the_process_as_the_answer_announces(tmp_path: Path) -> None:
+    path = tmp_path / "senses.json"
+    first = switches(path, dock="false", wet="true")
+    said = order(first, "source sonar=off", "zone dock=on", "zone wet=off")
+    assert said.endswith("until another order, zone dock, zone wet only until perception ends")
+    assert counted(first) == "source laser on, source sonar off, zone dock on, zone wet off"
+    assert counted(switches(path, dock="false", wet="true")) == (
+        "source laser on, source sonar off, zone dock off, zone wet on"
+    )
+
+
+def test_what_is_stored_opens_no_zone_of_another_meaning_and_no_revoked_order(tmp_path: Path) -> None:
+    path = tmp_path / "senses.json"
+    order(switches(path), "zone wet=on", "source sonar=off")
+    order(switches(path), "zone wet=off", "source sonar=on")
+    assert counted(switches(path)) == "source laser on, source sonar on, zone dock on, zone wet off"
+    path = tmp_path / "senses.json"
+    order(switches(path), "zone wet=on")
+    other = switches(path, dock="false", wet="false", text=ZONES.replace("closed", "ignored"))
+    assert counted(other) == "source laser on, source sonar on, zone dock off, zone wet off"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "no json",
+        "[]",
+        '{"format": 2, "switches": {}}',
+        '{"format": 1}',
+        '{"format": 1, "switches": {"r1": []}}',
+        '{"format": 1, "switches": {"r1": {"source laser": 1}}}',
+        '{"format": 1, "switches": {"r1": {"laser": true}}}',
+        "\ud800",
+    ],
+)
+def test_an_unreadable_file_brakes_every_robot_until_an_order_names_the_sources(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "senses.json"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    found = switches(path)
+    assert str(path) in found.lost
+    assert found.in_force("r1", ("laser", "sonar"), 1).off == {"laser", "sonar"}
+    assert counted(found).endswith("no source is left, so the filter brakes")
+    order(found, "source laser=on")
+    assert found.in_force("r1", ("laser", "sonar"), 2).off == {"sonar"}
+    again = switches(path)
+    assert again.lost == ""
+    assert again.in_force("r1", ("laser", "sonar"), 1).off == {"sonar"}
+    assert again.in_force("r2", ("laser",), 1).off == {"laser"}, "there is still no order about the others"
+
+
+def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "senses.json").mkdir()
+    found = Switches(parse_perception(""), tmp_path / "missing" / "senses.json")
+    found.in_force("r1", ("laser",), 0)
+    said = order(found, "source laser=off")
+    assert "until another order or perception's end: " in said
+    assert "cannot be written (No such file or directory)" in said
+    assert found.in_force("r1", ("laser",), 1).off == {"laser"}, "it holds all the same"
+    assert switches(tmp_path / "senses.json").lost != "", "a folder is no file of orders"

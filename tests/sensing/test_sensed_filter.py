@@ -216,11 +216,8 @@ def state_of() -> StateMessage:
     return CarRobot(Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))).state_message()
 
 
-def test_nothing_near_the_wish_passes() -> None:
+def test_the_wish_passes_where_nothing_is_near_and_a_point_ahead_is_kept_away_from() -> None:
     assert decided(None).status == "passed"
-
-
-def test_the_car_keeps_its_distance_from_a_point_ahead() -> None:
     verdict = decided(surroundings(state_of(), points=((1.05, 0.0, 0.05),)))
     assert verdict.status == "corrected"
     assert verdict.active == ("point 0",)

@@ -1,17 +1,18 @@
-"""A car that tows, among people: who goes to its load is not forgotten, and its own shadow does not hold it."""
+"""Cars among people and each other: who comes near is not forgotten, and nobody shoves anybody."""
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
-from math import hypot
+from math import hypot, pi
 
 import numpy as np
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
+from safedpa.bus import SURROUNDINGS, AbstractNode, StateMessage, SurroundingsMessage
 from safedpa.bus.wire.messages import ActionMessage
-from safedpa.dynamics import load_model
+from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.car_scene import CarScene
@@ -22,11 +23,13 @@ from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.braking import Braking
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
-from safedpa_sim.closed_loop import drive
+from safedpa_lab.experiments.sensing_peers import NoFilter
+from safedpa_sim.closed_loop import drive, drive_together
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.loads import LOADS, load_named
 from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person
 from safedpa_sim.sensing.senses import Senses
 from safedpa_sim.sensing.shapes import Outline, Point
@@ -34,6 +37,8 @@ from safedpa_sim.sensing.shapes import Outline, Point
 SETTINGS = settings_named("car")
 BRAKING, COUNTER = Braking(2.0, 2.5), CounterBraking(2.0, 2.5, 0.6)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
+
+
 SOMEBODY = 0.2
 """m; radius."""
 Told = list[tuple[CarRobot, StateMessage, SurroundingsMessage, Person]]
@@ -106,15 +111,12 @@ def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_t
             assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
-def test_a_car_continues_some_time_after_the_person_at_its_load_is_gone() -> None:
+def test_a_car_continues_after_a_person_left_its_load_and_nobody_far_is_taken_to_be_at_it() -> None:
     known = LOADS["box"]
     place = (-0.08 - known.length, known.side / 2 + SOMEBODY + 0.02)
     told = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
     _, state, seen, _ = told[-1]
     assert not yields(state, seen)
-
-
-def test_a_person_far_from_the_load_is_not_taken_to_be_at_it() -> None:
     told = stands_by("chair", GoesTo((2.5, 2.0), (2.5, -2.0)), 5.0)
     assert not any(yields(state, seen) for _, state, seen, _ in told)
 
@@ -172,3 +174,106 @@ def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) ->
     assert sum(one != other for one, other in pairwise(moving)) == 1
     assert robot.values[0] > -1.0
     assert not robot.collisions
+
+
+class Pushes(Person):
+    """Goes on towards a position at 1.5 m/s, whatever is in the way."""
+
+    def __init__(self, place: Point, towards: Point) -> None:
+        super().__init__(place)
+        self._towards = towards
+        self.told = 0
+
+    def touched(self, time: float) -> None:
+        del time
+        self.told += 1
+
+    def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
+        del time, robot, outline
+        x, y = self._towards[0] - self.place[0], self._towards[1] - self.place[1]
+        return 1.5 * x / hypot(x, y), 1.5 * y / hypot(x, y)
+
+
+@pytest.mark.parametrize(
+    ("load", "place", "towards"),
+    [
+        ("none", (1.5, 0.03), (-9.0, 0.03)),
+        ("box", (-0.35, 1.5), (-0.35, -9.0)),
+        ("chair", (-1.8, 0.1), (9.0, 0.1)),
+        ("large_chair", (-1.4, 1.2), (3.0, -2.5)),
+    ],
+)
+def test_no_person_shoves_a_stationary_car_or_its_load(load: str, place: Point, towards: Point) -> None:
+    scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
+    person = Pushes(place, towards)
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
+    pose = robot.world.towed.pose[:2] if robot.world.towed else (0.0, 0.0)
+    for tick in range(60):
+        robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0)))
+        robot.advance()
+        assert hypot(*robot.values[:2]) < 0.01
+        after = robot.world.towed.pose[:2] if robot.world.towed else (0.0, 0.0)
+        assert hypot(after[0] - pose[0], after[1] - pose[1]) < 0.02
+    assert person.told > 10
+    assert robot.collisions[0].part == ("car" if load == "none" else "load")
+    assert all(hit.speed < 0.01 for hit in robot.collisions)
+
+
+SEEN = PerceptionSettings(fastest=2.0, coming=2.0, slimmest=0.12)
+
+
+@cache
+def model() -> PhysicsModel:
+    return load_model("car")
+
+
+def facing(apart: float) -> SharedField:
+    """Each has its goal behind the other's back."""
+    half = apart / 2
+    scenes = (
+        Scene(1, None, FIELD, (), (-half, 0.0, 0.0), ((3.2, 0.0), (-3.2, 0.0))),
+        Scene(2, None, FIELD, (), (half, 0.03, pi), ((-3.2, 0.0), (3.2, 0.0))),
+    )
+    return SharedField([CarRobot(one, senses=Senses((Laser(LaserSettings(), one.seed),))) for one in scenes])
+
+
+def nodes(guard: AbstractNode) -> list[AbstractNode]:
+    return [AdaptationNode(model()), PerceptionNode(SEEN), PolicyNode(model(), "goal_seeker"), guard]
+
+
+def met(apart: float, *, filtered: bool, seconds: float = 4.0) -> SharedField:
+    field = facing(apart)
+    guards = [
+        SafetyFilterNode(model(), settings_named("car"), margin_for(model())) if filtered else NoFilter() for _ in "12"
+    ]
+    for _ in drive_together(field, [nodes(guard) for guard in guards], round(seconds / 0.05)):
+        pass
+    return field
+
+
+@pytest.mark.parametrize("apart", [2.5, 5.0])
+def test_head_on_they_touch_without_the_filter_and_with_it_do_not(apart: float) -> None:
+    (touch,) = met(apart, filtered=False).touches[:1]
+    assert min(touch.speeds) > 1.0
+    kept = met(apart, filtered=True)
+    assert [touch for touch in kept.touches if max(touch.speeds) >= STANDS] == []
+    assert all(abs(robot.values[0]) < apart / 2 + 0.5 for robot in kept.robots)
+
+
+def test_each_is_a_mover_to_the_other() -> None:
+    field, heard = facing(4.0), list[SurroundingsMessage]()
+
+    class Hears(NoFilter):
+        senses = (SURROUNDINGS,)
+
+        def step(self, robot, state, inputs):  # type: ignore[no-untyped-def]
+            told = inputs.get(SURROUNDINGS)
+            if isinstance(told, SurroundingsMessage):
+                heard.append(told)
+            return super().step(robot, state, inputs)
+
+    for _ in drive_together(field, [nodes(Hears()), nodes(NoFilter())], 16):
+        pass
+    other = field.robots[1].values
+    nearest = min(abs(x - (other[0] - 0.4)) + abs(y - other[1]) for x, y, *_ in heard[-1].movers)
+    assert nearest < 0.4

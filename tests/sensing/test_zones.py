@@ -69,7 +69,7 @@ def middles(discs: Discs, low: tuple[float, float], high: tuple[float, float]) -
 FRONT, BEHIND = ((1.05, -0.45), (1.6, 0.45)), ((1.9, -0.6), (3.0, 0.6))
 
 
-def test_objects_in_an_ignored_zone_are_left_out_and_those_behind_it_stay_hidden() -> None:
+def test_objects_in_an_ignored_zone_are_left_out_those_behind_stay_hidden_and_the_way_there_is_free() -> None:
     usual, ignoring = told(PerceptionSettings()), told(with_zones(DOCK))
     assert middles(usual.points + usual.movers, *FRONT)
     assert not middles(ignoring.points + ignoring.movers, *FRONT)
@@ -78,10 +78,7 @@ def test_objects_in_an_ignored_zone_are_left_out_and_those_behind_it_stay_hidden
     nothing = told(PerceptionSettings(), replace(PILLAR, obstacles=()))
     assert not middles(nothing.hidden, *BEHIND)
     assert not ignoring.amiss
-
-
-def test_the_way_to_an_ignored_zone_is_seen_to_be_free() -> None:
-    """The rays that end in it passed it."""
+    # The rays that end in it passed it.
     assert not middles(told(with_zones(DOCK)).hidden, (0.3, -0.5), (1.0, 0.5))
 
 
@@ -290,7 +287,7 @@ def near(message: SurroundingsMessage) -> int:
 THREE = PerceptionSettings(min_points=3)
 
 
-def test_a_lone_ray_is_noise_where_more_are_required_and_a_person_is_not() -> None:
+def test_lone_rays_are_noise_where_more_are_required_and_free_nothing_behind_a_wall() -> None:
     assert near(heard(PerceptionSettings(), lone(30)))
     assert not near(heard(THREE, lone(30)))
     assert not near(heard(THREE, lone(30, width=2)))
@@ -299,10 +296,7 @@ def test_a_lone_ray_is_noise_where_more_are_required_and_a_person_is_not() -> No
     assert near(heard(replace(THREE, min_points=8), lone(30, width=somebody)))
     assert near(heard(replace(THREE, sources={"laser": SourceSettings(min_points=1)}), lone(30)))
     assert not near(heard(PerceptionSettings(sources={"laser": SourceSettings(min_points=2)}), lone(30)))
-
-
-def test_no_person_hides_where_a_lone_ray_ended_but_it_frees_nothing_behind_a_wall() -> None:
-    """The neighbouring rays see past; the wall of all others stays."""
+    # The neighbouring rays see past; the wall of all others stays.
     message = heard(THREE, lone(30))
     assert not [1 for x, y, *_ in message.hidden if hypot(x, y) < 2.0]
     assert len([1 for x, y, *_ in message.points if abs(hypot(x, y) - 2.5) < 0.2]) > 20

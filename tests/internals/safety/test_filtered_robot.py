@@ -180,13 +180,10 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
 @pytest.mark.parametrize(
     ("applied_by", "sources", "stood", "learns"),
     [
-        ("filter", (), False, True),
-        ("filter", (), True, True),
-        ("filter", ("laser",), False, True),
-        ("filter", ("laser",), True, False),
-        ("watchdog", (), False, False),
+        ("filter", (), False, True), ("filter", (), True, True), ("filter", ("laser",), False, True),
+        ("filter", ("laser",), True, False), ("watchdog", (), False, False),
     ],
-)
+)  # fmt: skip
 def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
     monkeypatch: pytest.MonkeyPatch, applied_by: str, sources: tuple[str, ...], stood: bool, learns: bool
 ) -> None:

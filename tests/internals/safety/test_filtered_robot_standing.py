@@ -1,4 +1,4 @@
-"""What the filter keeps of a robot that stands, of its deadlock escape, and of another model that is tried."""
+"""What the filter keeps of a robot that stands, of its escape, of another model, and of dead times."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ import pytest
 from tests.internals.safety.robot_memory import decided_of, driven, told, verdict_of
 from tests.safety.node_steps import CAR, SETTINGS, state_at
 
-from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.effects import effect
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import Status, Verdict
+from safedpa.safety.barrier import RememberingStack
 from safedpa.safety.filtered_robot import FilteredRobot
+from safedpa.safety.on_its_way import LONGEST, Actuators, Reach
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stacks import stacked
+from safedpa.safety.trail import Trail
 from safedpa.safety.way_out import Here
 
+
 # whether it stands
-
-
 @pytest.mark.parametrize("status", [Status.passed, Status.disabled, Status.corrected, Status.relaxed])
 def test_what_is_promised_under_the_wish_is_asked_of_the_model_where_the_wish_did_not_go_out(
     monkeypatch: pytest.MonkeyPatch, status: Status
@@ -63,14 +69,11 @@ def test_a_robot_without_a_wish_or_without_a_prediction_is_not_standing_in_vain(
 @pytest.mark.parametrize(
     ("status", "failed", "rests", "given_up"),
     [
-        (Status.corrected, 1.0, Status.passed, True),
-        (Status.passed, 1.0, Status.passed, False),
-        (Status.fallback, 1.0, Status.passed, False),
-        (Status.corrected, 0.0, Status.passed, False),
-        (Status.corrected, 1.0, Status.corrected, False),
-        (Status.corrected, 1.0, Status.relaxed, False),
+        (Status.corrected, 1.0, Status.passed, True), (Status.passed, 1.0, Status.passed, False),
+        (Status.fallback, 1.0, Status.passed, False), (Status.corrected, 0.0, Status.passed, False),
+        (Status.corrected, 1.0, Status.corrected, False), (Status.corrected, 1.0, Status.relaxed, False),
     ],
-)
+)  # fmt: skip
 def test_a_correction_that_moves_nothing_is_given_up_for_a_rest_that_is_safe(
     status: Status, failed: float, rests: Status, given_up: bool
 ) -> None:
@@ -130,8 +133,6 @@ def test_a_next_state_with_a_number_that_is_none_is_none(monkeypatch: pytest.Mon
 
 
 # the way out, and the trial of another model
-
-
 @pytest.mark.parametrize("quick", [True, False])
 def test_for_how_long_it_stood_counts_where_a_robot_is_quick(monkeypatch: pytest.MonkeyPatch, quick: bool) -> None:
     memory, given = driven(), list[float]()
@@ -215,13 +216,10 @@ def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("status", "barriers", "decided"),
     [
-        (Status.passed, True, "wish"),
-        (Status.corrected, True, "wish"),
-        (Status.stopped, True, "action"),
-        (Status.fallback, True, ""),
-        (Status.passed, False, ""),
+        (Status.passed, True, "wish"), (Status.corrected, True, "wish"), (Status.stopped, True, "action"),
+        (Status.fallback, True, ""), (Status.passed, False, ""),
     ],
-)
+)  # fmt: skip
 def test_another_model_is_tried_with_the_wish_or_with_the_action_of_a_stop(
     monkeypatch: pytest.MonkeyPatch, status: Status, barriers: bool, decided: str
 ) -> None:
@@ -262,3 +260,52 @@ def test_a_model_is_refused_where_it_alone_cannot_decide(
             memory.try_out(decided, barriers)
     else:
         memory.try_out(decided, barriers)
+
+
+LATENT = tuple(CAR.latent.tolist())
+DELAYED = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.15)})
+
+
+def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monkeypatch: pytest.MonkeyPatch) -> None:
+    actuators, asked = Actuators(DELAYED), list[tuple[float, ...] | None]()
+
+    def responded(latent: tuple[float, ...] | None) -> Reach:
+        asked.append(latent)
+        return Reach(1, 2)
+
+    monkeypatch.setattr(actuators, "_responded", responded)
+    for number in range(LONGEST):
+        assert tuple(actuators.reach((0.002 * number,))) == (1, 2)
+    assert (LONGEST, len(asked)) == (64, 64)
+    actuators.reach((0.0,))
+    actuators.reach((0.0004,))
+    assert len(asked) == 64, "known, and alike to three digits"
+    actuators.reach((0.201,))
+    actuators.reach((0.0,))
+    assert len(asked) == 66, "with one more all are forgotten"
+
+
+def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the newest state nothing is decided yet."""
+    trail, asked = Trail(DELAYED), list[object]()
+    memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENT))
+    for tick in range(9):
+        trail.add(tick, (0.05 * tick, 0.0, 0.0, 1.0), (1.0, 0.0), memory)
+        trail.decided((*LATENT[:-1], float(tick)))
+
+    def reach(latent: object) -> Reach:
+        asked.append(latent)
+        return Reach(1, 1)
+
+    monkeypatch.setattr(trail._actuators, "reach", reach)
+    assert trail.foretold(0.0) is not None
+    assert asked == [(*LATENT[:-1], 7.0)]
+
+
+def test_its_memory_is_bounded() -> None:
+    barriers = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), ((0.5, 0.5, 0.2),), (-4.0, 4.0, -4.0, 4.0))
+    remembering = RememberingStack(stacked(barriers))
+    for x in np.linspace(-1.0, 1.0, 50):
+        remembering.values(np.array([x, 0.0, 0.0, 0.0]))
+        remembering.gradient(np.array([x, 0.0, 0.0, 0.0]))
+    assert len(remembering.plain(4)._known) <= 8
