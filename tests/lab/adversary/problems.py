@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.safety import SafetyFilter
-from safedpa_lab.experiments.adversary.attack import AbstractAttack, Row
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
 
 
@@ -35,10 +35,14 @@ def figures(rows: Sequence[Row], prefix: str = "") -> dict[str, tuple[float, int
     return {row.what.removeprefix(prefix): (row.measured, row.of) for row in rows if row.what.startswith(prefix)}
 
 
+def found(attack: AbstractAttack, seed: int = 1) -> Result:
+    """What the small attack finds."""
+    return attack.told([attack.work(piece) for piece in attack.pieces(seed, small=True)])
+
+
 def measured(attack: AbstractAttack, seed: int = 1) -> dict[str, Row]:
     """Each figure of the small attack by its text."""
-    found = attack.told([attack.work(piece) for piece in attack.pieces(seed, small=True)])
-    return {row.what: row for row in found.rows}
+    return {row.what: row for row in found(attack, seed).rows}
 
 
 def answer_with(patch: Any, status: str, action: Sequence[float]) -> None:

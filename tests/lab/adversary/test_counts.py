@@ -1,10 +1,9 @@
-"""The figures of each attack, counted from answers whose faults are known."""
+"""The figures of each attack, counted from answers whose faults are known, and from whole hostile drives."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,23 @@ from typing import Any
 import pytest
 from tests.lab.adversary.problems import figures
 
-from safedpa_lab.experiments.adversary import report, systems
+from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments.adversary import drives, report, standing, systems
 from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, Treated
 from safedpa_lab.experiments.adversary.bends import Bends, BentAnswer
 from safedpa_lab.experiments.adversary.campaign import adversary
 from safedpa_lab.experiments.adversary.car_grid import CarGrid
-from safedpa_lab.experiments.adversary.drives import Driven, Drives
+from safedpa_lab.experiments.adversary.drives import KINDS, Driven, Drives
 from safedpa_lab.experiments.adversary.late_drives import LateDrives
 from safedpa_lab.experiments.adversary.linear_shapes import shape_of
 from safedpa_lab.experiments.adversary.linear_verdict import Judged
 from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors, Reflected
 from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.scales import Drive, Scales, Units, drive
+from safedpa_lab.experiments.adversary.standing import Standing
 from safedpa_lab.experiments.delayed_drives import DelayedDrives, Lateness
+from safedpa_lab.experiments.long_drives import LongOutcome
 
 RIGHT = Judged("corrected", False, False, 0.0, False, False, 0.0, False, None, False)
 BENT = BentAnswer(0, "kinks", "corrected", broken=0.0, excess=0.0)
@@ -128,9 +130,7 @@ def test_answers_of_the_car_are_counted_against_the_grid(car_answer: Any) -> Non
     ("sizes", "numbers", "count"),
     [([0.0, 0.5, 0.25, 1e-12, 0.75, 0.125], [4, 1, 2], 4), ([0.5], [0], 1), ([0.25, 0.0, 0.5], [2, 0], 2)],
 )
-def test_the_three_largest_breaks_are_reported_with_their_count(
-    attack: Any, sizes: Sequence[float], numbers: list[int], count: int, car_answer: Any
-) -> None:
+def test_the_three_largest_breaks_are_reported_with_their_count(attack, sizes, numbers, count, car_answer) -> None:
     made = {
         "programs": lambda number, size: (7, number, replace(RIGHT, broken=size)),
         "bends": lambda number, size: replace(BENT, number=number, broken=size),
@@ -233,8 +233,7 @@ def test_a_campaign_reports_progress_keeps_each_part_and_counts_what_held() -> N
     found = adversary(
         attacks, 1, tell=lambda *one: progress.append(one), keep=lambda result: parts.append(len(result["attacks"]))
     )
-    assert progress == [(1, 3), (2, 3), (3, 3)]
-    assert parts == [1, 2, 3]
+    assert (progress, parts) == ([(1, 3), (2, 3), (3, 3)], [1, 2, 3])
     assert [(one["name"], one["held"], one["failed"], len(one["rows"])) for one in found["attacks"]] == [
         (name, 3, 2, 7) for name in ("one", "two", "three")
     ]
@@ -248,3 +247,66 @@ def test_parts_of_a_different_campaign_are_left_out(other: str, tmp_path: Path) 
     result = same | {"attacks": [{"name": "b", "old": 0}]}
     found = report.with_parts_before(result, tmp_path, ["c", "b", "a"])
     assert found["attacks"] == ([{"name": "b", "old": 0}] + ([] if other else [{"name": "a"}]))
+
+
+@pytest.mark.parametrize("kind", ["forward", "any direction", "killed", "reversing"])
+def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
+    once, again = (KINDS[kind](kind, "box", 4, 4.0) for _ in range(2))
+    assert (once, once.collisions, sum(once.statuses.values())) == (again, 0, 80)
+    assert {"corrected"} & set(once.statuses)
+
+
+def test_standstills_are_counted_and_unreported_ones_too(monkeypatch):
+    def stood(drive):
+        told = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
+        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1}, 0.9)
+
+    monkeypatch.setattr(standing, "run_long_drive", stood)
+    attack = Standing()
+    rows = {row.what: row for row in attack.told([attack.work(each) for each in attack.pieces(3, False)]).rows}
+    assert rows["drives with a stand of 10 s and more"].measured == 100
+    assert rows["of these, not told"].measured == 52  # the even seeds
+    assert rows["point robot: drives with a stand of 10 s and more"].measured == 25
+    assert rows["goals a minute"].measured == 1.5
+    assert not any(rows[what].held for what in list(rows)[:4])
+    assert rows["collisions"].held
+
+
+def test_a_short_drive_of_every_load_gets_on():
+    attack = Standing()
+    answers = [attack.work(each) for each in attack.pieces(1, True)]
+    assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair", "point"]
+    assert sum(answers[-1].statuses.values()) == 200, "the point robot decides 50 times a second"
+    assert attack.told(answers).rows[0].held
+
+
+def test_late_drives_are_grouped_by_who_knows_the_delay():
+    attack = LateDrives()
+    pieces = attack.pieces(2, True)
+    found = [attack.work(piece) for piece in pieces]
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held
+    assert rows["150 ms, known to nobody: relaxed and worse beyond corrected"].held is None
+    found[0].collided, found[0].statuses["relaxed"] = 1, 1000
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held is False
+    assert rows["200 ms, known to the model: relaxed and worse beyond corrected"].held is False
+
+
+def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
+    off = replace(settings_named("car"), enabled=False)
+    monkeypatch.setattr(drives, "settings_named", lambda name: off)
+    attack = Drives()
+    answers = [KINDS[kind](kind, "none", seed, 8.0) for kind in ("forward", "killed") for seed in (4, 5)]
+    rows = {row.what.split(" (")[0]: row for row in attack.told(answers).rows}
+    assert rows["forward: drives with a collision"].measured > 0
+    assert rows["forward: drives with a collision"].held is False
+    assert attack.told(answers).worst[0]["fault"] == "collision"
+
+
+@pytest.mark.parametrize(("kind", "seconds"), [("point", 4.0), ("pendulum", 8.0)])
+def test_a_point_robot_and_a_pendulum_are_driven_at_what_they_must_not_touch(kind, seconds):
+    if kind == "point":
+        pytest.importorskip("mujoco")
+    driven = KINDS[kind](kind, "none", 3, seconds)
+    assert (driven.collisions, driven.statuses["corrected"] > 0) == (0, True)

@@ -1,14 +1,17 @@
-"""The problems that the attacks pose: other forms of one problem, peers' problems, small systems, drives."""
+"""The problems that the attacks pose, and the reference that judges answers to them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import quadprog
 from tests.lab.adversary.problems import plane
 
 from safedpa_lab.experiments.adversary.line_systems import late_drive
+from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
 from safedpa_lab.experiments.adversary.linear_shapes import SHAPES, random_problem
 from safedpa_lab.experiments.adversary.looking_systems import disc_by_higher_order
@@ -17,23 +20,18 @@ from safedpa_lab.experiments.adversary.peers import peer_problems
 from safedpa_lab.experiments.adversary.standing import Standing
 
 
-def one_action() -> LinearProblem:
-    """x+ = x + a and h = x, in one dimension."""
-    return plane(0.5, f=[0.75], g=[[1.0]], P=[[1.0]], q=[0.0], low=[-1.0], high=[2.0], wish=[0.25], weights=[1.0],
-                 epsilon=[0.0])  # fmt: skip
-
-
-def two_actions() -> LinearProblem:
-    """Of different ranges, that move both states; three rows."""
-    return plane(
-        0.5, -0.25, f=[0.25, -0.5], g=[[1.0, 0.5], [-0.25, 2.0]], low=[-1.0, 0.0], high=[2.0, 0.5],
-        P=[[1.0, 0.0], [0.0, 1.0], [-1.0, 2.0]], q=[0.1, 0.2, 0.3], epsilon=[0.0] * 3, wish=(0.75, 0.125),
-        weights=(1.0, 3.0),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", list(MIRRORS))
-@pytest.mark.parametrize("problem", [one_action(), two_actions()], ids=["one action", "two actions"])
+@pytest.mark.parametrize(
+    "problem",
+    [
+        plane(0.5, f=[0.75], g=[[1.0]], P=[[1.0]], q=[0.0], low=[-1.0], high=[2.0], wish=[0.25], weights=[1.0],
+              epsilon=[0.0]),
+        plane(0.5, -0.25, f=[0.25, -0.5], g=[[1.0, 0.5], [-0.25, 2.0]], low=[-1.0, 0.0], high=[2.0, 0.5],
+              P=[[1.0, 0.0], [0.0, 1.0], [-1.0, 2.0]], q=[0.1, 0.2, 0.3], epsilon=[0.0] * 3, wish=(0.75, 0.125),
+              weights=(1.0, 3.0)),
+    ],
+    ids=["one action", "two actions that both move both states"],
+)  # fmt: skip
 def test_another_form_of_a_problem_has_the_same_h_for_the_same_actions(name: str, problem: LinearProblem) -> None:
     """A row that was added is 1 whatever is done."""
     random = np.random.default_rng(3)
@@ -80,9 +78,7 @@ def test_problems_of_the_violated_shape_are_below_zero_now() -> None:
 
 @pytest.mark.parametrize("looking_ahead", [False, True])
 @pytest.mark.parametrize("state", [(0.0, 0.5, 0.25, -0.5, 0.75), (0.0, -0.1, 0.0, 0.0, 0.0), (1.0, 0.0, 1.0, 1.0, 1.0)])
-def test_the_backup_of_a_late_drive_brakes_the_speed_after_its_pending_actions(
-    state: tuple[float, ...], looking_ahead: bool
-) -> None:
+def test_the_backup_of_a_late_drive_brakes_the_speed_after_its_pending_actions(state, looking_ahead) -> None:
     system = late_drive(looking_ahead=looking_ahead)
     reached = np.array(state)
     for _ in range(3):
@@ -91,9 +87,7 @@ def test_the_backup_of_a_late_drive_brakes_the_speed_after_its_pending_actions(
 
 
 @pytest.mark.parametrize(("away", "speed"), [(1.0, 1.0), (0.25, 0.5), (2.25, 1.5), (0.01, 0.1)])
-def test_a_disc_allows_the_speed_that_a_brake_of_half_a_metre_per_second_squared_stops(
-    away: float, speed: float
-) -> None:
+def test_a_disc_allows_the_speed_that_a_brake_of_half_a_metre_per_second_squared_stops(away, speed) -> None:
     """v^2 / (2 * 0.5) is the way to the disc of 0.5 m: h is 0 at that speed, and grows as the speed falls."""
     for slower in (0.0, 0.05):
         h = disc_by_higher_order().heights(np.array([[0.5 + away, 0.0, -(speed - slower), 0.0]]))
@@ -109,3 +103,102 @@ def test_drives_that_look_for_standstills_alternate_between_no_delay_and_six_mil
     for own in late.values():
         assert own == [0.006 * (number % 2) for number in range(len(own))]
     assert len({(one.load, one.seed) for one in pieces}) == len(pieces)
+
+
+def one_dimension(now: float, drift: float, epsilon: float = 0.0, wish: float = 1.0) -> LinearProblem:
+    """h = x, x+ = now + drift - a, a in 0 to 1, eta 0.5: kept by a <= now / 2 + drift - epsilon."""
+    return plane(now, f=[now + drift], g=[[-1.0]], P=[[1.0]], q=[0.0], low=[0.0], high=[1.0], wish=[wish],
+                 weights=[1.0], epsilon=[epsilon])  # fmt: skip
+
+
+def test_the_nearest_action_just_keeps_the_condition():
+    found = LinearJudge(one_dimension(1.0, -0.2, 0.1)).nearest()
+    assert found is not None
+    assert (found.action[0], found.distance) == (pytest.approx(0.2), pytest.approx(0.8))
+
+
+def test_an_infeasible_problem_has_no_nearest_action_but_a_least_unsafe_one():
+    judge = LinearJudge(one_dimension(0.5, -2.0))
+    assert judge.nearest() is None
+    best, action = judge.best_least_height()
+    assert action[0] == pytest.approx(0.0)
+    assert best == pytest.approx(-1.5 / 1.0)  # the scale is what the action can change: 1
+    assert judge.best_least_residual()[0] == pytest.approx(-1.75)
+
+
+def test_a_scale_is_the_largest_of_h_margin_and_reach():
+    assert LinearJudge(one_dimension(3.0, 0.0)).scale[0] == 3.0
+    assert LinearJudge(one_dimension(0.3, 0.0)).scale[0] == 1.0
+    assert LinearJudge(one_dimension(0.3, 0.0, epsilon=7.0)).scale[0] == 7.0
+
+
+def test_a_break_is_measured_in_scales_without_rounding():
+    judge = LinearJudge(one_dimension(1.0, 0.0))
+    assert (judge.broken(np.array([0.5])), judge.broken(np.array([0.5 + 1e-17]))) == (0.0, 0.0)
+    assert judge.broken(np.array([0.75])) == pytest.approx(0.25)
+
+
+def by_quadprog(problem: LinearProblem) -> float | None:
+    """Distance of the optimum; None where quadprog says that there is none."""
+    judge, actions = LinearJudge(problem), len(problem.low)
+    width = problem.high - problem.low
+    slope = (problem.P @ problem.g) * width / judge.scale[:, None]
+    limit = (judge.required - problem.heights(problem.after(problem.low))) / judge.scale
+    wish = (problem.wish - problem.low) / width
+    rows = np.vstack([slope, np.eye(actions), -np.eye(actions)])
+    limits = np.concatenate([limit, np.zeros(actions), -np.ones(actions)])
+    hessian = np.diag(2.0 * problem.weights)
+    try:
+        found = quadprog.solve_qp(hessian, hessian @ wish, rows.T.copy(), limits)[0]
+    except ValueError:
+        return None
+    return float(np.sqrt((problem.weights / problem.weights.max() * (found - wish) ** 2).sum()))
+
+
+@pytest.mark.parametrize("first", range(0, 1100, 275))
+def test_two_references_agree_on_random_problems(first):
+    compared = 0
+    for number in range(first, first + 275):
+        problem = random_problem(5, number)
+        if problem.shape in ("costly", "feeble", "parallel"):
+            continue  # where quadprog's own tolerance decides
+        own, other = LinearJudge(problem).nearest(), by_quadprog(problem)
+        room = LinearJudge(problem).best_least_residual()[0]
+        if room > 1e-6:
+            assert own is not None
+            assert other is not None
+            assert own.distance == pytest.approx(other, abs=1e-6)
+            compared += 1
+        elif room < -1e-6:
+            assert own is None
+    assert compared > 50
+
+
+def test_no_random_action_is_better_than_what_the_linear_program_attains():
+    random = np.random.default_rng(3)
+    for number in range(110):
+        problem = random_problem(6, number)
+        judge = LinearJudge(problem)
+        best = judge.best_least_height()[0]
+        room = judge.best_least_residual()[0]
+        for action in random.uniform(problem.low, problem.high, (50, len(problem.low))):
+            assert judge.heights(action).min() <= best + 1e-7
+            assert judge.residuals(action).min() <= room + 1e-7
+
+
+def test_other_units_change_nothing_that_the_reference_says():
+    random = np.random.default_rng(4)
+    for number in range(len(SHAPES) * 4):
+        problem = replace(random_problem(7, number), witness=None)
+        rows, states, actions = len(problem.q), len(problem.f), len(problem.low)
+        other = problem.scaled(*(10.0 ** random.uniform(-3, 3, count) for count in (rows, states, actions)))
+        assert LinearJudge(other).best_least_height()[0] == pytest.approx(
+            LinearJudge(problem).best_least_height()[0], abs=1e-4
+        )
+
+
+def test_a_witness_keeps_what_it_is_a_witness_of():
+    found = [p for p in (random_problem(8, number) for number in range(2200)) if p.witness is not None]
+    assert len(found) > 20
+    for problem in found:
+        assert LinearJudge(problem).broken(problem.witness) == 0.0

@@ -52,9 +52,7 @@ def test_a_negative_h_now_has_to_be_reported_as_violated(state: Numbers, status:
     [((0.0, 0.0), 0.5, False, 0.0), ((-0.5, -0.5), 0.5, False, 0.0), ((-0.6, 0.0), 0.4, False, 0.1),
      ((0.0, -0.7), 0.3, False, 0.2), ((0.0, 0.0), -0.1, True, 0.0), ((-1.0, 0.0), 0.0, False, 0.5)],
 )  # fmt: skip
-def test_a_break_of_a_condition_is_a_share_of_its_scale(
-    action: Numbers, h_next: float, below: bool, broken: float
-) -> None:
+def test_a_break_of_a_condition_is_a_share_of_its_scale(action, h_next, below, broken) -> None:
     """h is 1 now and the actions change it by 2, which is the scale."""
     found = judged(plane(1.0, 1.0), verdict("corrected", action, h_next))
     assert found.below is below
@@ -71,9 +69,7 @@ def test_a_relaxed_answer_falls_short_of_the_best_least_h(action: Numbers, short
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 2), st.tuples(*[st.floats(0.5, 9.0)] * 2), st.floats(0.1, 10.0))
-def test_a_distance_is_counted_in_ranges_with_the_largest_weight_as_one(
-    action: Numbers, weights: Numbers, factor: float
-) -> None:
+def test_a_distance_is_counted_in_ranges_with_the_largest_weight_as_one(action, weights, factor) -> None:
     """sqrt(sum w_j / max(w) (a_j / 2)^2), whatever the unit of the weights."""
     wanted = sum(w / max(weights) * (a / 2.0) ** 2 for w, a in zip(weights, action, strict=True)) ** 0.5
     judge = LinearJudge(plane(1.0, 1.0, weights=[factor * weight for weight in weights]))
@@ -108,8 +104,7 @@ def test_a_row_is_moved_if_the_actions_change_it_by_more_than_rounding(each: flo
 def test_the_best_least_h_is_that_of_the_rows_that_actions_move(way: float, low: float) -> None:
     """The first row cannot rise; the second rises from 0.5 by 1, in a scale of 2, at the limit of its action."""
     height, action = LinearJudge(plane(low, 0.5, g=np.diag([0.0, way]))).best_least_height()
-    assert height == pytest.approx(0.75)
-    assert action[1] == pytest.approx(way)
+    assert (height, action[1]) == (pytest.approx(0.75), pytest.approx(way))
 
 
 @pytest.mark.parametrize(("state", "found"), [((-1.0, 0.5), False), ((1.0, 0.5), True), ((0.5, -0.5), True)])
@@ -127,17 +122,10 @@ def test_the_nearest_action_gives_way_where_it_costs_least(weights: Numbers, ran
     half, soft = 0.5 * np.array(ranges), np.array(ranges) ** 2 / np.array(weights)
     judge = LinearJudge(
         plane(
-            0.0,
-            0.0,
-            wish=(-0.5, -0.5),
-            weights=weights,
-            P=np.ones((1, 2)),
-            q=[0.0],
-            epsilon=[0.0],
-            low=-half,
-            high=half,
+            0.0, 0.0, wish=(-0.5, -0.5), weights=weights, P=np.ones((1, 2)), q=[0.0], epsilon=[0.0],
+            low=-half, high=half,
         )
-    )
+    )  # fmt: skip
     action = -0.5 + soft / soft.sum()
     nearest = judge.nearest()
     assert nearest is not None
@@ -173,9 +161,7 @@ def tallied(
         ("fallback", -0.9, (0, 0, 1, 1, 1)), ("violated", 0.0, (0, 0, 1, 0, 0)), ("violated", 0.9, (0, 0, 1, 0, 1)),
     ],
 )  # fmt: skip
-def test_an_answer_in_a_closed_loop_is_counted_once(
-    status: str, action: float, counts: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_in_a_closed_loop_is_counted_once(status, action, counts, monkeypatch) -> None:
     """Actions from -0.25 to 0.25 keep both conditions; h changes by 2 over the actions and is 0.5 now."""
     found = tallied(monkeypatch, status, action)
     assert (found.kept, found.below, found.unkept, found.missed, found.needless) == counts
@@ -188,18 +174,14 @@ def test_an_answer_in_a_closed_loop_is_counted_once(
 
 
 @pytest.mark.parametrize(("status", "unkept"), [("corrected", 0), ("relaxed", 1)])
-def test_nothing_is_missed_where_no_action_keeps_the_conditions(
-    status: str, unkept: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_missed_where_no_action_keeps_the_conditions(status, unkept, monkeypatch) -> None:
     found = tallied(monkeypatch, status, 0.9, lift=-0.5)
     assert (found.excess, found.unkept, found.missed, found.needless) == ([], unkept, 0, 0)
 
 
 @pytest.mark.parametrize("status", ["corrected", "relaxed"])
 @pytest.mark.parametrize("wish", [(np.nan, np.nan), (0.5, np.nan)])
-def test_no_distance_is_measured_from_a_wish_that_is_not_finite(
-    status: str, wish: Numbers, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_distance_is_measured_from_a_wish_that_is_not_finite(status, wish, monkeypatch) -> None:
     found = tallied(monkeypatch, status, 0.0, wish, actions=2)
     assert (found.excess, found.unkept, found.missed, found.needless) == ([], 0, 0, 0)
 
@@ -247,9 +229,7 @@ def test_the_room_of_a_car_is_measured_from_the_segment_it_sweeps(obstacle: Any,
 
 
 @pytest.mark.parametrize("status", ["passed", "corrected", "relaxed", "fallback", "violated"])
-def test_an_answer_of_the_car_is_compared_with_every_point_of_the_grid(
-    status: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_of_the_car_is_compared_with_every_point_of_the_grid(status, monkeypatch) -> None:
     """A corner of the box is answered; what the grid has instead is computed here from the judge's h."""
     question = car_question(1, 1)
     judge = car_judge(question)
@@ -287,9 +267,7 @@ def test_the_filter_follows_the_largest_action_that_keeps_the_condition(monkeypa
      ((-0.9, 0.0), True), ((0.0, -1.5), True), ((1.5, 1.5), True)],
 )  # fmt: skip
 @pytest.mark.parametrize("said", ["", "beware"])
-def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(
-    action: Numbers, unsafe: bool, said: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(action, unsafe, said, tmp_path, monkeypatch) -> None:
     """Not finite, more than 0.001 beyond the limits, or more than 0.001 of a condition's scale broken."""
     (tmp_path / "peer_filters.py").write_text(f"print({json.dumps([{'action': action, 'said': said}])!r})")
     monkeypatch.setattr(peers, "__file__", str(tmp_path / "peers.py"))
@@ -331,5 +309,4 @@ def test_bad_vectors_are_as_long_as_good_ones_unless_they_are_named_otherwise(co
     found = {name: value for name, (value, _) in vectors([0.5 + n for n in range(count)]).items()}
     assert found["masked"].mask.tolist() == [True] + [False] * (count - 1)
     same = ("a date", "true and false", "objects", "NaN", "infinite", "of 1e308", "none within", "a column")
-    assert [len(found[name]) for name in same] == [count] * len(same)
-    assert len(found["too long"]) == count + 1
+    assert ([len(found[name]) for name in same], len(found["too long"])) == ([count] * len(same), count + 1)

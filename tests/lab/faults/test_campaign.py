@@ -1,20 +1,134 @@
-"""A campaign on fleets that follow a script: what it counts, what it requires, and when it takes another fleet."""
+"""Campaigns of faults: what is counted of one, what is required, the page, and a few faults on a real fleet."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from tests.lab.faults.test_fault_episode import PERIOD, trace, verdict
 
+from safedpa.bus import VerdictMessage
+from safedpa.errors import InputError
 from safedpa_lab.faults import campaign
+from safedpa_lab.faults.campaign import run_faults
+from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
 from safedpa_lab.faults.fault import Fault
-from safedpa_lab.faults.outcome import Campaign, Outcome
+from safedpa_lab.faults.outcome import Campaign, Outcome, joined
+from safedpa_lab.faults.report import markdown_of, write_report
+from safedpa_lab.faults.table import all_faults, faults_named, small_faults
 from safedpa_sim.robots.trace import LivedPeriod
+
+PERIOD = 0.05
+
+
+def lived(tick: int, by: str = "filter", epoch: int = 5, late: float = 0.0) -> LivedPeriod:
+    driven = by == "filter"
+    return LivedPeriod(
+        epoch=epoch, tick=tick, published=PERIOD * tick, applied_at=PERIOD * (tick + 0.9) + late,
+        action_epoch=epoch if driven else -1, action_tick=tick if driven else -1,
+        applied=(1.0, 0.1) if driven else (0.0, 0.0), applied_by=by, values=(0.0, 0.0, 0.0, 1.0), collisions=0,
+    )  # fmt: skip
+
+
+def trace(marks: str) -> list[LivedPeriod]:
+    """``d``: driven, ``w``: watchdog, a blank: no period lived."""
+    kinds = {"d": "filter", "w": "watchdog"}
+    return [lived(tick, kinds[mark]) for tick, mark in enumerate(marks) if mark != " "]
+
+
+def evidence(periods: list[LivedPeriod], fallbacks: tuple[int, ...] = ()) -> Evidence:
+    verdicts = {(5, tick): verdict(tick) for tick in fallbacks}
+    actions = {(5, one.tick): {(1.0, 0.1)} for one in periods}
+    return Evidence(periods, verdicts, actions, PERIOD)
+
+
+def verdict(tick: int) -> VerdictMessage:
+    return VerdictMessage(
+        epoch=5, tick=tick, robot_time=0.0, publish_time=0.0, status="fallback", sentence="", action=(), wish=(),
+        slack=0.0, active=(), h_now=0.0, h_next=0.0, margin=0.0, solver="", microseconds=0.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("marks", "fallbacks", "seconds"),
+    [
+        ("d" * 40, (), 0.0),
+        ("d" * 40, (8, 9, 10, 11, 12), 3.9 * PERIOD),  # a fallback is an outage as well
+        ("d" * 3 + "wwwww" + "d" * 32, (), 0.0),  # over before the recovery
+        ("d" * 6 + "www" + "d" * 31, (), 0.0),  # the action of tick 9 acts a tenth of a period before it
+        ("d" * 6 + "wwww" + "d" * 30, (), 0.9 * PERIOD),
+        ("d" * 8 + "w" * 6 + "d" * 26, (), (14.9 - 10) * PERIOD),
+        ("d" * 8 + " " * 6 + "d" * 26, (), (14.9 - 10) * PERIOD),  # a robot that lived nothing meanwhile
+        ("d" * 12 + "ww" + "d" * 26, (), 0.0),  # a hiccup
+        ("d" * 16 + "wwww" + "d" * 20, (), (20.9 - 10) * PERIOD),  # it drove on for a moment, and failed then
+        ("d" * 30 + "wwww" + "d" * 6, (), None), ("d" * 8 + "w" * 32, (), None), ("d" * 8 + " " * 32, (), None),
+    ],
+)  # fmt: skip
+def test_recovery_counts_to_the_end_of_the_last_outage(marks, fallbacks, seconds) -> None:
+    episode = Episode(struck=6 * PERIOD, mended=10 * PERIOD, ended=40 * PERIOD)
+    found = recovery_of(evidence(trace(marks), fallbacks), episode)
+    assert found == (seconds if seconds is None else pytest.approx(seconds))
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"action_tick": 2}, "action of tick 2"), ({"action_epoch": 4}, "action of tick 3"),
+        ({"applied_at": PERIOD * 5.1}, "began to act after 0.105 s"),
+        ({"applied": (1.0, 0.2)}, "the filter never sent"),
+    ],
+)  # fmt: skip
+def test_an_action_that_must_not_act_is_found(changed: Any, words: str) -> None:
+    periods = trace("ddddd")
+    assert stale_in(periods, evidence(periods)) == []
+    periods[3] = replace(periods[3], **changed)
+    (found,) = stale_in(periods, evidence(periods))
+    assert words in found
+
+
+def test_what_the_watchdog_did_is_never_stale_and_what_was_not_heard_is_not_held_against_the_robot() -> None:
+    late = [lived(0), lived(1, "watchdog", late=3.0)]
+    assert stale_in(late, Evidence(late, {}, {}, PERIOD)) == []
+
+
+def test_collisions_count_from_the_first_period_of_each_robot() -> None:
+    counts = [(5, 2), (5, 2), (5, 3), (5, 5), (6, 0), (6, 1), (5, 5)]
+    periods = [replace(lived(tick, epoch=epoch), collisions=count) for tick, (epoch, count) in enumerate(counts)]
+    assert (collisions_in(periods), collisions_in([])) == (4, 0)
+
+
+@pytest.mark.parametrize(
+    ("sent", "stale"),
+    [
+        ({(1.0, 0.1)}, 0),
+        ({(1.0, 0.1), (0.5, 0.2)}, 0),  # two filters, one of which was obeyed
+        ({(0.5, 0.2), (1.0, -0.1), (1.0, 0.1)}, 0),
+        ({(0.5, 0.1)}, 1),
+        ({(1.0, 0.2), (0.5, 0.1)}, 1),  # one component of each
+        (set(), 0),  # nothing was heard
+        (None, 0),
+    ],
+)
+def test_an_action_was_sent_if_any_action_for_its_state_equals_it(sent, stale) -> None:
+    periods = [lived(7)]
+    found = stale_in(periods, Evidence(periods, {}, {} if sent is None else {(5, 7): sent}, PERIOD))
+    assert len(found) == stale
+    assert all("tick 7: the filter never sent" in words for words in found)
+
+
+@pytest.mark.parametrize(("status", "driven"), [("passed", True), ("corrected", True), ("fallback", False)])
+def test_a_period_is_driven_if_the_filter_had_all_its_inputs(status: str, driven: bool) -> None:
+    told = {(5, 2): replace(verdict(2), status=status)}
+    assert Evidence([], told, {}, PERIOD).is_driven(lived(2)) is driven
+    assert not Evidence([], told, {}, PERIOD).is_driven(lived(2, "watchdog"))
+    assert Evidence([], {}, {}, PERIOD).is_driven(lived(2)), "its verdict was not heard"
+
 
 TURN = 0.02
 """s between two looks of a fleet."""
@@ -214,9 +328,7 @@ def test_a_hasty_fault_lasts_at_most_a_second_and_a_half(hasty: bool, lasts: flo
     ("speeds", "hasty", "restarts", "waited"),
     [([1.9], False, 0, 0.0), ([0.1, 1.9], False, 1, 6.0), ([0.1, 1.9], True, 0, 1.5), ([0.1, 0.1], False, 1, 26.0)],
 )
-def test_a_fault_strikes_while_the_car_is_fast(
-    speeds: list[float], hasty: bool, restarts: int, waited: float, run: Any
-) -> None:
+def test_a_fault_strikes_while_the_car_is_fast(speeds, hasty, restarts, waited, run) -> None:
     """A slow car is put back to its start after a few seconds, from where it drives off at once."""
     script = Script(speeds=speeds)
     run(script, is_hasty=hasty)
@@ -238,9 +350,7 @@ def test_a_fault_strikes_while_the_car_is_fast(
         ("", "", "", 1e9, []),
     ],
 )
-def test_faults_strike_one_fleet_as_long_as_it_drives_and_time_is_left(
-    faults: str, failing: str, absent: str, seconds: float, suffered: list[str], run: Any
-) -> None:
+def test_faults_strike_one_fleet_as_long_as_it_drives_and_time_is_left(faults, failing, absent, seconds, suffered, run):
     script = Script(failing=failing, absent=absent)
     told: list[tuple[str, int, int]] = []
     names = "".join(suffered)
@@ -262,3 +372,117 @@ def test_a_recorder_gets_another_disk_for_every_hundred_faults(faults: int, disk
     run(script, [script.fault(str(number)) for number in range(faults)], seconds=0.0)
     run(other, [other.fault()])
     assert script.fleets[0].settings.disk_bytes == disks * other.fleets[0].settings.disk_bytes
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.processes
+def test_whatever_fails_the_robot_is_safe_and_drives_again(tmp_path: Path) -> None:
+    campaign = run_faults(small_faults(), folder=tmp_path, is_hasty=True)
+    by_name = {outcome.name: outcome for outcome in campaign.outcomes}
+    assert {name: outcome.broken for name, outcome in by_name.items() if not outcome.held} == {}
+    assert campaign.recorded >= campaign.acknowledged > 0
+    assert by_name["kill safety_filter"].watchdog > 0, "the robot braked by itself while there was no filter"
+    assert by_name["stop robot"].periods > 0
+    assert by_name["hang safety_filter"].watchdog >= 20, "1.5 s in which the filter lives and does not answer"
+    assert by_name["disconnect robot"].watchdog >= 25, "1.5 s without a network"
+    assert by_name["change-take adaptation"].fallbacks > 0, "no latent of another model is taken"
+    assert sum(outcome.collisions + outcome.stale_actions for outcome in campaign.outcomes) == 0
+
+
+@pytest.mark.slow
+def test_every_fault_has_a_name_of_its_own_and_is_found_by_it() -> None:
+    faults = all_faults()
+    assert len({fault.name for fault in faults}) == len(faults) >= 50
+    assert [fault.name for fault in faults_named("kill robot")] == ["kill robot"]
+    assert len(faults_named("kill")) == 8
+    with pytest.raises(InputError, match="did you mean 'kill robot'"):
+        faults_named("kill robots")
+
+
+@pytest.mark.slow
+def test_faults_with_another_diagnosis_are_consecutive() -> None:
+    """Else the campaign would begin a new fleet for each."""
+    kinds = [fault.diagnosis for fault in all_faults()]
+    assert sum(one != other for one, other in itertools.pairwise(kinds)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", all_faults(), ids=lambda fault: fault.name)
+def test_a_fault_says_what_it_does_and_who_looks_on_is_never_noticed(fault: Fault) -> None:
+    assert fault.sentence
+    target = fault.name.split()[-1]
+    if fault.diagnosis == "real" and target in ("diagnosis", "recorder"):
+        assert fault.meanwhile == "undisturbed"
+
+
+def outcome(name: str, *broken: str, recovery: float | None = 0.5) -> Outcome:
+    return Outcome(
+        name=name, sentence=f"{name} happens", held=not broken, broken=broken, speed=1.2, collisions=0, stale_actions=0,
+        periods=40, watchdog=10, fallbacks=2, recovery_seconds=recovery, whole_seconds=0.7, states_not_recorded=3,
+        verdicts_not_recorded=1,
+    )  # fmt: skip
+
+
+def campaign_report(*outcomes: Outcome, collisions: int = 0, recorded: int = 90) -> Campaign:
+    return Campaign(outcomes, 80, collisions, 0, acknowledged=85, recorded=recorded)
+
+
+def result(found: Campaign) -> dict[str, Any]:
+    about = {"command": "safedpa experiment faults", "date": "2026-11-21", "seconds": 9.0, "cores": 2}
+    load = {"load_before": 1.0, "load_after": 2.0}
+    return {**asdict(found), **about, **load, "rows": [asdict(one) for one in found.outcomes]}
+
+
+def test_the_page_names_every_fault_its_kind_and_what_did_not_hold() -> None:
+    faults = (
+        outcome("kill policy"),
+        outcome("kill robot", "2 collisions", recovery=None),
+        outcome("change-take policy"),
+        outcome("change-ready policy", "mixed"),
+    )
+    page = markdown_of(result(campaign_report(*faults)))
+    assert "**2 of 4 held; 0 collisions, 0 stale actions in 80 periods" in page
+    assert "| kill | 2 | 1 | 25%, 5% | 0.50, 1 never | 0.70 to 0.70 |" in page
+    assert "| change | 2 | 1 | 25%, 5% | 0.50 to 0.50 | 0.70 to 0.70 |" in page, "whatever the moment of the change"
+    assert "| kill robot | kill robot happens | **no** |" in page
+    assert "- kill robot: 2 collisions" in page
+    for line in page.splitlines():
+        if line.startswith("| kill robot"):
+            assert line.count("|") == 13
+
+
+@pytest.mark.parametrize(
+    ("found", "held"),
+    [
+        (campaign_report(outcome("kill policy")), True),
+        (campaign_report(outcome("kill policy", "slow")), False),
+        (campaign_report(outcome("kill policy"), collisions=1), False),
+        (campaign_report(outcome("kill policy"), recorded=84), False),
+        (campaign_report(outcome("kill policy"), recorded=85), True),
+        (replace(campaign_report(outcome("kill policy")), stale_actions=1), False),
+        (campaign_report(outcome("kill policy"), outcome("kill robot", "slow")), False),
+        (
+            joined([campaign_report(outcome("kill policy")), campaign_report(outcome("kill robot"), collisions=1)]),
+            False,
+        ),
+    ],
+)
+def test_a_campaign_holds_only_if_everything_held_between_the_faults_too(found: Campaign, held: bool) -> None:
+    assert found.held is held
+
+
+def test_several_fleets_are_added_up() -> None:
+    one, other = Campaign((outcome("a"),), 1, 2, 3, 4, 5), Campaign((outcome("b"), outcome("c")), 10, 20, 30, 40, 50)
+    assert joined([one, other, one]) == Campaign((*one.outcomes, *other.outcomes, *one.outcomes), 12, 24, 36, 48, 60)
+    assert joined([]) == Campaign((), 0, 0, 0, 0, 0)
+
+
+def test_the_report_is_two_files_or_one_line_of_complaint(tmp_path: Path) -> None:
+    told = result(campaign_report(outcome("kill policy")))
+    write_report(told, tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "faults.json").read_text())["rows"][0]["name"] == "kill policy"
+    assert (tmp_path / "out" / "faults.md").read_text() == markdown_of(told)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out"):
+        write_report(told, tmp_path / "file")

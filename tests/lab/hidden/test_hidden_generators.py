@@ -20,7 +20,6 @@ from safedpa.effects import effect, effects_of
 from safedpa.errors import InputError
 from safedpa.records import load_run
 from safedpa_lab import hidden
-from safedpa_lab.commands.experiments import hidden_effects
 from safedpa_lab.hidden import CAR_EFFECTS, PENDULUM_EFFECTS, SUITES, Case, cases_of, write_case, write_cases
 from safedpa_lab.hidden.car import simulate_cars
 from safedpa_lab.hidden.excitation import Commands
@@ -193,16 +192,16 @@ def test_hard_logs_are_as_hard_as_they_say(tmp_path):
     assert error(log, {}).value > 1.5 * error(plain, {}).value
 
 
-FLOORS = (
-    ({"at_x": 0.0, "at_y": 0.0, "radius": 1.0}, (0.0, 0.0), (1.5, 0.0)),
-    ({"x_above": 1.0}, (2.0, 0.0), (0.0, 0.0)),
-    ({"x_below": 1.0}, (0.0, 0.0), (2.0, 0.0)),
-    ({"y_above": 1.0}, (0.0, 2.0), (0.0, 0.0)),
-    ({"y_below": 1.0}, (0.0, 0.0), (0.0, 2.0)),
+@pytest.mark.parametrize(
+    ("border", "inside", "outside"),
+    [
+        ({"at_x": 0.0, "at_y": 0.0, "radius": 1.0}, (0.0, 0.0), (1.5, 0.0)),
+        ({"x_above": 1.0}, (2.0, 0.0), (0.0, 0.0)),
+        ({"x_below": 1.0}, (0.0, 0.0), (2.0, 0.0)),
+        ({"y_above": 1.0}, (0.0, 2.0), (0.0, 0.0)),
+        ({"y_below": 1.0}, (0.0, 0.0), (0.0, 2.0)),
+    ],
 )
-
-
-@pytest.mark.parametrize(("border", "inside", "outside"), FLOORS)
 def test_a_carpet_pulls_inside_alone(border, inside, outside):
     floor = {"rolling_resistance": {"deceleration": 1.2, **border}}
     lanes = [lane(own, 0.0, start=(*at, 0.0, 0.5), rows=3, throttle=True)
@@ -235,11 +234,6 @@ def test_suites_draw_different_cases_that_repeat():
     assert {name for case in cases_of("ordinary", 24) for name in case.effects} == set(CAR_EFFECTS)
     with pytest.raises(InputError, match="ordinary"):
         cases_of("ordinery", 1)
-
-
-def test_the_command_offers_every_suite():
-    suites = next(option for option in hidden_effects.command.params if option.name == "suites")
-    assert set(suites.type.choices) == {*SUITES, "all"}
 
 
 def test_a_towing_case_is_driven_by_rigid_bodies(tmp_path):

@@ -1,15 +1,22 @@
-"""The judge of a diagnosis, and the figures made of its judgements."""
+"""The judge of a diagnosis, the figures made of its judgements, their record and their page."""
 
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
+from dataclasses import replace
 
 import pytest
 
-from safedpa_lab.experiments.hidden_summary import summary
+from safedpa.errors import InputError
+from safedpa_lab.experiments import hidden_effects
+from safedpa_lab.experiments.hidden_effects import hidden_effects_experiment
+from safedpa_lab.experiments.hidden_page import page_of
+from safedpa_lab.experiments.hidden_record import document_of, read_outcomes, write_document
 from safedpa_lab.hidden import Case, truth_of
 from safedpa_lab.hidden.case import TURNS_LESS, equals_of
-from safedpa_lab.hidden.judge import judged
+from safedpa_lab.hidden.judge import Found, Outcome, judged
 from safedpa_lab.hidden.towing import turning_share
 
 DRAG = {"quadratic_drag": {"coefficient": 0.12}}
@@ -29,12 +36,9 @@ def document(added=(), verdict="effect_missing", groups=None, value=0.125, std=0
     rejected = [{**item, "effect": "payload", "decision": "rejected"} for item in accepted]
     stages = [{"heldout_error": 0.1}, *[{"heldout_error": error}] * len(added)]
     return {
-        "verdict": verdict,
-        "added": list(added),
-        "stages": stages,
-        "candidates": [*rejected, *accepted],
+        "verdict": verdict, "added": list(added), "stages": stages, "candidates": [*rejected, *accepted],
         "unexplained": unexplained,
-    }
+    }  # fmt: skip
 
 
 def judge(case, found, oracle=0.02):
@@ -46,8 +50,7 @@ def test_the_hidden_effect_named_first():
     assert outcome.right
     assert outcome.first_named
     assert outcome.wrong == ("payload",)
-    assert outcome.deviations == pytest.approx((1.25,))
-    assert outcome.error_ratio == pytest.approx(1.05)
+    assert (outcome.deviations, outcome.error_ratio) == (pytest.approx((1.25,)), pytest.approx(1.05))
 
 
 ONE, NONE = Case("ordinary", 1, DRAG), Case("none", 1, {})
@@ -138,23 +141,94 @@ def test_a_law_must_have_the_right_direction():
     assert plain.false_laws == ("quadratic_drag varies coefficient with time",)
 
 
-def test_the_summary_counts():
-    case = Case("ordinary", 1, DRAG)
-    outcomes = [
-        judge(case, document(["quadratic_drag"], value=0.121)),
-        judge(case, document(["quadratic_drag"], value=0.14, error=0.03)),
-        judge(case, document((), "nothing_missing", error=0.1)),
-        judge(Case("none", 1, {}), document((), "nothing_missing"), None),
-    ]
-    found = summary(["ordinary", "none"], outcomes)
-    ordinary, none = found["suites"]
-    assert (ordinary["right"]["hits"], ordinary["right"]["of"]) == (2, 3)
-    assert ordinary["parameters_within_two"] == {"hits": 1, "of": 2, "interval_95": pytest.approx([0.0945, 0.9055])}
-    assert (ordinary["error_ratio_within"]["hits"], ordinary["error_ratio_within"]["of"]) == (1, 3)
-    assert ordinary["error_ratio_largest"] == pytest.approx(5.0)
-    assert none["named_first"] is None
-    assert none["error_ratio_median"] is None
-    assert none["right"]["hits"] == 1
-    assert [row["effect"] for row in found["effects"]] == ["quadratic_drag"]
-    assert [item["verdict"] for item in found["missed"]] == ["nothing_missing"]
-    json.dumps(found)
+DRAG_RECORD = Outcome(
+    suite="ordinary", case="ordinary-quadratic_drag-1", hidden=("quadratic_drag",), added=("quadratic_drag",),
+    verdict="effect_missing", first_named=True, all_named=True, all_in_group=True, wrong=(),
+    parameters=(Found("quadratic_drag.coefficient", 0.1208, 0.0005, 0.12),), error=0.011, error_ratio=1.02,
+    seconds=9.0, processor_seconds=6.0,
+)  # fmt: skip
+ALARM = replace(
+    DRAG_RECORD, suite="none", case="none-nothing-2", hidden=(), added=("payload",), wrong=("payload",), parameters=(),
+    error_ratio=float("nan"),
+)  # fmt: skip
+
+
+def test_the_record_holds_what_was_judged(tmp_path):
+    path = tmp_path / "record.json"
+    write_document(document_of([DRAG_RECORD, ALARM], [7, 7]), path)
+    document = json.loads(path.read_text())
+    assert document["seeds"] == [7]
+    assert {"python", "safedpa", "numpy"} <= set(document["versions"])
+    assert document["date"].startswith("20")
+    first, second = document["cases"]
+    assert first["right"]
+    assert first["parameters"][0]["deviation"] == pytest.approx(1.6)
+    assert not second["right"]
+    assert second["error_ratio"] is None
+    outcomes, seeds = read_outcomes(path)
+    assert (seeds, outcomes[0]) == ([7], DRAG_RECORD)
+    assert repr(outcomes[1]) == repr(ALARM)  # NaN is not equal to itself
+
+
+def test_an_interrupted_experiment_goes_on(tmp_path, monkeypatch):
+    asked = []
+
+    def judged(cases):
+        asked.extend(case.name for case in cases)
+        return [replace(DRAG_RECORD, suite=case.suite, case=case.name, hidden=tuple(case.effects)) for case in cases]
+
+    monkeypatch.setattr(hidden_effects, "run_cases", judged)
+    path = tmp_path / "record.json"
+    first = hidden_effects_experiment(["ordinary"], 2, 3, processes=1, record=path)
+    told = []
+    more = hidden_effects_experiment(
+        ["ordinary", "none"], 3, 3, processes=1, record=path, tell=lambda *counts: told.append(counts)
+    )
+    assert len(asked) == len(set(asked)) == 6
+    assert told[-1] == (4, 4)
+    names = {row["case"] for row in more["cases"]}
+    assert {row["case"] for row in first["cases"]} < names
+    kept = json.loads(path.read_text())
+    assert kept.pop("provenance")["date"]
+    assert (kept, [row["cases"] for row in more["suites"]]) == (more, [3, 3])
+    again = hidden_effects_experiment(["none"], 3, 3, processes=1, record=path)
+    assert (again["cases"], again["seeds"]) == (more["cases"], [3])
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"experiment": "car"}', '{"experiment": "hidden-effects", "cases": []}'])
+def test_another_file_is_no_record(tmp_path, text):
+    path = tmp_path / "other.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"other\.json.*name a new file"):
+        hidden_effects_experiment(["none"], 1, processes=1, record=path)
+    assert path.read_text() == text
+
+
+def test_the_page_has_every_figure():
+    page = page_of(document_of([DRAG_RECORD, ALARM], [7]))
+    rows = [line for line in page.splitlines() if line.startswith("|")]
+    assert len({line.count("|") for line in rows[:4]}) == 1
+    suite = [cell.strip() for cell in next(line for line in rows if line.startswith("| ordinary")).split("|")[1:-1]]
+    assert suite[:7] == ["ordinary", "1", "100", "21 to 100", "100", "100", "0"]
+    assert suite[7:] == ["0", "100", "1.020", "1.020", "100", "9.0", "9.0", "6.0", "6.0"]
+    assert "- `none-nothing-2`: hidden nothing; effect_missing, added payload" in page
+    assert re.search(r"^2 cases, seeds 7; finished 20\d\d-", page, re.MULTILINE), page
+
+
+@pytest.mark.parametrize(
+    "cases", [[DRAG_RECORD], [ALARM, DRAG_RECORD, DRAG_RECORD], [DRAG_RECORD, ALARM, ALARM, DRAG_RECORD]]
+)
+def test_the_cases_of_the_page_are_those_of_its_suites_and_of_its_list(cases):
+    document = document_of([replace(case, case=f"{case.case}{at}") for at, case in enumerate(cases)], [7])
+    page = page_of(document)
+    assert int(re.search(r"^(\d+) cases", page, re.MULTILINE)[1]) == len(cases)
+    begun = page[page.index("## By suite") : page.index("## By effect") if "## By effect" in page else None]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in begun.splitlines() if line.startswith("|")]
+    told = {row[0]: int(row[1]) for row in rows[2:]}
+    assert {name: told[name] for name in {case.suite for case in cases}} == Counter(case.suite for case in cases)
+    wrong = sum(case.suite == "none" for case in cases)
+    assert page.partition("## Missed")[2].count("\n- `") == wrong
+
+
+def test_a_page_without_a_miss_says_none():
+    assert page_of(document_of([DRAG_RECORD], [7])).endswith("\n\nNone.\n")
