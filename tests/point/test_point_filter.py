@@ -1,20 +1,40 @@
-"""The stopping manoeuvre keeps what its barrier says, and the batched filter is the filter."""
+"""The stopping manoeuvre keeps what its barrier says, for one robot, for many at once, and on the bus."""
+
+from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from safedpa.bus import ActionMessage, StateMessage
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.policy.controller import controller_for
+from safedpa.robots.point.point_scene import PointScene, motion_of
 from safedpa.robots.point.system import POINT
-from safedpa.safety import FilterSettings, SafetyFilter, Status
+from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.batch import STATUSES, BatchFilter
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.many_stopping import ManyStopping
 from safedpa.safety.shipped import settings_named
-from safedpa.safety.stopping_barrier import ENDS, Motion, StoppingBarrier, stopping_action
+from safedpa.safety.stopping_barrier import (
+    ENDS,
+    Motion,
+    StoppingBarrier,
+    nearer_end,
+    stopping_action,
+    stopping_path,
+    stopping_room,
+)
+from safedpa.safety.stopping_walk import least_rooms
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.world import body_entries
+from safedpa_sim.robots.point_robot import PointRobot, force_towards
 
 STRONGEST, FASTEST, DRAG, PERIOD = 2.89, 3.0, 1.93, 0.02
 STATE = st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-3.1, 3.1), *[st.floats(-1.0, 1.0)] * 2)
@@ -32,9 +52,7 @@ def _affine(state: np.ndarray, wind: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 @settings(max_examples=8, deadline=None)
 @given(STATE, st.floats(0.0, 1.5), st.floats(0.0, 6.3))
-def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(
-    start: tuple[float, ...], strength: float, direction: float
-) -> None:
+def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(start, strength, direction) -> None:
     wind = strength * np.array([np.cos(direction), np.sin(direction)])
     motion = Motion(wind, DRAG, STRONGEST, FASTEST)
     barrier = StoppingBarrier(np.array([[0.7, 0.2, 0.2], [-0.9, 0.5, 0.2]]), motion)
@@ -64,22 +82,19 @@ def test_many_at_once_are_filtered_as_one_is() -> None:
     around = ManyStopping(np.broadcast_to(hazards, (40, 3, 3)), motion)
     backup = np.tile([0.1, -0.2], (40, 1))
     many = BatchFilter(POINT, own).decide(state, wish, barriers=around, affine=affine, backup=backup.__getitem__)
+    believed = Plausible(POINT.state_low, POINT.state_high, POINT.state_names)
     for index, row in enumerate(state):
-        barrier = StoppingBarrier(hazards, motion.of(index))
-        one = _alone(pairs[index], barrier, own, backup[index]).decide(row, wish[index])
+        filter_ = SafetyFilter(
+            lambda _, pair=pairs[index]: pair, [StoppingBarrier(hazards, motion.of(index))], own,
+            backup=lambda _, own=backup[index]: own, state_range=believed,
+        )  # fmt: skip
+        one = filter_.decide(row, wish[index])
         assert STATUSES[many.status[index]] is one.status
         np.testing.assert_allclose(many.action[index], one.action, atol=1e-6)
         assert many.h_now[index] == pytest.approx(one.h_now, abs=1e-9)
     for status in (Status.passed, Status.corrected, Status.relaxed, Status.violated):
         assert many.count(status) > 0, status
     assert (~many.alone).sum() >= 10
-
-
-def _alone(
-    pair: tuple[np.ndarray, np.ndarray], barrier: StoppingBarrier, own: FilterSettings, backup: np.ndarray
-) -> SafetyFilter:
-    believed = Plausible(POINT.state_low, POINT.state_high, POINT.state_names)
-    return SafetyFilter(lambda _: pair, [barrier], own, backup=lambda _: backup, state_range=believed)
 
 
 def test_the_backup_of_each_robot_is_its_own() -> None:
@@ -126,3 +141,196 @@ def test_the_room_jumps_neither_with_the_state_nor_with_the_wind() -> None:
         ]
         jumps += [abs(least[1] - least[0]), abs(least[2] - least[0])]
     assert max(jumps) < 0.01
+
+
+Values = NDArray[np.float64]
+
+ROBOTS, FASTEST_MANY = 60, 3.0
+
+
+def drawn(seed: int, hazards: int) -> tuple[Values, ManyStopping]:
+    """States of robots that differ in wind, drag and strength, some of them at rest, and the room around them."""
+    random = np.random.default_rng(seed)
+    state = np.c_[random.uniform(-0.5, 0.5, (ROBOTS, 2)), random.uniform(-3.1, 3.1, ROBOTS), np.zeros((ROBOTS, 2))]
+    state[:, 3:] = random.uniform(-1.0, 1.0, (ROBOTS, 2)) * random.choice([0.0, 1.0], (ROBOTS, 1))
+    wind = random.uniform(-1.0, 1.0, (2, ROBOTS)) * random.choice([0.0, 1.0], ROBOTS)
+    motion = Motion(wind, random.uniform(1.0, 2.0, ROBOTS), random.uniform(2.0, 3.0, ROBOTS), FASTEST_MANY, 0.02)
+    places, radii = random.uniform(-1.0, 1.0, (ROBOTS, hazards, 2)), random.uniform(0.2, 0.3, (ROBOTS, hazards, 1))
+    return state, ManyStopping(np.concatenate([places, radii], axis=2), motion)
+
+
+def alone(many: ManyStopping, robot: int) -> StoppingBarrier:
+    (one,) = many.one(robot)
+    assert isinstance(one, StoppingBarrier)
+    return one
+
+
+@pytest.mark.parametrize("hazards", [1, 4])
+def test_rooms_ends_and_slopes_are_those_of_each_alone(hazards: int) -> None:
+    state, many = drawn(hazards, hazards)
+    g = np.random.default_rng(9).normal(size=(ROBOTS, 5, 2))
+    assert (many.kinds, len(many)) == ((StoppingBarrier.kind,) * hazards, ROBOTS)
+    (room, end), slopes = many.best(state), many.along(state, g, np.ones(2))
+    ones = [alone(many, robot) for robot in range(ROBOTS)]
+    assert end.tolist() == [one.best_end(own) for one, own in zip(ones, state, strict=True)]
+    assert {*end.tolist()} == {1.0, -1.0}
+    for robot, (one, own) in enumerate(zip(ones, state, strict=True)):
+        h, gradient = one.evaluate(own)
+        np.testing.assert_allclose(room[robot], h, atol=1e-9)
+        np.testing.assert_allclose(slopes[robot], gradient @ g[robot], rtol=1e-6, atol=1e-7)
+    np.testing.assert_array_equal(many.values(state), room)
+
+
+def test_slopes_are_those_of_the_walk_in_plain_numbers() -> None:
+    """Along the actions' directions, an end kept; of robots that move: at rest they bend, and where another step is the
+    nearest."""
+    state, many = drawn(2, 3)
+    g, far = np.random.default_rng(8).normal(size=(ROBOTS, 5, 2)), 1e-5
+    end, slopes, apart = many.best(state)[1], many.along(state, g, np.ones(2)), []
+    for robot in np.flatnonzero(state[:, 3]).tolist():
+        hazards, motion = many.hazards[robot], many.motion_of(robot)
+
+        def rooms(at: Values, hazards: Any = hazards, motion: Motion = motion, robot: int = robot) -> Values:
+            return np.asarray(least_rooms(at, motion, float(end[robot]), hazards[:, :2], hazards[:, 2]))
+
+        for action, along in enumerate(g[robot].T):
+            change = (rooms(state[robot] + far * along) - rooms(state[robot] - far * along)) / (2.0 * far)
+            apart.append(np.abs(change - slopes[robot, :, action]))
+    assert len(apart) > 40
+    assert np.quantile(np.array(apart), 0.9) < 1e-3
+
+
+def test_some_of_them_are_those() -> None:
+    state, many = drawn(3, 2)
+    which = np.array([7, 3, 31])
+    np.testing.assert_allclose(many.only(which).values(state[which]), many.values(state)[which], rtol=0.0, atol=1e-15)
+    for place, robot in enumerate(which):
+        one = alone(many.only(which), place)
+        np.testing.assert_allclose(one.values(state[robot]), many.values(state)[robot], atol=1e-9)
+
+
+def test_without_hazards_there_is_no_room_to_report() -> None:
+    state, many = drawn(4, 0)
+    room, end = many.best(state)
+    assert room.shape == (ROBOTS, 0)
+    assert end.tolist() == [alone(many, robot).best_end(own) for robot, own in enumerate(state)]
+    assert many.along(state, np.zeros((ROBOTS, 5, 2)), np.ones(2)).shape == (ROBOTS, 0, 2)
+
+
+def test_the_nearer_end_is_the_one_that_points_more_to_where_the_robot_has_to_push() -> None:
+    """What has to be pushed: the acceleration that ends the motion in 0.15 s, less what wind and drag do."""
+    random, ends = np.random.default_rng(6), set[float]()
+    for _ in range(200):
+        state = np.r_[random.uniform(-1.0, 1.0, 2), random.uniform(-3.1, 3.1), random.uniform(-1.0, 1.0, 2)]
+        wind, drag = complex(*random.uniform(-3.0, 3.0, 2)), random.uniform(1.0, 9.0)
+        motion = Motion(np.array([wind.real, wind.imag]), drag, 2.9, FASTEST_MANY)
+        velocity = complex(*state[3:])
+        push = -velocity / 0.15 - (wind - drag * velocity)
+        towards = np.angle(push / np.exp(1j * state[2]))
+        found = float(nearer_end(state, motion))
+        assert found == (1.0 if abs(towards) < np.pi / 2 else -1.0)
+        ends.add(found)
+    assert ends == {1.0, -1.0}
+
+
+def test_the_end_that_leaves_more_room_is_taken_though_the_other_one_is_nearer() -> None:
+    state, many = drawn(5, 2)
+    gained = 0
+    for robot in range(ROBOTS):
+        one, hazards, motion = alone(many, robot), many.hazards[robot], many.motion_of(robot)
+        rooms = {end: min(least_rooms(state[robot], motion, end, hazards[:, :2], hazards[:, 2])) for end in (1.0, -1.0)}
+        assert one.values(state[robot]).min() >= max(rooms.values()) - 1e-6
+        gained += rooms[one.best_end(state[robot])] > rooms[float(nearer_end(state[robot], motion))] + 0.01
+    assert gained > 2
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.02, 1.0])
+def test_the_room_is_that_of_the_middle(ahead: float) -> None:
+    motion = Motion(np.zeros(2), 1.0, 2.0, FASTEST_MANY, ahead)
+    path = stopping_path(np.array([[0.5], [0.2], [0.7], [0.0], [0.0]]), motion, np.ones(1))
+    np.testing.assert_allclose(path[:, :, 0], [(0.5 - ahead * np.cos(0.7), 0.2 - ahead * np.sin(0.7))] * len(path))
+
+
+MODEL, SETTINGS = load_model("point_wind"), settings_named("point")
+HAZARDS = ((0.5, 0.0, 0.2), (-0.6, 0.3, 0.2))
+
+
+def message(values: tuple[float, ...], **changed: object) -> StateMessage:
+    told = {
+        "epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "values": values, "applied": (0.0, 0.0),
+        "applied_by": "none", "period": 0.02, "lockstep": True, "goal": (1.0, 1.0), "obstacles": HAZARDS,
+        "field": (), "footprint": (),
+    }  # fmt: skip
+    return StateMessage(**{**told, **changed})
+
+
+def act(robot: PointRobot, action: np.ndarray) -> None:
+    """One tick under an action that the robot's guard accepts."""
+    sent = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=tuple(action.tolist()))
+    assert robot.guard.offer(sent) is None
+    robot.advance()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-7.0, 7.0), st.sampled_from(ENDS.tolist()), st.sampled_from([0.0, 0.02]))
+def test_plain_numbers_walk_the_same_way(seed: int, yaw: float, end: float, ahead: float) -> None:
+    random = np.random.default_rng(seed)
+    state = np.array([*random.uniform(-1, 1, 2), yaw, *random.uniform(-1.5, 1.5, 2)])
+    motion = Motion(random.uniform(-1, 1, 2), 1.9, 2.9, 3.0, ahead)
+    hazards, radii = random.uniform(-1, 1, (5, 2)), np.full(5, 0.2)
+    many = stopping_room(stopping_path(state[:, np.newaxis], motion, np.array([end])), hazards[np.newaxis], radii)[0]
+    np.testing.assert_allclose(least_rooms(state, motion, end, hazards, radii), many, atol=1e-9)
+
+
+def test_the_manoeuvre_is_read_off_the_model() -> None:
+    motion = motion_of(MODEL, np.array([0.7, -1.1]), SETTINGS, 0.02)
+    np.testing.assert_allclose(motion.wind, [0.7, -1.1], atol=1e-4)
+    assert motion.drag == pytest.approx(1.927, rel=1e-4)
+    assert (motion.strongest, motion.fastest) == (pytest.approx(0.015 / 0.005189, rel=1e-4), 3.0)
+
+
+def test_the_backup_holds_the_robot_in_the_wind() -> None:
+    wind = force_towards(0.008, 30.0)
+    robot, scene = PointRobot(wind, seed=4), PointScene(MODEL, SETTINGS)
+    scene.learn(np.array(wind) / robot.task.simulation.body.mass)
+    start = np.array(robot.values[:2])
+    for _ in range(150):
+        assert not isinstance(scene.of(robot.state_message()), str)
+        act(robot, scene.backup(np.array(robot.values)))
+    assert np.linalg.norm(np.array(robot.values[:2]) - start) < 0.25
+    assert np.hypot(*robot.values[3:]) < 0.1
+    assert not robot.collisions
+
+
+@pytest.mark.parametrize(
+    "changed", [{"corridor": (0.0, 1.0)}, {"obstacles": ((0.0, 1.0),)}, {"obstacles": ((np.nan, 0.0, 0.2),)}]
+)
+def test_what_is_no_scene_is_named_and_the_backup_rests(changed: dict) -> None:
+    scene = PointScene(MODEL, SETTINGS)
+    assert "wanted" in scene.of(message((0.0,) * 5, **changed))
+    np.testing.assert_array_equal(scene.backup(None), [0.0, 0.0])
+
+
+def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
+    wind = force_towards(0.008, 135.0)
+    robot, scene = PointRobot(wind, seed=6), PointScene(MODEL, SETTINGS)
+    filter_ = SafetyFilter.for_model(MODEL, SETTINGS, backup=scene.backup)
+    latent = np.array(wind) / robot.task.simulation.body.mass
+    scene.learn(latent)
+    seeker = controller_for(MODEL)()
+    for _ in range(500):
+        state = robot.state_message()
+        wish, _ = seeker.wish(state, latent)
+        verdict = filter_.decide(state.values, wish, latent, barriers=scene.of(state))
+        act(robot, verdict.action)
+    assert robot.goals_reached >= 2
+    assert not robot.collisions
+    robot.advance()
+    assert robot.watchdog_ticks == 1
+
+
+def test_it_is_drawn_as_a_ball_with_a_nose() -> None:
+    entries = body_entries(message((1.0, 2.0, 0.5, 0.0, 0.0)), look_of(MODEL, SETTINGS))
+    shapes = {entry.path: entry.shape for entry in entries}
+    assert set(shapes) == {("world", "nose"), ("world", "ball")}
+    assert shapes["world", "ball"].centres == ((1.0, 2.0),)

@@ -1,11 +1,24 @@
-"""Layouts keep things apart; rewards, costs and observations mean what they say."""
+"""The batched point robot is MuJoCo's; layouts, rewards and observations; the way that its policy is taught."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from safedpa_sim.point.layout import FIELD, draw_goals, draw_layouts
-from safedpa_sim.point.observation import goal_seen, hazard_lidar
+from safedpa.errors import InputError
+from safedpa.safety.stopping_barrier import Motion
+from safedpa_lab.point.world import MujocoPoint
+from safedpa_sim.point.belief import TrueBelief
+from safedpa_sim.point.body import POINT_BODY
+from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.filtering import ETA, PointFilter
+from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, draw_goals, draw_layouts
+from safedpa_sim.point.observation import entries_seen, goal_seen, hazard_lidar, policy_seen
+from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, control_of
+from safedpa_sim.point.way import BERTH, Ways, taught
 
 
 def test_things_lie_apart_within_the_field() -> None:
@@ -34,9 +47,7 @@ def test_lidar_and_compass_turn_with_the_robot() -> None:
     hazards = np.array([[[1.0, 0.0], [0.0, 1.5]]])
     pose = np.array([[0.0], [0.0], [0.0]])
     lidar = hazard_lidar(pose, hazards)[0]
-    assert lidar[0] == pytest.approx(1.0 - 1.0 / 3.0)
-    assert lidar[4] == pytest.approx(0.5)
-    assert lidar[8] == 0.0
+    assert (lidar[0], lidar[4], lidar[8]) == (pytest.approx(1.0 - 1.0 / 3.0), pytest.approx(0.5), 0.0)
     turned = hazard_lidar(pose + np.array([[0.0], [0.0], [np.pi / 2]]), hazards)[0]
     np.testing.assert_allclose(np.roll(turned, 4), lidar, atol=1e-9)
     seen = goal_seen(np.array([[0.0], [0.0], [np.pi / 2]]), np.array([[0.0, 2.0]]))[0]
@@ -93,3 +104,123 @@ def test_paired_robots_meet_the_same_goals_whatever_the_others_do() -> None:
         met.append(goals)
     np.testing.assert_array_equal(*met)
     assert len(np.unique(met[0], axis=0)) == 3
+
+
+def test_the_body_has_the_published_numbers() -> None:
+    model = MujocoPoint().model
+    assert POINT_BODY.mass == pytest.approx(0.005189, abs=1e-6)
+    assert POINT_BODY.centre_ahead == pytest.approx(0.0193, abs=5e-5)
+    assert (POINT_BODY.largest_thrust, POINT_BODY.largest_turn) == (pytest.approx(0.015), pytest.approx(3.0))
+    assert model.body_mass[model.body("robot").id] == pytest.approx(POINT_BODY.mass)
+    assert model.body_ipos[model.body("robot").id][0] == pytest.approx(POINT_BODY.centre_ahead)
+    assert model.opt.timestep == pytest.approx(0.002)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.05, 0.2, 1.0]))
+def test_many_at_once_move_as_mujoco_says(seed: int, thrust_range: float) -> None:
+    random = np.random.default_rng(seed)
+    many, one = PointSimulation(3), MujocoPoint()
+    many.pose[:], many.velocity[:] = random.normal(size=(3, 3)), random.normal(size=(3, 3))
+    many.force[:] = random.uniform(-0.008, 0.008, (2, 3))
+    pose, velocity = many.pose.copy(), many.velocity.copy()
+    controls = random.uniform(-1.0, 1.0, (40, 2, 3)) * np.array([thrust_range, 1.2])[:, None]
+    for control in controls:
+        many.advance(control)
+    for index in range(3):
+        one.put(pose[:, index], velocity[:, index], (many.force[0, index], many.force[1, index]))
+        for control in controls:
+            one.advance(control[:, index])
+        np.testing.assert_allclose(many.pose[:, index], one.pose, atol=1e-9)
+        np.testing.assert_allclose(many.velocity[:, index], one.velocity, atol=1e-9)
+        np.testing.assert_allclose(many.sensors(controls[-1])[:, index], one.sensors(), atol=1e-8)
+
+
+def test_the_turning_servo_does_not_chatter_and_the_thrust_saturates() -> None:
+    robots = PointSimulation(2)
+    rates = []
+    for _ in range(100):
+        robots.advance(np.array([[0.05, 1.0], [1.0, 1.0]]))
+        rates.append(robots.velocity[2].copy())
+    assert np.abs(np.diff(np.array(rates)[20:], 2, axis=0)).max() < 1e-3
+    assert rates[-1] == pytest.approx(POINT_BODY.largest_turn, abs=0.05)
+    np.testing.assert_allclose(robots.pose[:, 0], robots.pose[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("control", [[0.0], [np.nan, 0.0], [0.0, np.inf]])
+def test_controls_that_are_not_finite_are_refused(control: list[float]) -> None:
+    with pytest.raises(InputError, match="two finite numbers"):
+        MujocoPoint().advance(np.array(control))
+
+
+FAR = np.full((7, 2), 9.0) + np.arange(7)[:, None]
+
+
+def _one(middle: tuple[float, float]) -> np.ndarray:
+    return np.concatenate((np.array([middle]), FAR))[np.newaxis]
+
+
+def test_a_free_way_is_straight_and_a_barred_one_goes_around() -> None:
+    ways, place, goal = Ways(1), np.array([[-1.0, 0.0]]), np.array([[1.0, 0.0]])
+    turn, length = ways.first_turns(place, _one((0.0, 1.0)), goal)
+    assert (turn, length) == (pytest.approx(goal), pytest.approx([2.0]))
+    turn, length = ways.first_turns(place, _one((0.0, 0.05)), goal)
+    assert turn[0, 1] < -0.1, "the shorter side"
+    tangents, radius = 2.0 * np.sqrt(1.0 - 0.3**2), HAZARD_RADIUS + BERTH
+    assert tangents < length[0] < 2.0 * np.hypot(1.0, radius + 0.05)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_ways_keep_off_hazards_and_are_never_shorter_than_the_straight_line(seed: int) -> None:
+    task = PointTask(4, seed)
+    place, layout = task.simulation.pose[:2].T, task.layout
+    turn, length = Ways(4).first_turns(place, layout.hazards, layout.goal)
+    assert np.all(length >= np.linalg.norm(layout.goal - place, axis=1) - 1e-5)
+    for share in np.linspace(0.0, 1.0, 21)[:, np.newaxis]:
+        on_it = place + share * (turn - place)
+        assert np.linalg.norm(layout.hazards - on_it[:, np.newaxis], axis=2).min() > HAZARD_RADIUS + 0.005
+
+
+def test_what_is_seen_turns_with_the_world() -> None:
+    task, latent = PointTask(6, 2), np.zeros((6, 2))
+    task.simulation.velocity[:] = np.random.default_rng(0).normal(size=(3, 6))
+    before = policy_seen(task, latent, task.layout.goal)
+    assert before.shape == (6, entries_seen(2))
+    angle = 0.7
+    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    task.simulation.pose[:2], task.simulation.velocity[:2] = (
+        matrix @ part[:2] for part in (task.simulation.pose, task.simulation.velocity)
+    )
+    task.simulation.pose[2] += angle
+    task.layout.goal, task.layout.hazards = (part @ matrix.T for part in (task.layout.goal, task.layout.hazards))
+    assert policy_seen(task, latent, task.layout.goal) == pytest.approx(before, abs=1e-9)
+
+
+def test_the_teacher_pushes_towards_the_turn_and_against_the_wind() -> None:
+    state, motion = np.zeros((2, 5)), Motion(np.array([0.0, 0.0]), 1.93, 2.89, 3.0)
+    ahead = taught(state, np.array([[1.0, 0.0], [0.0, 1.0]]), motion)
+    assert ahead[0] == pytest.approx([1.0, 0.0], abs=1e-9)
+    assert ahead[1, 1] > 0.9
+    against = taught(np.array([[0.0, 0.0, 0.0, 0.9, 0.0]]), np.array([[1.0, 0.0]]), motion)
+    assert against[0, 0] == pytest.approx(0.9 * 1.93 / 2.89)
+
+
+@pytest.mark.long
+def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_next_to_it() -> None:
+    """It pushes itself away where h < epsilon / eta, although by what it believes it stands still."""
+    task = PointTask(1, 0)
+    task.layout.hazards[:] = _one((0.0, 0.0))
+    task.simulation.pose[:, 0] = -(HAZARD_RADIUS + 0.004), 0.0, 0.0
+    task.simulation.force[:, 0] = 0.008, 0.0
+    mistaken = PointSimulation(1)  # the truth but for 0.2 m/s2 of the wind
+    mistaken.force[:, 0] = 0.008 - 0.2 * mistaken.body.mass, 0.0
+    least, shelter, belief = 1.0, PointFilter(0.002), TrueBelief(mistaken)
+    for _ in range(300):
+        state = centre_state(task.simulation)
+        believed = belief.believed(state, np.zeros((1, 0)))
+        action = shelter.decide(state, np.ones((1, 2)), task.layout.hazards, believed).action
+        task.advance(action * np.array([1.0, 0.5]))
+        least = min(least, float(task.hazard_distance()[0]))
+    assert least > 0.0
+    assert float(task.hazard_distance()[0]) > 0.5 * 0.002 / ETA

@@ -117,9 +117,7 @@ def test_the_filter_keeps_straight_drives_from_contact(configuration: Configurat
     )
 
 
-def test_training_is_sheltered_by_the_filter_itself(
-    configuration: Configuration, weights: Weights, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monkeypatch) -> None:
     """Each car gets what ``SafetyFilter`` would give it, with a margin of eta times what the car keeps."""
     asked_of: list[tuple[np.ndarray, ...]] = []
     decide = CarShelter.decide
@@ -150,9 +148,7 @@ def test_training_is_sheltered_by_the_filter_itself(
     assert corrected > CARS / 4
 
 
-def test_progress_is_rewarded_and_contact_costs_the_given_penalty(
-    configuration: Configuration, weights: Weights
-) -> None:
+def test_progress_is_rewarded_and_contact_costs_the_given_penalty(configuration, weights) -> None:
     rewards = {}
     for penalty in (0.0, 7.0):
         driving = Driving(configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), sheltered=False, calm=True)
@@ -192,9 +188,7 @@ def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configu
     assert 2 <= changed[False] <= 30
 
 
-def test_as_an_environment_it_restarts_and_reports_the_last_observation(
-    configuration: Configuration, weights: Weights
-) -> None:
+def test_as_an_environment_it_restarts_and_reports_the_last_observation(configuration, weights) -> None:
     driving = Driving(configuration, weights, 4, 2)
     length = driving.observation().shape[1]
     environment = PracticeEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))

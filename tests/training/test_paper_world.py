@@ -85,9 +85,7 @@ def test_scenes_are_for_the_car_alone(small: Configuration, weights: Weights) ->
     np.testing.assert_array_equal(driving.scene.footprint, np.broadcast_to(BODY, (8, 3)))
 
 
-def test_no_filter_stands_before_an_action_in_any_phase(
-    small: Configuration, weights: Weights, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_filter_stands_before_an_action_in_any_phase(small, weights, monkeypatch) -> None:
     def refused(*_: Any) -> Any:
         raise AssertionError("a stand-in of the filter was asked")
 
@@ -138,9 +136,7 @@ def test_a_body_of_another_length_is_refused(weights: Weights, small: Configurat
         LearnedPolicy(weights.with_tensors(tensors))
 
 
-def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
-    small: Configuration, weights: Weights, brief: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(small, weights, brief, tmp_path, monkeypatch):
     """Three evaluations: the second is the best though the third has more goals, and training is broken off between."""
     told = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
     seen: list[Weights] = []
@@ -161,14 +157,11 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
     with pytest.raises(KeyboardInterrupt):
         train_policy(longer, weights, tmp_path, interrupt)
     made, summary = train_policy(longer, weights, tmp_path)
-    assert len(seen) == 3
-    assert made.digest == seen[1].digest
+    assert (len(seen), made.digest) == (3, seen[1].digest)
     assert [entry["success"] for entry in summary["learning_curve"]] == [0.2, 0.5, 0.9]
 
 
-def test_development_drives_are_not_trained_on(
-    small: Configuration, taught: tuple[Weights, dict[str, Any]], weights: Weights, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_development_drives_are_not_trained_on(small, taught, weights, monkeypatch) -> None:
     """Other seeds: a training begins with its own, or with that and the steps done, whole rollouts of all cars."""
     made: list[tuple[Driving, int]] = []
 
@@ -192,9 +185,7 @@ def test_clean_drives_reach_their_goal_and_touched_nothing(taught: tuple[Weights
     assert evaluate(small, made, cars=4, seed=small.seed) == evaluate(small, made, cars=4, seed=small.seed)
 
 
-def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(tmp_path, monkeypatch) -> None:
     names = [stage.name for stage in stages_of("car", (1.0, 10.0))["ablations"]]
     assert names == ["fix", "mix", "ppo", "rma_p_1", "rma_p_10", "rma_p"]
     assert [stage.name for stage in stages_of("car")["ablations"]] == ["fix", "mix", "rma_p"]
@@ -205,15 +196,13 @@ def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(
     monkeypatch.setattr(stages, "phase_function", lambda *_: lambda _configuration, given, *_rest: (given, {}))
     best = stages_of("car", (1.0, 10.0))["ablations"][-1]
     made, told = best.train(None, None, tmp_path, None, "cpu")  # type: ignore[arg-type]
-    assert made == tmp_path / "car_rma_p_10.safetensors"
-    assert told == {"chosen": "rma_p_10", "scores": scores}
+    assert (made, told) == (tmp_path / "car_rma_p_10.safetensors", {"chosen": "rma_p_10", "scores": scores})
     assert "phi." in best.drops
 
 
 def test_what_was_trained_before_there_was_a_choice_is_still_of_today() -> None:
     today = load_configuration("car")
-    assert today.practice == Practising()
-    assert today.digest("phase_1b", "practice") == today.digest("phase_1b")
+    assert (today.practice, today.digest("phase_1b", "practice")) == (Practising(), today.digest("phase_1b"))
     other = replace(today, practice=replace(today.practice, shelter=False))
     assert other.digest("phase_1b", "practice") != today.digest("phase_1b")
 

@@ -105,12 +105,9 @@ def test_another_unit_of_the_latent_changes_no_prediction(trained: tuple[Weights
 
 def test_the_description_says_what_it_was_trained_on(trained: tuple[Weights, dict[str, Any]]) -> None:
     described = trained[0].description
-    assert [entry.path for entry in described.environment] == [
-        "constant_force.ax", "constant_force.ay", "towed_load.mass_ratio", "towed_load.deceleration",
-    ]  # fmt: skip
+    assert [entry.path for entry in described.environment] == list(SMALL.environment)
     assert (described.environment[2].low, described.environment[2].high) == (0.0, 1.6)
-    assert described.trained_on["pairs"] == 147 * 1024
-    assert described.trained_on["seed"] == 0
+    assert (described.trained_on["pairs"], described.trained_on["seed"]) == (147 * 1024, 0)
     assert described.trained_on["configuration"]["phase_1a"]["hidden"] == 64
 
 
@@ -196,14 +193,8 @@ def test_what_is_not_affine_is_the_servos_limit() -> None:
     cars = BatchedCars(SMALL)
     parameter = "base.acceleration_limit"
     limited = float(affine_floor(cars, cars.generator(0), 200)[3])
-    free = BatchedCars(
-        replace(
-            SMALL,
-            simulator=SMALL.simulator.with_settings(
-                {parameter: replace(SMALL.simulator.settings[parameter], value=50.0)}
-            ),
-        )
-    )
+    unlimited = {parameter: replace(SMALL.simulator.settings[parameter], value=50.0)}
+    free = BatchedCars(replace(SMALL, simulator=SMALL.simulator.with_settings(unlimited)))
     assert 0.004 < limited < 0.015
     assert float(affine_floor(free, free.generator(0), 200)[3]) < 1e-4
 

@@ -82,9 +82,7 @@ def test_it_reports_progress_and_leaves_everything_else_as_it_was(weights: Weigh
     }
 
 
-def test_the_same_seed_gives_the_same_policy_and_nothing_is_left_elsewhere(
-    weights: Weights, short: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_seed_gives_the_same_policy_and_nothing_is_left_elsewhere(weights, short, tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
@@ -108,9 +106,7 @@ def test_interrupted_it_goes_on_from_the_last_evaluation(weights: Weights, tmp_p
     assert [entry["steps"] for entry in summary["learning_curve"]] == [512, 1024]
 
 
-def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_refused(
-    weights: Weights, tmp_path: Path
-) -> None:
+def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_refused(weights, tmp_path) -> None:
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
@@ -123,9 +119,7 @@ def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_r
         train_policy(SHORT, weights, tmp_path, **ALONE)
 
 
-def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(
-    weights: Weights, short: Any, tmp_path: Path
-) -> None:
+def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(weights, short, tmp_path) -> None:
     made, summary = trained(SHORT, weights, tmp_path, name="rma_p", penalty=10.0, sheltered=False)
     assert summary["told"][0][0] == "rma_p"
     assert made.digest != short[0].digest

@@ -1,14 +1,27 @@
-"""The batched simulator is the model that people read: same equations, many robots, single precision."""
+"""The batched simulator is the model that people read; its configurations, also of what was diagnosed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as some
 
-from safedpa_sim.training.configuration import Configuration, configurations, load_configuration, parse_configuration
+from safedpa.dynamics import load_model, parse_model
+from safedpa.errors import InputError
+from safedpa.networks import load_weights
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.training.configuration import (
+    Configuration,
+    configurations,
+    load_configuration,
+    parse_configuration,
+    with_diagnosed,
+)
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import draw_transitions, scales
 
@@ -102,12 +115,8 @@ def test_scales_make_numbers_of_size_one() -> None:
 
 
 def test_any_effect_of_the_library_can_be_named_and_one_that_remembers_does() -> None:
-    cars = BatchedCars(
-        changed(
-            "[environment.towed_load]",
-            "[environment.steering_lag]\ntime_constant = [0.05, 0.2]\n[environment.towed_load]",
-        )
-    )
+    lag = "[environment.steering_lag]\ntime_constant = [0.05, 0.2]\n[environment.towed_load]"
+    cars = BatchedCars(changed("[environment.towed_load]", lag))
     assert "steering_lag.time_constant" in [entry.path for entry in cars.entries]
     assert cars.remembers
     assert not CARS.remembers
@@ -127,8 +136,7 @@ def test_a_parameter_of_the_base_can_be_randomised() -> None:
     cars = BatchedCars(
         changed("[environment.towed_load]", "[environment.base]\nspeed_gain = [3.0, 6.0]\n[environment.towed_load]")
     )
-    assert cars.entries[0].path == "base.speed_gain"
-    assert float(cars.nominal[0]) == 4.0
+    assert (cars.entries[0].path, float(cars.nominal[0])) == ("base.speed_gain", 4.0)
     assert float(cars.draw_environments(1000, cars.generator(0))[:, 0].std()) > 0.5
 
 
@@ -137,3 +145,185 @@ def test_a_simulator_file_is_found_next_to_its_configuration(tmp_path: Path) -> 
     for name in ("car.toml", "published_car.toml"):
         (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8"), encoding="utf-8")
     assert load_configuration(tmp_path / "car.toml").digest("phase_1a") == load_configuration("car").digest("phase_1a")
+
+
+PATH = configurations()["car"]
+TEXT = PATH.read_text(encoding="utf-8")
+
+
+FORCE, WIND = {"constant_force.ax", "constant_force.ay"}, {"wind.speed", "wind.upward"}
+LOADED = {*FORCE, "towed_load.mass_ratio", "towed_load.deceleration"}
+RANDOMISED = {
+    **dict.fromkeys(("car", "car_small"), LOADED),
+    **dict.fromkeys(("car_paper", "car_paper_small", "point", "point_small"), FORCE),
+    **dict.fromkeys(("pendulum", "pendulum_small"), WIND),
+}
+
+
+@pytest.mark.parametrize("name", sorted(configurations()))
+def test_every_configuration_that_ships_can_be_read_by_its_name(name: str) -> None:
+    table = load_configuration(name).as_table()
+    randomised = table["environment"]
+    assert all(low < high for low, high in randomised.values())
+    assert randomised.keys() == RANDOMISED[name]
+    if "towed_load.mass_ratio" in randomised:
+        assert randomised["towed_load.mass_ratio"][0] == 0.0
+    assert load_configuration(f"{name}.toml").as_table() == table
+
+
+MISTAKES = [
+    ("seed = 0", "sed = 0", "sed: unknown key; did you mean 'seed'?"),
+    ("seed = 0", "seed = -1", "seed: got -1, wanted 0 to inf"),
+    ("seed = 0", "seed = 0.5", "seed: got 0.5, wanted a value of type int"),
+    ("seed = 0", "seed = true", "seed: got True, wanted a value of type int"),
+    ("history = 52", "history = 20", "history: got 20, wanted 36 to 1000"),
+    ("absent = 0.2", "absent = 1.2", "absent: got 1.2, wanted 0 to 1"),
+    ('"published_car.toml"', "3", "simulator: got 3, wanted the path of a model file"),
+    ("speed = [-0.8, 2.3]", "sped = [-0.8, 2.3]", "state.sped: unknown key; did you mean 'speed'?"),
+    ("speed = [-0.8, 2.3]", "speed = [2.3, -0.8]", "state.speed: got [2.3, -0.8], wanted [low, high] with low < high"),
+    ("speed = [-0.8, 2.3]", "speed = 2.3", "state.speed: got 2.3, wanted [low, high]"),
+    ("speed = [-0.8, 2.3]", "speed = [nan, 2.3]", "state.speed: got nan, wanted a finite number"),
+    ("steer = [-0.34, 0.34]", "", "action.steer: missing; give its range as [low, high]"),
+    ("[environment.towed_load]", "[environment.towed_lod]", "environment.towed_lod: effect 'towed_lod' is not known"),
+    ("mass_ratio =", "mass_ration =", "environment.towed_load.mass_ration: unknown key; did you mean 'mass_ratio'?"),
+    ("[0.0, 1.6]", "[0.0, 16.0]", "environment.towed_load.mass_ratio: got 0 to 16, wanted within 0 to 5 (no unit)"),
+    ("[phase_1a]", "[phase_1]", "phase_1: unknown key; did you mean"),
+    ("pairs = 20_000_000", 'pairs = "many"', "phase_1a.pairs: got 'many', wanted a value of type int"),
+    ("pairs = 20_000_000", "pairs = 0", "phase_1a.pairs: got 0, wanted 1 to inf"),
+    ("pairs = 20_000_000", "pair = 1", "phase_1a.pair: unknown key; did you mean 'pairs'?"),
+    ("[phase_1a]", "[phase_1a", "not TOML: "),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "message"), MISTAKES, ids=[mistake[2][:40] for mistake in MISTAKES])
+def test_a_mistake_gets_one_line_that_names_the_key(good: str, bad: str, message: str) -> None:
+    assert good in TEXT
+    with pytest.raises(InputError) as caught:
+        parse_configuration(TEXT.replace(good, bad, 1), PATH.parent)
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_names_those_that_ship() -> None:
+    with pytest.raises(InputError, match=r"boat: cannot be read .* or one of car, car_paper"):
+        load_configuration("boat")
+
+
+def test_a_whole_number_serves_as_a_decimal() -> None:
+    assert parse_configuration(TEXT.replace("absent = 0.2", "absent = 0"), PATH.parent).absent == 0.0
+
+
+def test_the_digest_depends_on_what_decides_a_phase_and_nothing_else() -> None:
+    car = load_configuration("car")
+    more = replace(car, ablations=replace(car.ablations, pairs=7))
+    assert more.digest("phase_1a") == car.digest("phase_1a")
+    assert more.digest("phase_1a", "ablations") != car.digest("phase_1a", "ablations")
+    assert replace(car, seed=1).digest("phase_1a") != car.digest("phase_1a")
+    longer = replace(car, history=68)
+    assert longer.digest("phase_1a", "phase_1b") == car.digest("phase_1a", "phase_1b")
+    assert longer.digest("phase_1a", "phase_2") != car.digest("phase_1a", "phase_2")
+    other = parse_configuration(TEXT.replace("[0.0, 1.6]", "[0.0, 1.5]"), PATH.parent)
+    assert other.digest() != car.digest()
+
+
+torch_fast_simulator = pytest.importorskip("torch")
+
+
+@given(some.sampled_from(("car", "pendulum")), some.integers(0, 2**31 - 1), some.sampled_from((1, 7, 500, 8193)))
+@settings(max_examples=20)
+def test_arrays_and_tensors_agree(name, seed, count):
+    """In single precision: to 1e-6 of each entry's size, and over the border between two blocks."""
+    robots = BatchedCars(load_configuration(name))
+    assert robots.model.straight_arrays(robots.model.period) is not None, "the fast way is what is tested"
+    draw = robots.generator(seed)
+    environment, state = robots.draw_environments(count, draw), robots.draw_states(count, draw)
+    action = robots.draw_actions(count, draw)
+    ours = robots.advance(state, action, environment, robots.settled(action, environment))[0]
+    memory = robots.model.initial_memory(action, environment)
+    reference = robots.model.advance(state.double(), action.double(), memory, environment.double())[0].numpy()
+    assert ours.dtype == torch_fast_simulator.float32
+    assert (np.abs(ours.numpy() - reference) / np.maximum(np.abs(reference), 1.0)).max() < 2e-6
+
+
+def test_gradients_are_computed_on_tensors():
+    robots = BatchedCars(load_configuration("car"))
+    draw = robots.generator(1)
+    environment, state = robots.draw_environments(5, draw), robots.draw_states(5, draw)
+    action = robots.draw_actions(5, draw).requires_grad_()
+    robots.advance(state, action, environment)[0].sum().backward()
+    assert action.grad is not None
+    assert torch_fast_simulator.isfinite(action.grad).all()
+
+
+def test_actuators_that_remember_have_no_straight_line():
+    from safedpa.effects.library import effect
+
+    lagged = load_model("car").with_effect(effect("car", "steering_lag"), {})
+    assert lagged.straight_arrays(lagged.period) is None
+    assert load_model("car_learned").straight_arrays(0.05) is None
+
+
+FOUND = """format = 1
+robot = "car"
+period = 0.02
+[base]
+kind = "kinematic_bicycle"
+drive = "speed_servo"
+wheelbase = 0.32
+speed_gain = { value = 3.1, free = true }
+acceleration_limit = 6.0
+[[effects]]
+name = "quadratic_drag"
+coefficient = 0.12
+[[effects]]
+name = "speed_command_gain"
+gain = 0.8
+[[effects]]
+name = "towed_load"
+mass_ratio = 0.5
+deceleration = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def configuration():
+    return with_diagnosed(load_configuration("car_small"), parse_model(FOUND))
+
+
+def test_effects_are_drawn_about_the_value_that_was_found(configuration):
+    assert configuration.environment["quadratic_drag.coefficient"] == pytest.approx((0.06, 0.18))
+    assert configuration.environment["speed_command_gain.gain"] == pytest.approx((0.7, 0.9))
+    given = load_configuration("car_small").environment
+    assert configuration.environment["towed_load.mass_ratio"] == given["towed_load.mass_ratio"]
+    assert set(given) < set(configuration.environment)
+
+
+def test_the_simulator_is_the_diagnosed_model_at_the_period_of_the_configuration(configuration):
+    assert configuration.simulator.period == load_configuration("car_small").simulator.period
+    cars = BatchedCars(configuration)
+    values = {path: setting.value for path, setting in cars.model.settings.items()}
+    assert (values["base.speed_gain"], values["base.wheelbase"]) == (3.1, 0.32)
+    names = [entry.path for entry in cars.entries]
+    drawn = cars.draw_environments(2000, cars.generator(1))[:, names.index("quadratic_drag.coefficient")]
+    acting = drawn[drawn > 0.0]
+    assert 0.15 < (drawn == 0.0).float().mean() < 0.25
+    assert 0.06 <= acting.min() < 0.07
+    assert 0.17 < acting.max() <= 0.18
+
+
+def test_the_command_trains_weights_that_know_the_effect(tmp_path, capsys):
+    torch.set_num_threads(1)
+    path = tmp_path / "model.toml"
+    path.write_text(FOUND, encoding="utf-8")
+    out = str(tmp_path / "learned")
+    few = ["train", "car", "--small", "--pairs", "4096", "--phases", "1a"]
+    assert safedpa.run([*few, "--model", str(path), "--out", out, "--json"]) == 0
+    capsys.readouterr()
+    entries = load_weights(tmp_path / "learned" / "car_simulated.safetensors").description.environment
+    assert "quadratic_drag.coefficient" in {entry.path for entry in entries}
+
+
+@pytest.mark.parametrize(("name", "message"), [("car_learned", "wanted physics"), ("dart_car", "throttle")])
+def test_models_that_cannot_be_trained_on_are_refused(name, message):
+    with pytest.raises(InputError, match=message):
+        with_diagnosed(load_configuration("car_small"), load_model(name))

@@ -1,4 +1,4 @@
-"""``safedpa train``: phases in order, what is there is not made again, mistakes get one line."""
+"""``safedpa train``: phases in order, what is there is not made again, own robots, one line for a mistake."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 import torch
 
-from safedpa.dynamics import load_model
+from safedpa.dynamics import LearnedBase, load_model
 from safedpa.networks import Weights, load_weights
+from safedpa.robot import forget_robot
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.training import stages
 from safedpa_sim.training.configuration import load_configuration
@@ -36,9 +37,7 @@ def trained(capsys: pytest.CaptureFixture[str], out: Path, *more: str) -> dict[s
 
 def test_it_leaves_a_model_that_every_command_takes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     record = trained(capsys, tmp_path / "new" / "car")
-    assert record["file"] == "car_simulated.safetensors"
-    assert record["pairs"] == 4096
-    assert len(record["explained"]) == 4
+    assert (record["file"], record["pairs"], len(record["explained"])) == ("car_simulated.safetensors", 4096, 4)
     model = load_model(tmp_path / "new" / "car" / "car_simulated.toml")
     assert model.latent_names == ("base.latent_0", "base.latent_1", "base.latent_2", "base.latent_3")
     kept = json.loads((tmp_path / "new" / "car" / "progress.json").read_text())["1a"]
@@ -83,26 +82,11 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("options", "message"), MISTAKES, ids=[" ".join(item[0]) for item in MISTAKES])
-def test_a_mistake_gets_one_line(
-    options: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_mistake_gets_one_line(options, message, capsys, tmp_path) -> None:
     code, printed, error = run(capsys, *FEW, "--out", str(tmp_path / "out"), *options)
     assert (code, printed) == (2, "")
     assert error.startswith(f"safedpa: {message}")
     assert error.count("\n") == 1
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_a_missing_cuda_device_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    code, _, error = run(capsys, *FEW, "--out", str(tmp_path), "--device", "cuda")
-    assert code == 2
-    assert "torch finds no CUDA device here" in error
-
-
-def test_a_boat_cannot_be_trained(capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, error = run(capsys, "train", "boat")
-    assert code == 2
-    assert "robot 'boat': known: car, differential_drive, pendulum, point" in error
 
 
 def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -157,3 +141,46 @@ def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypa
     run_pipeline(longer, tmp_path, ("1b",))
     assert calls == ["policy mu"]
     assert not load_weights(tmp_path / "car_simulated.safetensors").has("phi")
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "cleaner"
+OWN = [
+    "train", "cleaner", "--robot-file", str(EXAMPLE / "cleaner.py"),
+    "--configuration", str(EXAMPLE / "learned.toml"), "--json",
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _strangers_leave():
+    torch.set_num_threads(1)
+    yield
+    forget_robot("cleaner")
+
+
+@pytest.mark.long
+def test_an_own_robot_learns_what_it_is_and_in_what_it_drives(capsys, tmp_path) -> None:
+    code = safedpa.run([*OWN, "--out", str(tmp_path)])
+    printed = capsys.readouterr()
+    assert (code, printed.err) == (0, "")
+    records = json.loads(printed.out)
+    assert set(records) == {"1a", "2"}
+    ahead, _, turned = records["1a"]["explained"]  # aside it hardly moves
+    assert min(ahead, turned) > 0.98
+    assert min(records["2"]["explained"]) > 0.3
+    model = load_model(tmp_path / "cleaner_learned.toml")
+    assert isinstance(model.base, LearnedBase)
+    assert model.base.weights.has("phi")
+
+
+def test_what_is_missing_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for arguments, told in (
+        ([*OWN, "--phases", "1b"], "1b"),
+        (["train", "cleane", *OWN[2:4]], "did you mean 'cleaner'"),
+        (["train", "cleaner", *OWN[2:4]], "wanted a configuration"),
+        (["train", "drone"], "--robot-file FILE.py loads one of your own"),
+    ):
+        code = safedpa.run([*arguments, "--out", str(tmp_path)])
+        error = capsys.readouterr().err
+        assert code == 2
+        assert told in error
+        assert len(error.strip().splitlines()) == 1

@@ -1,14 +1,19 @@
-"""Runs that cannot tune a model are refused, with the reason and what to do."""
+"""Circles without load show what tuning needs; runs that cannot tune a model are refused with the reason."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from safedpa.dynamics import PhysicsModel
+from safedpa.effects import AbstractEffect, effect
 from safedpa.errors import InputError
 from safedpa.records import Run, Stretch, write_csv
 from safedpa.robots.car.system import CAR
-from safedpa_sim.training.tuning_data import HORIZON, drives_of, load_tuning_runs, record_circles, split
+from safedpa_sim.training.configuration import load_configuration
+from safedpa_sim.training.grounded_simulator import ground_simulator, grounded_configuration
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.tuning_data import HORIZON, PERIOD, drives_of, load_tuning_runs, record_circles, split
 
 HISTORY = 36
 
@@ -63,14 +68,13 @@ def test_a_gap_in_the_middle_leaves_two_short_ones(circles, weights):
         drives_of([broken], weights)
 
 
-def still(values):
-    return 0.0 * values + 0.1
-
-
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        *(({signal: still}, f"{signal} hardly changes") for signal in (*CAR.action_names, "speed")),
+        *(
+            ({signal: lambda values: 0.0 * values + 0.1}, f"{signal} hardly changes")
+            for signal in (*CAR.action_names, "speed")
+        ),
         ({"t": lambda t: 2.0 * t}, r"a row every 0\.1 s, wanted every 0\.05 s"),
         ({"t": lambda t: t + 0.02 * (np.arange(len(t)) % 2)}, "wanted e"),
         ({"steer": lambda steer: 3.0 * np.sign(steer)}, r"steer from .* the range trained on \(\d+ % of the rows"),
@@ -115,3 +119,72 @@ def test_a_single_run_too_short_to_be_divided_is_refused(circles, weights):
     drives = drives_of([shortened(circles[0], 2 * (HISTORY + HORIZON))], weights)
     with pytest.raises(InputError, match="one part to tune on and one to judge by"):
         split(drives, HISTORY)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return record_circles(2000, seed=3, run_pairs=1000)
+
+
+def test_as_many_pairs_as_asked_for_in_runs_of_one_length(runs):
+    assert ([len(run.t) - 1 for run in runs], runs[0].period) == ([1000, 1000], pytest.approx(PERIOD))
+
+
+def test_the_same_seed_gives_the_same_runs_and_another_one_others(runs):
+    again, other = record_circles(1000, 3, 1000)[0], record_circles(1000, 4, 1000)[0]
+    assert np.array_equal(again.states, runs[0].states)
+    assert not np.array_equal(other.states, runs[0].states)
+
+
+def test_commands_are_held_for_one_to_three_seconds(runs):
+    changes = np.flatnonzero(np.any(np.diff(runs[0].actions, axis=0) != 0.0, axis=1))
+    holds = np.diff(changes) * PERIOD
+    assert holds.min() >= 1.0 - 1e-9
+    assert holds.max() <= 3.0 + 1e-9
+
+
+def test_commands_cover_the_range_and_the_car_follows_them_late(runs):
+    run = runs[0]
+    assert run.actions[:, 0].min() < -0.3
+    assert run.actions[:, 0].max() > 1.5
+    assert np.abs(run.actions[:, 1]).max() > 0.3
+    error = np.abs(run.states[1:, 3] - run.actions[:-1, 0])
+    changes = np.flatnonzero(np.abs(np.diff(run.actions[:, 0])) > 0.5)
+    assert np.mean(error[changes + 1]) > 3.0 * np.mean(error[changes - 1])
+
+
+def test_nothing_to_record_is_refused():
+    with pytest.raises(InputError, match="0 pairs"):
+        record_circles(0, 1)
+
+
+NEAREST = ("steering_lag", "steering_delay", "actuator_delay", "rolling_resistance", "understeer", "quadratic_drag")
+"""Of the library, what the pymunk car has or what is easily taken for it: the rest takes time and is not added."""
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_corrected_simulator_predicts_the_real_car(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = [effect("car", name) for name in (*NEAREST, "towed_load")]
+
+    def without(model: PhysicsModel) -> list[AbstractEffect]:
+        return [item for item in library if item.name not in {own.name for own in model.effects}]
+
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", without)
+    configuration = load_configuration("car_small")
+    grounded = ground_simulator(configuration, record_circles(900, seed=3, run_pairs=300))
+    errors = grounded.summary()["heldout_error"]
+    assert errors[-1] < 0.35 * errors[0]
+    late_steering = {"steering_lag", "steering_delay", "actuator_delay"}
+    assert late_steering & set(grounded.report.added)
+    assert "towed_load" not in grounded.report.added
+    assert not grounded.model.latent_names  # every parameter is fixed: training draws its own
+    cars = BatchedCars(grounded_configuration(configuration, grounded))
+    assert [entry.path for entry in cars.entries] == list(configuration.environment)
+    assert cars.remembers
+
+
+def test_runs_without_information_are_refused() -> None:
+    configuration = load_configuration("car_small")
+    with pytest.raises(InputError, match="say nothing about the simulator"):
+        ground_simulator(configuration, record_circles(60, seed=3, run_pairs=60))

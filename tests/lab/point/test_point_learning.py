@@ -85,9 +85,7 @@ def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest
 
 
 @pytest.mark.long
-def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(
-    short: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(short, monkeypatch) -> None:
     wishes: list[NDArray[Any]] = []
     changed: list[NDArray[Any]] = []
     safe = WindyShield.safe
@@ -158,9 +156,7 @@ def test_each_episode_has_a_wind_of_full_force_towards_one_of_the_directions() -
 
 
 @pytest.mark.parametrize(("start", "moves"), [("shipped", False), ("nothing", True)])
-def test_a_trained_policy_stays_as_it_is_while_its_critic_is_learned(
-    start: str, moves: bool, short: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trained_policy_stays_as_it_is_while_its_critic_is_learned(start, moves, short, monkeypatch) -> None:
     kept: list[dict[str, NDArray[np.float32]]] = []
 
     def policy(*given: Any) -> BaselinePolicy:
@@ -193,9 +189,7 @@ def test_an_experiment_that_was_cut_off_comes_to_the_same(short: None, tmp_path:
 
 
 @pytest.mark.long
-def test_the_small_experiment_from_the_command_line(
-    short: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_small_experiment_from_the_command_line(short, tmp_path, capsys) -> None:
     words = ["--quick", "--starts", "careless", "--out", str(tmp_path), "--json"]
     assert safedpa.run(["experiment", "point-learning", *words]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -252,16 +246,12 @@ def test_the_margin_is_the_one_that_the_experiment_of_the_page_measured() -> Non
 @pytest.mark.parametrize(
     ("given", "wanted"),
     [
-        ({"starts": ("shiped",)}, "did you mean 'shipped'"),
-        ({"starts": ()}, "one or more"),
-        ({"seeds": (1, 1)}, "none of them twice"),
-        ({"seeds": (50,)}, "from 0 to 49"),
-        ({"robots": 15}, "16 or more"),
-        ({"steps": 0}, "1 or more"),
-        ({"margin": float("nan")}, "0 or more"),
+        ({"starts": ("shiped",)}, "did you mean 'shipped'"), ({"starts": ()}, "one or more"),
+        ({"seeds": (1, 1)}, "none of them twice"), ({"seeds": (50,)}, "from 0 to 49"), ({"robots": 15}, "16 or more"),
+        ({"steps": 0}, "1 or more"), ({"margin": float("nan")}, "0 or more"),
         ({"seed": 99_990}, "seeds for evaluation"),
     ],
-)
+)  # fmt: skip
 def test_what_makes_no_experiment_is_refused(given: dict[str, Any], wanted: str) -> None:
     with pytest.raises(InputError, match=wanted):
         PointLearning(**given)

@@ -1,4 +1,6 @@
-"""What the baselines' training is made of: the Fisher matrix, the constrained step, files that are left alone."""
+"""Baselines' training: what policies are told, the constrained step, the multiplier, files that are left alone."""
+
+from __future__ import annotations
 
 import tempfile
 from pathlib import Path
@@ -19,10 +21,19 @@ from safedpa_lab.point import baselines, constrained, fisher
 from safedpa_lab.point.baseline_set import baseline_named, baselines_in, seeds_of, train_baselines
 from safedpa_lab.point.baselines import algorithm_of, evaluate_policy
 from safedpa_lab.point.constrained import constrained_step
+from safedpa_lab.point.drivers import Wheel, driver_of
+from safedpa_lab.point.inputs import OBSERVATION_SCALE, WayAhead, entries_of, inputs_of
+from safedpa_lab.point.methods import METHODS
+from safedpa_lab.point.multiplier import STANDING_STILL, Multiplier
 from safedpa_lab.point.plan import Plan, score
 from safedpa_lab.point.policy_file import BaselinePolicy
+from safedpa_lab.point.shield import shield_of
 from safedpa_lab.point.vector_environment import PointEnvironment
+from safedpa_lab.point.weights import weights_named
+from safedpa_sim.point.body_steps import actions_of, controls_of
+from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.way import Ways
 
 
 def environment_of(plan: Plan) -> PointEnvironment:
@@ -86,9 +97,7 @@ def processor_seconds_of_driving(steps: int) -> float:
 
 
 @pytest.mark.long
-def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(tmp_path, tmp_path_factory, monkeypatch):
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
     few = PointTask(16, 0)
@@ -115,9 +124,7 @@ def test_a_baseline_that_is_there_stays_as_it_is_and_nothing_is_left_elsewhere(
 
 @pytest.mark.parametrize("known", [[], [30.0, 40.0]])
 @pytest.mark.parametrize("limit", [0.0, 36.0])
-def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(
-    known: list[float], limit: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(known, limit, monkeypatch) -> None:
     """By the episodes that ended last, or else by the steps of the rollout."""
     asked: list[float] = []
 
@@ -132,8 +139,7 @@ def test_the_excess_is_ten_times_the_cost_of_a_step_over_its_limit(
     environment.costs.extend(known)
     algorithm.learn(1, lambda *_: algorithm.recent_costs.append(environment.cost.copy()) is None)
     mean = 0.035 if known else environment.paid / environment.stepped
-    assert environment.stepped == 2048
-    assert asked == pytest.approx([10.0 * (mean - limit / 1000.0)])
+    assert (environment.stepped, asked) == (2048, pytest.approx([10.0 * (mean - limit / 1000.0)]))
 
 
 def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
@@ -141,8 +147,7 @@ def test_the_kept_policy_is_the_one_with_the_best_return_and_cost() -> None:
     safe, quick = {"reward": 9.0, "cost": 2.0}, {"reward": 12.0, "cost": 30.0}
     assert score("ppo_lagrangian", safe, 1.0) == pytest.approx(8.0)
     assert score("ppo_lagrangian", safe, 25.0) == pytest.approx(9.0)
-    assert score("cpo", quick, 25.0) == pytest.approx(7.0)
-    assert score("trpo", quick, 1.0) == pytest.approx(12.0)
+    assert (score("cpo", quick, 25.0), score("trpo", quick, 1.0)) == (pytest.approx(7.0), pytest.approx(12.0))
 
 
 @pytest.mark.long
@@ -165,3 +170,140 @@ def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, mo
     assert told.rstrip().endswith("| 3 |")
     scores = {row[0]: row[3] for row in account["compared"]}
     assert scores[account["chosen"]["steps"]] == max(scores.values())
+
+
+FORCE = 0.008
+
+
+def _task(count: int, seed: int) -> PointTask:
+    task = PointTask(count, seed, largest_force=FORCE, paired=True)
+    task.simulation.force[:] = FORCE * np.array([[0.6], [-0.8]])
+    return task
+
+
+def test_equal_inputs_are_those_of_safedpas_own_policy() -> None:
+    """One road: the inputs, of the motors' controls. The other: shield, histories, ways and scales, one by one."""
+    task, weights = _task(6, 3), weights_named("learned")
+    inputs, shield, ways = inputs_of("equal", task), shield_of("none", task), Ways(6)
+    random = np.random.default_rng(0)
+    for _ in range(70):
+        seen, latent = inputs.see(), shield.see(task)
+        turn, _ = ways.first_turns(task.simulation.pose[:2].T, task.layout.hazards, task.layout.goal)
+        other = (policy_seen(task, latent, turn) - weights["observation_middle"]) / weights["observation_scale"]
+        np.testing.assert_allclose(seen, other.clip(-10.0, 10.0), atol=1e-4)
+        chosen = shield.act(task, random.uniform(-1.0, 1.0, (6, 2)))
+        task.advance(chosen.action)
+    assert np.abs(latent).max() > 0.1, "the wind is known by now"
+
+
+def test_each_kind_has_its_entries_and_the_lidar_is_the_benchmarks() -> None:
+    task = _task(3, 1)
+    for kind, size in (("lidar", 31), ("latent", 37), ("equal", 43)):
+        assert entries_of(kind) == inputs_of(kind, task).see().shape[1] == size
+    np.testing.assert_allclose(inputs_of("lidar", task).see(), task.observation() / OBSERVATION_SCALE, rtol=1e-6)
+
+
+def test_robots_that_begin_again_know_nothing_of_their_wind() -> None:
+    task = _task(4, 5)
+    inputs, fresh = inputs_of("latent", task), inputs_of("latent", _task(4, 5)).see()[:, -2:]
+    for _ in range(60):
+        seen = inputs.see()
+        task.advance(np.full((4, 2), 0.3))
+    assert np.abs(seen[:, -2:] - fresh).min() > 1e-3
+    inputs.reset(np.array([1, 2]))
+    task.restart(np.array([1, 2]))
+    later = inputs.see()[:, -2:]
+    np.testing.assert_allclose(later[1:3], fresh[1:3], atol=1e-5)
+    assert np.abs(later[[0, 3]] - fresh[[0, 3]]).min() > 1e-3
+
+
+def test_motors_do_no_more_than_they_can_whatever_the_control() -> None:
+    action = np.array([[0.015, 3.0], [-0.006, -1.2]])
+    np.testing.assert_allclose(actions_of(controls_of(action)), action, rtol=1e-9)
+    np.testing.assert_allclose(actions_of(np.array([[1.0], [1.0]])), [[0.015, 3.0]], rtol=1e-9)
+
+
+def test_what_is_gained_along_the_way_adds_up_to_its_length() -> None:
+    """Straight on where nothing is between: as much as the benchmark's reward; a goal counts 1."""
+    task = PointTask(40, 2)
+    way = WayAhead(task)
+    straight = np.linalg.norm(way.turn - task.layout.goal, axis=1) < 1e-5
+    before = way.left.copy()
+    stepped = task.advance(np.tile([1.0, 0.0], (40, 1)))
+    gained = way.gained(stepped.reached)
+    still = straight & (np.linalg.norm(way.turn - task.layout.goal, axis=1) < 1e-5) & ~stepped.reached
+    assert still.sum() > 5
+    np.testing.assert_allclose(gained[still], stepped.reward[still], atol=1e-5)
+    np.testing.assert_allclose(gained[~stepped.reached], (before - way.left)[~stepped.reached], atol=1e-6)
+
+
+@pytest.mark.long
+def test_in_training_the_filter_takes_over_when_it_is_time() -> None:
+    """Reckless robots that start beside hazards pay without it, and nothing with it."""
+    paid = {}
+    for filtered in (False, True):
+        environment = PointEnvironment(PointTask(4, 4), 4, "latent")
+        environment.filtered = filtered
+        environment.reset()
+        for _ in range(60):
+            environment.step(np.tile(np.float32([1.0, 0.1]), (4, 1)))
+        paid[filtered] = environment.paid
+    assert paid[True] == 0.0
+    assert paid[False] > 5.0
+    assert environment.episode_cost == 0.0
+
+
+def _rollouts(plan: Plan, episode_costs: list[float], returns: float) -> list[float]:
+    """The weights after rollouts of such costs, while episodes gain ``returns``."""
+    environment = PointEnvironment(PointTask(2, 0))
+    environment.returns.append(returns)
+    multiplier, weights = Multiplier(environment, plan, rate=0.01), []
+    for cost in episode_costs:
+        multiplier.on_rollout_start()
+        environment.paid, environment.stepped = 5.0 * cost, 5_000
+        multiplier.on_rollout_end()
+        weights.append(environment.weight)
+    return weights
+
+
+def test_the_integral_grows_with_the_excess_and_never_below_nothing() -> None:
+    plan = Plan(limit=25.0, multiplier="integral")
+    assert _rollouts(plan, [35.0, 35.0, 5.0, 5.0], -9.0) == pytest.approx([0.1, 0.2, 0.0, 0.0])
+
+
+def test_it_has_no_cap_unless_one_is_asked_for() -> None:
+    long = [100.0] * 40
+    assert _rollouts(Plan(limit=0.0, multiplier="integral"), long, 0.0)[-1] == pytest.approx(40.0)
+    assert _rollouts(Plan(limit=0.0, multiplier="integral", cap=1.0), long, 0.0)[-1] == 1.0
+
+
+def test_a_waiting_multiplier_does_not_wind_up_while_nothing_is_gained() -> None:
+    plan = Plan(limit=1.0, multiplier="waiting")
+    assert _rollouts(plan, [80.0] * 50, STANDING_STILL - 0.1) == [0.0] * 50
+    assert _rollouts(plan, [80.0] * 2, STANDING_STILL + 0.1) == pytest.approx([0.79, 1.58])
+
+
+def test_the_proportional_part_falls_back_with_the_cost() -> None:
+    """After a long high cost the controller lets go sooner than its integral."""
+    costs = [50.0] * 20 + [10.0] * 30
+    plan = Plan(limit=20.0, multiplier="pid")
+    controlled = _rollouts(plan, costs, 5.0)
+    integral = _rollouts(Plan(limit=20.0, multiplier="integral"), costs, 5.0)
+    assert controlled[0] > integral[0], "a sudden cost is answered at once"
+    assert controlled[19] > integral[19]
+    assert controlled[-1] < integral[-1]
+    assert min(controlled) >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("mistaken", "told"),
+    [
+        (lambda: Plan(multiplier="pdi"), "multiplier 'pdi'"), (lambda: Plan(inputs="camera"), "inputs 'camera'"),
+        (lambda: inputs_of("radar", PointTask(1, 0)), "inputs 'radar'"),
+        (lambda: driver_of(METHODS["mix"], PointTask(1, 0), Wheel(margins={"safedpa": 0.002})),
+         "got no margin for the filter 'mix'"),
+    ],
+)  # fmt: skip
+def test_unknown_multipliers_and_inputs_and_a_filter_without_a_margin_are_refused(mistaken, told) -> None:
+    with pytest.raises(InputError, match=told):
+        mistaken()

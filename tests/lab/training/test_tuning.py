@@ -1,4 +1,4 @@
-"""What models are off by before and after they are tuned, over a drive, over drives, and on logs of a real car."""
+"""The table of tunings: its metrics and ratios by hand, errors over drives and logs, and a run in small."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from safedpa.dynamics import load_model
+from safedpa.dynamics import load_model, shipped_models
 from safedpa.errors import InputError
 from safedpa.safety.margin import split_conformal_margin
 from safedpa_lab.experiments import tuning_real
-from safedpa_lab.experiments.tuning_errors import errors_of_drive, ratios_of
+from safedpa_lab.experiments.tuning import CarTuning, car_tuning
+from safedpa_lab.experiments.tuning_errors import errors_of_drive, metrics_of, ratios_of
+from safedpa_lab.experiments.tuning_kept import Kept, key_of
+from safedpa_lab.experiments.tuning_page import tuning_page
 from safedpa_lab.experiments.tuning_real import RealTuning, parts_of, real_tuning
 from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
@@ -67,9 +70,7 @@ def test_parts_of_drives_share_the_state_at_the_cut(share: float, cuts: tuple[in
         assert before.states[-1] == after.states[0] == len(before.actions)
 
 
-def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_quarters(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_quarters(tmp_path, monkeypatch) -> None:
     """Logs of 332 and 720 transitions; no training is looked at: each gives the weights that ship."""
     logs = {name: record_circles(rows, rows, rows)[0] for name, rows in (("a" * 19, 332), ("b" * 19, 720))}
     drives = {name: Drive(run.states, run.actions[:-1]) for name, run in logs.items()}
@@ -110,3 +111,95 @@ def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_
             assert row["covered"] == pytest.approx((off[1] <= margin).mean(), abs=0.01)
             assert row["count"] == len(off[1])
             assert fold["rows"]["paper"] == fold["rows"]["ours"] == fold["rows"]["untuned"]
+
+
+SCALE = np.array([1.0, 2.0, 4.0, 8.0])
+
+
+def drive(squares, count=1):
+    return {"squares": list(squares), "count": count}
+
+
+def test_the_three_metrics_follow_their_definitions():
+    """Mean squares 4, 4, 16, 64: roots 2, 2, 4, 8, scaled 2, 1, 1, 1."""
+    found = metrics_of([drive((2.0, 8.0, 0.0, 128.0), 1), drive((6.0, 0.0, 32.0, 0.0), 1)], SCALE)
+    assert found["root_mean_square"] == pytest.approx((2.0 + 1.0 + 1.0 + 1.0) / 4.0)
+    assert found["mean_square"] == pytest.approx((4.0 + 1.0 + 1.0 + 1.0) / 4.0)
+    assert found["squared_norm"] == pytest.approx(4.0 + 4.0 + 16.0 + 64.0)
+    assert (found["along"], found["yaw"], found["speed"]) == pytest.approx((2.0, 4.0, 8.0))
+
+
+def test_unpaired_drives_are_refused():
+    with pytest.raises(ValueError, match="wanted pairs of the same drives"):
+        ratios_of([[drive(SCALE)]], [[drive(SCALE)], [drive(SCALE)]], SCALE)
+
+
+def test_a_kept_result_is_made_once_for_each_key(tmp_path):
+    made = []
+    kept = Kept(tmp_path / "kept")
+
+    def make():
+        made.append(1)
+        return {"errors": [0.1, 0.2]}
+
+    assert [kept.table("row", key, make) for key in ("a", "a", "b")] == [{"errors": [0.1, 0.2]}] * 3
+    assert len(made) == 2
+    numbers = (np.arange(3.0), np.eye(2))
+    again = [kept.arrays("drive", "a", lambda: numbers) for _ in range(2)][1]
+    np.testing.assert_array_equal(again[1], numbers[1])
+    module = "safedpa_sim.training.paper_tuning"
+    assert key_of(module, 0) == key_of(module, 0)
+    assert key_of(module, 0) != key_of(module, 1)
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        Kept(tmp_path / "file" / "kept")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rows": ("shiped",)}, "did you mean 'shipped'"),
+        ({"drives": 1}, "drives: got 1, wanted 2 to 100"),
+        ({"seed": 500}, "seed: got 500, wanted 0 to 299"),
+        ({"ticks": 99}, "wanted at least 100"),
+    ],
+)
+def test_invalid_tunings_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        CarTuning(Path("learned/car"), **options)
+
+
+def test_the_real_car_is_left_out_without_recordings(tmp_path):
+    assert "no --data was given" in real_tuning(RealTuning(None))["left_out"]
+    with pytest.raises(InputError, match=r"--data .*: got 0 logs of the real car, wanted two or more"):
+        RealTuning(tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_small_run_resumes_and_its_page_has_every_metric(tmp_path):
+    experiment = CarTuning(
+        shipped_models()["car_learned"].parent, tmp_path, drives=2, ticks=100, own_ticks=320,
+        rows=("shipped", "online_shipped"),
+    )  # fmt: skip
+    first = car_tuning(experiment)
+    told = []
+    assert car_tuning(experiment, told.append) == first
+    rows = first["rows"]
+    assert list(rows) == ["untuned", "untuned_point", "shipped", "online_shipped"]
+    assert rows["shipped"]["ratios"]["none"]["one_step"]["untuned"]["root_mean_square"][0] > 3.0
+    point = rows["untuned_point"]["metrics"]["none"]["one_step"]
+    assert point["across"] < 0.3 * rows["untuned"]["metrics"]["none"]["one_step"]["across"]
+    assert point["yaw"] == pytest.approx(rows["untuned"]["metrics"]["none"]["one_step"]["yaw"], rel=0.2)
+    towing = [rows["shipped"]["metrics"][load]["one_step"]["squared_norm"] for load in ("box", "chair", "large_chair")]
+    assert min(towing) < rows["shipped"]["metrics"]["loads"]["one_step"]["squared_norm"] < max(towing)
+    assert rows["shipped"]["metrics"]["loads"]["one_step"]["squared_norm"] == pytest.approx(np.mean(towing), rel=0.05)
+    for taken in rows["online_shipped"]["taken"].values():
+        assert taken["refused"] or taken["after"][0] < taken["before"][0]
+    page = tuning_page({"car": first, "real": {"left_out": "no logs"}})
+    assert "## Squared norm, raw SI units, one second" in page
+    assert page.count("| ours, as shipped |") == 10
+    assert "Left out: no logs." in page
