@@ -35,7 +35,7 @@ DRIVES = (
 )
 CHANGES = ("../changes/test_margin_changes.py", "../changes/test_offers_to_nodes.py")
 WATCHED = ("test_watched_margin.py", "test_filter_edges.py", *CHANGES)
-WAY_OUT = ("test_way_out.py", "-test_way_out.py::test_a_car_beside_an_obstacle_gets_out")
+WAY_OUT = ("test_way_out.py", "-test_way_out.py::test_a_car_next_to_an_obstacle_gets_out")
 STRANGERS = (
     "test_strangers.py",
     "-test_strangers.py::test_the_filters_own_process_refuses_a_stranger",
@@ -73,8 +73,7 @@ MODULES = {
         "test_searched.py",
     ),
     "search": (
-        "test_filter_search.py",
-        "test_filter_search_back.py",
+        "../internals/safety/test_search.py",
         *VERDICTS,
         *PROMISES,
         "test_filter_invariance.py",
@@ -139,7 +138,7 @@ MODULES = {
     "many_predictions": (*BATCH, "../point/test_point_filter.py"),
     "many_stopping": POINT,
     "batch_nearest": ("test_nearest.py", *BATCH),
-    "batch_search": ("test_batch_search.py", "test_batch_search_one_by_one.py", *BATCH),
+    "batch_search": ("test_batch_search.py", "../internals/safety/test_batch_search.py", *BATCH),
     "prediction": (
         "test_functions_of_ones_own.py",
         "test_prediction.py",
@@ -181,9 +180,8 @@ MODULES = {
         "test_filtered_robot.py",
         "test_remembered.py",
         "test_margin_period.py",
-        "test_robot_memory.py",
-        "test_robot_begun.py",
-        "test_robot_standing.py",
+        "../internals/safety/test_filtered_robot.py",
+        "../internals/safety/test_filtered_robot_standing.py",
         *WATCHED,
         "test_pending_actions.py",
         "test_standstill.py",

@@ -56,10 +56,13 @@ def test_it_reaches_goals_inside_its_turning_circle(distance: float, bearing: fl
     assert seconds_to(goal, (0.0, 0.0, 0.0, 0.0)) < 30.0
 
 
-def test_a_goal_straight_ahead_is_approached_straight() -> None:
+def test_a_goal_straight_ahead_is_approached_straight_and_impossible_settings_are_refused() -> None:
     assert seconds_to((3.0, 0.0), (0.0, 0.0, 0.0, 0.0)) < 4.5
     speed, steer = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (3.0, 0.0))
     assert (speed, steer) == (SETTINGS.cruise_speed, 0.0)
+    for wrong in ({"cruise_speed": 0.0}, {"reverse_speed": 0.5}, {"steer_limit": 0.0}, {"wheelbase": -1.0}):
+        with pytest.raises(InputError, match="goal seeker"):
+            GoalSeekerSettings(**wrong)
 
 
 @given(some.lists(some.tuples(starts, goals, some.floats(0.0, 2.0)), min_size=1, max_size=40))
@@ -227,9 +230,3 @@ def test_backing_off_goes_backwards_changes_sides_and_ends_with_a_new_goal() -> 
     assert seeker.mode == "back_off"
     seeker.wish(2.0, (0.0, 0.0, 0.0, 0.0), (3.0, -1.0))
     assert seeker.mode == "seek"
-
-
-def test_impossible_settings_are_refused() -> None:
-    for wrong in ({"cruise_speed": 0.0}, {"reverse_speed": 0.5}, {"steer_limit": 0.0}, {"wheelbase": -1.0}):
-        with pytest.raises(InputError, match="goal seeker"):
-            GoalSeekerSettings(**wrong)

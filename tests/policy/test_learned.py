@@ -117,16 +117,13 @@ def test_a_mirrored_world_is_seen_mirrored() -> None:
     assert other[STEERED] == pytest.approx(-plain[STEERED])
 
 
-def test_rays_tell_how_far_the_footprint_gets() -> None:
+def test_rays_tell_how_far_the_footprint_gets_and_clearance_is_that_of_the_capsule() -> None:
     state = dataclasses.replace(STATE, values=(0.0, 0.0, 0.0, 0.0), obstacles=((2.0, 0.0, 0.3),))
     rays = seen(state)[OFFSET + 5 * OBSTACLES :][:RAYS]
     ahead, left, behind = 1.0 / rays[0] - 1.0, 1.0 / rays[RAYS // 4] - 1.0, 1.0 / rays[RAYS // 2] - 1.0
     assert ahead == pytest.approx(2.0 - 0.3 - 0.12 - 0.16)
     assert left == pytest.approx(4.0 - 0.12)
     assert behind == pytest.approx(4.0 + 0.16 - 0.12)
-
-
-def test_clearance_is_that_of_the_capsule() -> None:
     footprint = np.array([0.1, 0.4, 0.2])
     own = np.array([[1.0, 0.0], [0.2, 0.7], [-0.5, 0.0], [0.2, 0.0]])
     room, _ = clearances(own, np.full(4, 0.1), footprint)

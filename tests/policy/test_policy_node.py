@@ -157,14 +157,11 @@ def plan(controller: str) -> Plan:
     )  # fmt: skip
 
 
-def test_the_policy_service_is_started_with_the_chosen_controller() -> None:
+def test_the_policy_service_starts_with_the_chosen_controller_unless_its_model_cannot_have_it(tmp_path: Path) -> None:
     policy = next(child for child in plan("planner").services() if child.name == "policy")
     at = policy.arguments.index("--controller")
     assert policy.arguments[at + 1] == "planner"
     assert all("--controller" not in child.arguments for child in plan("").services())
-
-
-def test_a_controller_that_the_model_cannot_have_is_refused_before_anything_starts(tmp_path: Path) -> None:
     result = CliRunner().invoke(up.command, ["--controller", "learned", "--headless", "--out", str(tmp_path)])
     assert "no networks" in str(result.exception)
     assert not list(tmp_path.iterdir())
@@ -259,11 +256,15 @@ def test_a_goal_behind_a_wall_or_out_of_a_dead_end_is_reached() -> None:
     assert room > -0.02
 
 
-def test_the_same_seed_drives_the_same_drive_and_another_one_another() -> None:
+def test_the_same_seed_drives_the_same_drive_and_the_time_mirrors_with_its_scene() -> None:
     start, goal = (-2.0, 0.0, 0.3, 0.0), (2.0, 0.0)
     first, again, other = (driven(start, goal, WALL, 2.0, seed)[2] for seed in (3, 3, 4))
     assert first == again
     assert first != other
+    obstacles = np.array([(0.5, 0.7, 0.3), (-1.0, -0.4, 0.2)])
+    one, other = settled((2.0, 1.0), obstacles), settled((2.0, -1.0), obstacles * (1, -1, 1))
+    x, y, yaw = np.random.default_rng(0).uniform(-3.8, 3.8, (3, 200))
+    assert one(x, y, yaw) == pytest.approx(other(x, -y, -yaw), rel=1e-3, abs=0.02)
 
 
 @given(
@@ -341,15 +342,7 @@ def test_the_time_is_the_way_over_the_speed_and_longer_for_a_turn_or_round_a_wal
     assert time(to_go, -1.5, 0.0, 0.0) > 2 * math.hypot(1.5, 1.4) / 1.5
 
 
-def test_the_time_mirrors_with_its_scene() -> None:
-    obstacles = np.array([(0.5, 0.7, 0.3), (-1.0, -0.4, 0.2)])
-    one, other = settled((2.0, 1.0), obstacles), settled((2.0, -1.0), obstacles * (1, -1, 1))
-    x, y, yaw = np.random.default_rng(0).uniform(-3.8, 3.8, (3, 200))
-    assert one(x, y, yaw) == pytest.approx(other(x, -y, -yaw), rel=1e-3, abs=0.02)
-
-
 def test_clearance_is_that_of_the_segment() -> None:
-    """Against points along the segment."""
     random = np.random.default_rng(2)
     obstacles = np.column_stack([random.uniform(-3, 3, (5, 2)), random.uniform(0.1, 0.4, 5)])
     x, y, yaw = random.uniform((-3, -3, -np.pi), (3, 3, np.pi), (50, 3)).T

@@ -58,14 +58,11 @@ def wall(x: float, low: float, high: float) -> tuple[tuple[float, float, float],
     return tuple((x, float(y), 0.05) for y in np.arange(low, high, 0.1))
 
 
-def test_nothing_in_the_way_it_drives_straight_at_full_speed() -> None:
+def test_it_drives_straight_where_nothing_is_around_a_wall_and_slower_where_a_mover_may_hide() -> None:
     way = driven(4.0)
     assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
     assert max(abs(y) for _, y, _, _ in way) < 0.1
     assert way[5][3] == pytest.approx(SeenSettings().cruise)
-
-
-def test_it_goes_around_a_wall_and_keeps_room_to_it() -> None:
     points = wall(1.5, -0.8, 0.8)
     way = driven(8.0, points=points)
     assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
@@ -73,9 +70,6 @@ def test_it_goes_around_a_wall_and_keeps_room_to_it() -> None:
         for ahead in (-0.08, 0.16, 0.4):
             apart = np.array(points)[:, :2] - (x + ahead * cos(yaw), y + ahead * sin(yaw))
             assert np.hypot(*apart.T).min() > 0.12 + 0.05
-
-
-def test_it_slows_down_and_keeps_farther_away_where_a_mover_may_hide() -> None:
     corner = tuple((1.5, float(y), 0.3, 1.5) for y in np.arange(0.9, 2.0, 0.1))
     free, careful = driven(6.0), driven(6.0, hidden=corner)
     assert min(y for _, y, _, _ in careful) < min(y for _, y, _, _ in free) - 0.1

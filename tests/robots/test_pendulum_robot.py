@@ -55,15 +55,12 @@ def test_it_moves_as_the_published_equations_say(
     assert world.rate == pytest.approx(state[1], abs=1e-2)
 
 
-def test_wind_blows_to_where_it_is_said_to() -> None:
+def test_wind_blows_to_where_it_is_said_to_and_without_friction_and_air_energy_is_kept() -> None:
     assert wind_towards(4.0, 90.0) == pytest.approx((0.0, 4.0), abs=1e-12)
     assert wind_towards(4.0, 180.0) == pytest.approx((-4.0, 0.0), abs=1e-12)
     world = PendulumWorld(0.0, wind_towards(4.0, 180.0))
     world.advance(0.0, 0.1)
     assert world.angle < 0.0
-
-
-def test_energy_is_kept_without_friction_and_air() -> None:
     from safedpa_sim.robots.pendulum_world import PendulumParameters
 
     world = PendulumWorld(0.5, parameters=PendulumParameters(friction=0.0, drag=0.0))
@@ -162,13 +159,10 @@ def test_the_account_tells_task_wind_and_violations() -> None:
     assert robot.at_rest
 
 
-def test_seeds_draw_starts() -> None:
+def test_seeds_draw_starts_and_what_is_no_pendulum_is_refused() -> None:
     one, two = (PendulumRobot(task_named("balance"), seed=seed) for seed in (1, 2))
     assert one.values != two.values
     assert one.values == PendulumRobot(task_named("balance"), seed=1).values
-
-
-def test_what_is_no_pendulum_is_refused() -> None:
     with pytest.raises(InputError, match="period"):
         PendulumRobot(task_named("balance"), period=0.0)
     with pytest.raises(InputError, match="wind"):

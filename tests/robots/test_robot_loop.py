@@ -166,15 +166,12 @@ def test_it_brakes_to_a_standstill_before_it_ends_whatever_the_filter_says():
     assert fleet.health[-1].state == "braked"
 
 
-def test_heartbeats_come_from_the_turning_loop():
+def test_heartbeats_come_from_the_turning_loop_and_one_that_was_held_up_counts_it_without_hurry():
     fleet = Fleet.by_its_own_clock(action, period=0.02)
     fleet.loop.run(never, 30)
     assert len(fleet.health) == 3, "at 0, 0.25 and 0.5 s of 0.6"
     assert fleet.health[-1].service == "robot"
     assert fleet.health[-1].steps > fleet.health[0].steps
-
-
-def test_a_loop_that_was_held_up_counts_it_and_does_not_hurry():
     now = itertools.count(0.0, 0.02)  # every look at the clock takes two periods
     fleet = Fleet(action, lockstep=False, period=0.01, clock=lambda: next(now))
     fleet.loop.run(never, 5)

@@ -96,10 +96,16 @@ def test_too_fast_a_turn_slides_at_the_friction_limit():
 
 
 @pytest.mark.parametrize("load", LOAD_NAMES)
-def test_standing_still_stays_put(load):
+def test_standing_still_stays_put_and_the_watchdog_stops_within_the_promised_distance(load):
     world = driven(open_world(load), 0.0, 0.2, 10.0)
     x, y, yaw, speed = world.state
     assert max(abs(x), abs(y), abs(yaw), abs(speed)) < 1e-9
+    # From every speed and steer, steady or still accelerating, with the steer going to straight.
+    for steer in (0.0, -0.34):
+        for seconds in (0.05, 0.2, 0.4, 3.0):
+            for target_speed in (0.3, 0.8, 1.4, 2.0, -0.6):
+                world = driven(open_world(load), target_speed, steer, seconds)
+                check_stops(world)
 
 
 def test_a_circle_has_nearly_the_geometric_radius_and_understeer_grows_with_speed():
@@ -208,16 +214,6 @@ def test_hitching_while_driving_slows_the_car_and_keeps_the_hitch_together():
     assert world.towed is not None
     assert world.towed.hitch_error < 1e-3
     assert world.state[3] < fast - 0.15
-
-
-@pytest.mark.parametrize("load", LOAD_NAMES)
-def test_the_watchdog_stops_within_the_promised_distance(load):
-    """From every speed and steer, steady or still accelerating, with the steer going to straight."""
-    for steer in (0.0, -0.34):
-        for seconds in (0.05, 0.2, 0.4, 3.0):
-            for target_speed in (0.3, 0.8, 1.4, 2.0, -0.6):
-                world = driven(open_world(load), target_speed, steer, seconds)
-                check_stops(world)
 
 
 @pytest.mark.parametrize("load", list(LOADS))

@@ -75,14 +75,11 @@ def test_nothing_touches_at_the_start(load):
         assert robot.collisions == []
 
 
-def test_the_same_seed_gives_the_same_scene_and_another_another():
+def test_a_seed_gives_one_scene_and_impossible_ones_are_refused():
     first, again, other = Scene.random(3, "box"), Scene.random(3, "box"), Scene.random(4, "box")
     assert first == again
     assert list(islice(first.goals(), 30)) == list(islice(again.goals(), 30)) == list(islice(first.goals(), 30))
     assert first.obstacles != other.obstacles
-
-
-def test_impossible_scenes_are_refused():
     with pytest.raises(InputError, match="fewer obstacles"):
         Scene.random(0, "large_chair", obstacles=40)
     with pytest.raises(InputError, match="larger field"):

@@ -140,26 +140,23 @@ def test_a_laser_sees_the_other_where_it_is_while_both_move() -> None:
         assert (np.abs(seen - true) < 1e-3).mean() > 0.98
 
 
-def test_the_very_first_scan_sees_the_others() -> None:
+def test_the_very_first_scan_sees_the_others_and_touches_repeat_bit_for_bit() -> None:
     field = SharedField([car((-2.0, 0.0, 0.0), laser=EXACT), car((1.0, 0.0, pi), laser=EXACT)])
     for robot in field.robots:
         robot.scans()
     live(field, 1, [(0.0, 0.0)] * 2)
     (scan,) = field.robots[0].scans()
     assert min(scan.ranges[175:185]) == pytest.approx(1.0 - 0.4 - (-2.0 + 0.12))
+    starts = [(-2.0, 0.0, 0.0), (2.0, 0.05, pi), (0.0, -2.0, pi / 2)]
+    fields = [SharedField([car(pose, "box", LaserSettings(), 5 + k) for k, pose in enumerate(starts)]) for _ in "12"]
+    assert wavy(fields[0], 60) == wavy(fields[1], 60)
+    assert fields[0].touches == fields[1].touches != []
 
 
 def wavy(field: SharedField, ticks: int) -> list[str]:
     for tick in range(ticks):
         live(field, 1, [(1.2 + 0.1 * k, 0.3 * sin(0.3 * tick + k)) for k in range(len(field.robots))])
     return [robot.trajectory_hash for robot in field.robots]
-
-
-def test_it_repeats_bit_for_bit_with_touches() -> None:
-    starts = [(-2.0, 0.0, 0.0), (2.0, 0.05, pi), (0.0, -2.0, pi / 2)]
-    fields = [SharedField([car(pose, "box", LaserSettings(), 5 + k) for k, pose in enumerate(starts)]) for _ in "12"]
-    assert wavy(fields[0], 60) == wavy(fields[1], 60)
-    assert fields[0].touches == fields[1].touches != []
 
 
 def test_a_car_that_touches_no_other_drives_as_if_alone() -> None:
@@ -195,8 +192,6 @@ WIDE = (-9.0, 9.0, -9.0, 9.0)
 
 @final
 class Runs(Person):
-    """Straight on along x."""
-
     def __init__(self, place: Point, speed: float) -> None:
         super().__init__(place)
         self._speed = speed
@@ -206,15 +201,12 @@ class Runs(Person):
         return self._speed, 0.0
 
 
-def test_what_the_car_drives_into_is_driven_into_with_its_speed() -> None:
+def test_only_who_drives_into_something_was_driven_towards_it_with_its_speed() -> None:
     scene = Scene(0, load_named("none"), WIDE, ((2.0, 0.0, 0.3),), (0.0, 0.0, 0.0))
     hit = first_contact(CarRobot(scene), 1.0)
     assert (hit.part, hit.what) == ("car", "obstacle 0")
     assert hit.speed == pytest.approx(hit.towards, abs=1e-3)
     assert hit.towards > 0.8
-
-
-def test_a_car_that_runs_into_a_load_from_behind_was_not_driven_towards() -> None:
     person = Runs((-3.0, 0.0), 1.5)
     scene = Scene(0, load_named("box"), WIDE, (), (0.0, 0.0, 0.0))
     hit = first_contact(CarRobot(scene, senses=Senses((Laser(LaserSettings(), 0),), (person,))), 0.5)
@@ -224,7 +216,6 @@ def test_a_car_that_runs_into_a_load_from_behind_was_not_driven_towards() -> Non
 
 
 def first_contact(robot: CarRobot, speed: float) -> Collision:
-    """Of a car that is told to drive straight on."""
     for tick in range(200):
         if robot.collisions:
             break

@@ -79,7 +79,7 @@ def test_its_watchdog_brakes_it_to_rest_and_not_backwards() -> None:
     assert 0.05 * stopped < 1.5
 
 
-def test_its_gate_takes_a_throttle_and_refuses_more() -> None:
+def test_its_gate_takes_a_throttle_and_refuses_more_and_it_tows_nothing() -> None:
     robot = CarRobot(SCENE, parameters=THROTTLE_CAR)
     assert robot.guard.low == (-1.0, -0.34)
     state = robot.state_message()
@@ -88,9 +88,6 @@ def test_its_gate_takes_a_throttle_and_refuses_more() -> None:
     )
     assert robot.receive(message) == "out of range"
     assert robot.state_message().footprint == (THROTTLE_CAR.rear, THROTTLE_CAR.front, THROTTLE_CAR.width / 2)
-
-
-def test_it_tows_nothing() -> None:
     with pytest.raises(InputError, match="got 'box' behind a car with a throttle, wanted none"):
         CarRobot(Scene.random(1, "box"), parameters=THROTTLE_CAR)
 
@@ -190,16 +187,13 @@ def test_an_effect_moves_the_model_towards_the_wheels_that_have_it(
     assert missed(MODEL.format(name=name, numbers=numbers)) < 0.75 * missed(plain)
 
 
-def test_it_is_driven_by_twist_and_says_so_to_ros() -> None:
+def test_a_differential_drive_is_driven_by_twist_and_in_no_world_of_others() -> None:
     face = DifferentialDriveFace()
     assert face.state(1.0, 2.0, 0.5, 0.3, -0.2) == (1.0, 2.0, 0.5, 0.3, -0.2)
     assert face.message("geometry_msgs/msg/Twist", (0.3, 1.1), ()) == {"linear": {"x": 0.3}, "angular": {"z": 1.1}}
     assert face.paths("geometry_msgs/msg/TwistStamped") == ("twist.linear.x", "twist.angular.z")
     with pytest.raises(InputError, match="wanted one of geometry_msgs/msg/Twist"):
         face.paths("ackermann_msgs/msg/AckermannDrive")
-
-
-def test_a_world_that_no_such_robot_lives_in_is_refused() -> None:
     for wrong in ({"grip": -1.0}, {"lag": float("nan")}, {"radius": 2.0}):
         with pytest.raises(InputError, match=f"--world {next(iter(wrong))}="):
             WheeledStandIn(0, **wrong)

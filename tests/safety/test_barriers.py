@@ -71,7 +71,6 @@ def test_gradient_is_the_derivative(barrier: AbstractBarrier, state: np.ndarray)
 @exact
 @given(states)
 def test_obstacle_height_is_the_distance_to_the_swept_segment(state: np.ndarray) -> None:
-    """Against a thousand points on the segment."""
     rear, front = swept_segment(state)
     points = rear + np.linspace(0.0, 1.0, 1001)[:, None] * (front - rear)
     nearest = np.linalg.norm(points[None] - OBSTACLES[:, None, :2], axis=2).min(axis=1)

@@ -121,7 +121,6 @@ def test_what_cannot_be_believed_ends_in_the_fallback_of_its_own_robot() -> None
 
 
 def test_a_margin_for_a_kind_that_no_barrier_has_is_refused_as_for_one_robot() -> None:
-    """Misspelt it was no margin at all, and the wish passed."""
     given_ = drawn(2, 4, 2, FILTERS["car"].model.latent)
     for epsilon in ({"obstacel": 0.3}, {"obstacle": True}):
         found = decided(FILTERS["car"], **given_, epsilon=epsilon)

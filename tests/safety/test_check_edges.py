@@ -27,9 +27,6 @@ def wide(x: Values) -> tuple[Values, Values]:
     return x, np.full((len(x), 2), 0.1)
 
 
-# the backup
-
-
 @pytest.mark.parametrize(
     ("action", "told"),
     [([0.0, 0.0], False), ([0.0, np.nan], True), ([-1.5, 0.0], True), ([0.0, 2.5], True), ([2.0, -1.0], False)],
@@ -50,10 +47,13 @@ def test_rounding_is_a_share_of_the_range(beyond: float, told: bool) -> None:
     assert bool(backup_issues(other, [probe(1.0)], stands=False)) is told
 
 
-def test_one_entry_of_another_backup_is_enough() -> None:
+def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_another_backup_is_enough() -> None:
     part = RolloutBarrier(wide, [0.0, 0.5], first, 5, ["r"])
     checked = made(part, model=wide, actions=2, backup=lambda x: [0.0, 0.4])
     assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stands=False)) == 1
+    checked, asked = recorded(made(first))
+    condition_issues(checked, [probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False)])
+    assert sorted({round(action, 9) for action in asked}) == [-1.0, -0.7, 0.5, 0.8, 1.7, 2.0]
 
 
 def test_of_conditions_that_break_or_are_missed_the_worst_is_named_first() -> None:
@@ -74,9 +74,6 @@ def test_of_a_rollout_with_two_values_both_count() -> None:
     assert horizon_issues(checked, [probe(8.0, h=[9.0, 0.99])]) == []
 
 
-# what the actions can do
-
-
 def recorded(checked: Checked) -> tuple[Checked, list[float]]:
     asked: list[float] = []
 
@@ -88,12 +85,6 @@ def recorded(checked: Checked) -> tuple[Checked, list[float]]:
     tools = replace(checked.safe.tools, prediction=Prediction(slide, step))
     safe: Any = type("Safe", (), {"settings": checked.safe.settings, "tools": tools})()
     return Checked(safe, checked.barriers, checked.margins, None), asked
-
-
-def test_an_action_is_moved_by_a_tenth_of_its_range_and_inward() -> None:
-    checked, asked = recorded(made(first))
-    condition_issues(checked, [probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False)])
-    assert sorted({round(action, 9) for action in asked}) == [-1.0, -0.7, 0.5, 0.8, 1.7, 2.0]
 
 
 def curving(x: Values) -> tuple[Values, Values]:
@@ -131,9 +122,6 @@ def test_a_condition_that_is_just_kept_is_not_missed_and_an_effect_within_roundi
         made(lambda x: 1e6 + 1e-6 * x[0]), [probe(0.5, h=1e6, residuals=[[-0.3], [-0.1]], kept=False)]
     )
     assert "does not answer to the action in one tick" in found.sentence
-
-
-# where it is looked
 
 
 def test_a_kind_without_a_margin_has_none_and_the_middle_lies_between_the_ends() -> None:
@@ -188,9 +176,6 @@ def test_every_extreme_action_is_held_to_the_end_in_six_drives() -> None:
     assert sum(len(drive) == 2 for drive in held[2:]) >= 8, "some are held for all of it by chance"
 
 
-# margins, units, gradients
-
-
 def test_of_a_kind_with_some_margin_nothing_is_said_and_a_unit_is_off_by_its_ratio() -> None:
     assert margin_issues(made(first, epsilon={"function": 0.1}), []) == []
     parts = [FunctionBarrier(first, names=(name,), kind=name) for name in ("a", "b")]
@@ -237,9 +222,6 @@ def test_rounding_about_a_constant_is_no_gradient() -> None:
     assert gradient_issues(made(sloped(lambda x: 7.0, 1e-10)), [probe(0.0, h=7.0)] * 3) == []
 
 
-# what lies between two ticks
-
-
 def walls(*deep: tuple[float, float]) -> Callable[[Values], float]:
     """Falls by depth about some places, a twentieth wide; and a little to the right."""
     return lambda x: float(1.0 - 0.01 * x[0] - sum(depth * (abs(x[0] - at) < 0.025) for at, depth in deep))
@@ -267,9 +249,6 @@ def test_the_deepest_of_all_dips_is_reported_with_the_barrier_that_dips_from_whi
     assert found.names == ("h2",)
 
 
-# all of it
-
-
 @pytest.mark.parametrize("states", [[[np.nan, 0.0]], [[0.0, np.inf]], [[[0.0]]], []])
 def test_states_that_are_none_are_refused(states: Any) -> None:
     with pytest.raises(InputError, match="states: got shape"):
@@ -284,7 +263,6 @@ def test_a_backup_is_meant_to_satisfy_every_condition_by_default() -> None:
 
 @pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])
 def test_an_h_that_is_not_finite_is_reported(h: Callable[[Any], float]) -> None:
-    """No comparison with NaN is true, so nothing was amiss."""
     safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(h)], SETTINGS)
     assert "got NaN or infinity from h at [0.6]" in str(check_filter(safe, [[0.6]]))
 

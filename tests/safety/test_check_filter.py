@@ -226,12 +226,6 @@ def test_an_error_in_a_users_function_is_reported_in_a_report_that_reads_as_a_li
     assert str(found).startswith("- relative degree (near")
 
 
-@pytest.mark.parametrize("states", [[], [[np.nan, 0.0]], [[[0.0, 0.0]]]])
-def test_states_are_numbers(states: Any) -> None:
-    with pytest.raises(InputError, match="states: got"):
-        report(states=states)
-
-
 def test_there_is_something_to_check() -> None:
     with pytest.raises(InputError, match="barriers: got none"):
         check_filter(SafetyFilter(affine, [], SETTINGS), [0.0, 0.0])
@@ -260,7 +254,6 @@ def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: b
 
 @pytest.mark.parametrize("backup", ["stop", 0.0, (0.0, 0.0), [0.0, 0.0], np.zeros(2)])
 def test_a_backup_that_cannot_be_called_is_refused_when_it_is_given(backup: Any) -> None:
-    """Else it would be found out when it is needed."""
     with pytest.raises(InputError, match=rf"backup: got {type(backup).__name__}, wanted a function of the state"):
         check_backup(backup, 2)
 

@@ -43,9 +43,6 @@ def test_corners_and_the_middle(actions: int, corners: int) -> None:
     assert (middle == 0.5).all()
 
 
-# where it is looked
-
-
 class Open:
     """A filter that lets every wish pass, or none beyond a state."""
 
@@ -132,9 +129,6 @@ def test_what_is_known_at_a_state() -> None:
     assert one.kept
 
 
-# margins and units
-
-
 def test_a_kind_without_a_margin() -> None:
     parts = [FunctionBarrier(first, names=("a",), kind="one"), FunctionBarrier(first, names=("b",), kind="two")]
     for epsilon, kinds in (
@@ -178,9 +172,6 @@ def test_the_unit_that_is_furthest_off_is_named_first() -> None:
     assert found[0].names == ("h1", "h2", "h0"), "eight and a half decades, eight, a half"
 
 
-# gradients
-
-
 @pytest.mark.parametrize(
     ("gradient", "wrong"),
     [((2.0, 3.0), ""), ((2.01, 3.0), ""), ((2.2, 3.0), "2.2 in entry 0"), ((2.0, -3.0), "-3 in entry 1")],
@@ -220,9 +211,6 @@ def test_an_entry_that_nothing_moves_is_not_judged_and_a_gradient_of_a_constant_
     assert gradient_issues(made(barrier), [probe(0.0, h=7.0)] * 3)
 
 
-# what lies between two ticks
-
-
 def wall(width: float) -> Callable[[Values], float]:
     """Low about 0.5 and high elsewhere."""
     return lambda x: float(1.0 - 3.0 * (abs(x[0] - 0.5) < 0.5 * width) - 0.01 * x[0])
@@ -255,9 +243,6 @@ def test_what_dips_is_named_among_several_values_and_outside_nothing_is_followed
     assert issue.names == ("h1",)
     checked = made(wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     assert tick_issues(checked, [probe(0.0, h=-0.1)]) == []
-
-
-# what the actions can do
 
 
 def double(x: Values) -> tuple[Values, Values]:
@@ -308,9 +293,6 @@ def test_the_worst_of_several_is_said() -> None:
     probes = [probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.4], [-0.2, -0.3]], kept=False)]
     (found,) = condition_issues(made(first, first), probes)
     assert found.names == ("h1", "h0")
-
-
-# the backup
 
 
 @pytest.mark.parametrize(
@@ -374,9 +356,6 @@ def test_a_horizon_that_ends_while_h_falls() -> None:
     assert horizon_issues(checked, [probe(8.0, h=[8.0, 0.019])]) == [], "outside h >= epsilon / eta of its own"
     assert horizon_issues(checked, [probe(8.0, h=[0.0, 2.0])]), "whatever the others are"
     assert horizon_issues(made(rollout([0.0], 40)), [probe(8.0, h=8.0)]) == []
-
-
-# all of it
 
 
 def test_an_error_in_a_users_function_is_reported() -> None:

@@ -125,7 +125,6 @@ class Problem:
 
 
 def check(problem: Problem) -> Status:
-    """Every promise, by the problem's own numbers."""
     verdict = problem.decide()
     heights = problem.after(verdict.action)
     shares = heights / problem.scale

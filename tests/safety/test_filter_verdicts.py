@@ -18,7 +18,6 @@ NEAR = np.array([0.75, 0.0, 0.0, 0.6])
 
 
 def check_promises(verdict: Verdict, settings: FilterSettings) -> None:
-    """What holds for every verdict."""
     assert (verdict.action >= settings.low).all()
     assert (verdict.action <= settings.high).all()
     numbers = [verdict.slack, verdict.h_now, verdict.h_next, verdict.margin, verdict.microseconds]

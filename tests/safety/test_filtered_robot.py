@@ -58,16 +58,13 @@ def test_a_state_may_be_a_second_old_where_its_action_acts(seconds: float, good:
     assert ("wanted 0 to 1 s" in verdict.sentence) is not good
 
 
-def test_the_last_latent_stands_in_for_missing_ones_for_a_second() -> None:
+def test_the_last_latent_stands_in_for_a_second_but_none_of_another_run_or_model() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     assert answered(node, 0).status == "passed"
     for tick in range(1, 24):
         verdict = asked(node, state_at(tick), ABSENT)
         assert verdict.status == ("passed" if tick <= 20 else "fallback"), tick
         assert ("the latent (none of the last second has arrived)" in verdict.sentence) is (tick > 20)
-
-
-def test_a_latent_of_another_run_or_another_model_is_refused() -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     answered(node, 0)
     verdict = asked(node, state_at(1, epoch=2), ABSENT)

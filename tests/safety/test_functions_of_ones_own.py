@@ -57,8 +57,6 @@ def writing(h: Callable[[Any], float]) -> Callable[[Any], Any]:
 
 
 class Own(AbstractBarrier):
-    """A class that returns its own array."""
-
     kind, names = "rollout", ("post",)
 
     def __init__(self, h: Callable[[Any], float]) -> None:
@@ -140,7 +138,6 @@ class Counts(AbstractBarrier):
     ],
 )
 def test_a_model_whose_shapes_numpy_would_stretch(f: Any, g: Any, states: int, words: str) -> None:
-    """One number was added to every entry of the state, and the wish passed."""
     safe = SafetyFilter(lambda x: (x if f is None else f, g), [FunctionBarrier(wall)], SETTINGS)
     verdict = safe.decide(np.zeros(states), [0.1])
     assert verdict.status is Status.fallback
@@ -199,8 +196,6 @@ def test_three_slopes_are_no_table_of_three_actions() -> None:
 
 
 def test_where_h_is_not_known_between_two_ticks_it_is_not_known() -> None:
-    """NaN is less than nothing, so no comparison told it, and the wish passed."""
-
     def blind(x: Any) -> float:
         return math.nan if 0.205 < x[0] < 0.245 else 1.0 - float(x[0])
 
@@ -211,7 +206,6 @@ def test_where_h_is_not_known_between_two_ticks_it_is_not_known() -> None:
 
 @pytest.mark.parametrize("value", [True, "1", np.ma.array([1.0], mask=[True])], ids=["boolean", "text", "masked"])
 def test_what_only_looks_like_numbers_on_the_way(value: Any) -> None:
-    """Booleans, text and masked arrays, where they were taken for numbers."""
     higher = HigherOrderBarrier([lambda x: value, lambda x: value], [1.0])
     assert SafetyFilter(mass, [higher], SETTINGS).decide([0.5, 0.5], [1.0]).status is Status.fallback
     last = HigherOrderBarrier([wall, lambda x: -x[1]], [lambda before: value])
@@ -272,7 +266,6 @@ def test_mistakes_are_reported_when_they_are_made(made: Callable[[], Any], words
 
 @pytest.mark.parametrize("given", [FunctionBarrier(wall), 3, iter([FunctionBarrier(wall)])])
 def test_something_other_than_a_list_of_barriers_is_reported(given: Any) -> None:
-    """It was a TypeError about an object without len()."""
     verdict = SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS).decide([0.0], [0.1], barriers=given)
     assert verdict.status is Status.fallback
     assert verdict.reason == f"Reason: InputError: barriers: got {type(given).__name__}, wanted a list of them."
@@ -295,8 +288,6 @@ def test_a_range_without_numbers_believes_everything() -> None:
 
 
 def test_a_period_with_a_default_is_no_latent() -> None:
-    """It was handed None for a latent that nobody gave."""
-
     def period(x: Any, dt: float = 0.5) -> Any:
         return x, dt * np.eye(1)
 

@@ -53,7 +53,7 @@ def wrapped(**changes: Any) -> Any:
     return GymnasiumSafetyFilter(Cart(), filter_of(), state_of=lambda seen: seen[:2], **changes)
 
 
-def test_reckless_policy_never_hits_the_wall() -> None:
+def test_a_reckless_policy_never_hits_the_wall_that_it_hits_without_the_wrapper() -> None:
     env, statuses = wrapped(), set()
     env.reset(seed=0)
     for _ in range(300):
@@ -64,9 +64,6 @@ def test_reckless_policy_never_hits_the_wall() -> None:
         assert not terminated
     assert statuses == {Status.passed, Status.corrected}
     assert observation[0] > 0.9
-
-
-def test_without_the_wrapper_it_does() -> None:
     env = Cart()
     env.reset(seed=0)
     assert any(env.step(np.array([1.0]))[2] for _ in range(300))
@@ -117,8 +114,6 @@ def reckless(env: Any, steps: int = 60) -> list[Any]:
 
 @pytest.mark.parametrize("kind", [np.int64, np.int8, np.uint8, np.float16], ids=str)
 def test_a_box_that_would_round_the_action_is_refused(kind: Any) -> None:
-    """The verdict was -0.62, and the environment got 0."""
-
     class Whole(Cart):
         action_space = gymnasium.spaces.Box(0 if kind is np.uint8 else -1, 1, (1,), kind)
 
@@ -275,7 +270,6 @@ def test_before_the_first_observation_nothing_is_known() -> None:
 
 @pytest.mark.parametrize("count", [0, 2], ids=["one", "many"])
 def test_a_policy_that_writes_into_its_observation_moves_no_state(count: int) -> None:
-    """The filter judged the shifted state, and the wall was passed."""
     env = GymnasiumSafetyFilter(many(count) if count else Cart(), filter_of(), state_of=lambda seen: seen[:2])
     observation, _ = env.reset()
     wish = np.ones((count, 1) if count else 1, np.float32)

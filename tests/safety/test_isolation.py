@@ -51,7 +51,6 @@ class Writer(AbstractBarrier):
 @pytest.mark.parametrize("writer", [FunctionBarrier(writes), Writer()], ids=["function", "class"])
 @pytest.mark.parametrize("first", [True, False])
 def test_a_barrier_that_writes_changes_nothing(writer: AbstractBarrier, first: bool) -> None:
-    """The next one would have seen -100, and waved everything through."""
     wall = FunctionBarrier(lambda x: 1.0 - x[0])
     verdict = made(*((writer, wall) if first else (wall, writer))).decide(np.array([0.9]), [1.0])
     assert verdict.status is Status.fallback
@@ -124,8 +123,6 @@ STRANGE = [
 
 
 class Answers(AbstractBarrier):
-    """A user's own class that answers anything."""
-
     kind, names = "own", ("own",)
 
     def __init__(self, value: Any, slope: Any) -> None:
@@ -140,7 +137,7 @@ class Answers(AbstractBarrier):
 
 @pytest.mark.filterwarnings("ignore:Warning. converting a masked element")
 @pytest.mark.parametrize("strange", STRANGE, ids=lambda value: type(value).__name__)
-def test_what_only_looks_like_numbers_is_not_believed(strange: Any) -> None:
+def test_what_only_looks_like_numbers_is_not_believed_from_functions_or_as_an_input(strange: Any) -> None:
     good = FunctionBarrier(lambda x: 0.5 - x[0])
     filters = {
         "h": made(FunctionBarrier(lambda x: strange)),
@@ -154,11 +151,6 @@ def test_what_only_looks_like_numbers_is_not_believed(strange: Any) -> None:
         verdict = safe.decide(np.array([0.0]), [1.0])
         assert (name, verdict.status) == (name, Status.fallback)
         np.testing.assert_array_equal(verdict.action, [0.0])
-
-
-@pytest.mark.filterwarnings("ignore:Warning. converting a masked element")
-@pytest.mark.parametrize("strange", STRANGE, ids=lambda value: type(value).__name__)
-def test_nor_is_it_as_an_input(strange: Any) -> None:
     safe = made(affine=lambda x, z: (x, np.eye(1)))
     for inputs in ((strange, [1.0], [1.0]), ([0.0], strange, [1.0])):
         verdict = safe.decide(*inputs)
@@ -199,7 +191,6 @@ def test_states_may_be_read_only_arrays_tuples_or_lists() -> None:
     "stale", [None, 0, 3.5, "latent", b"x", [None], [3, "state"], np.array([1.0]), object(), {"a": 1}]
 )
 def test_a_list_of_stale_inputs_that_is_none(stale: Any) -> None:
-    """Whoever cannot say what is stale may mean any input."""
     safe = made()
     for verdict in (safe.decide([0.0], [0.1], stale=stale), safe.stop("why", [0.0], stale=stale)):
         assert verdict.status in (Status.fallback, Status.stopped)
@@ -296,8 +287,6 @@ def test_rubbish_in_any_place_is_answered(rubbish: Any, name: str) -> None:
 
 
 class Unprintable(Exception):  # noqa: N818 - what a user's own may be called
-    """An error that cannot even be told."""
-
     def __str__(self) -> str:
         raise RuntimeError("nor this")
 
@@ -356,7 +345,6 @@ def test_a_barrier_that_asks_its_own_filter_gets_a_refusal() -> None:
 
 
 def test_many_threads_never_get_each_others_barriers() -> None:
-    """One of 8,500 such decisions was passed with the other thread's barriers."""
     model, settings = load_model("car"), FilterSettings()
     safe = SafetyFilter.for_model(model, settings)
     footprint = (0.08, 0.4, 0.12)

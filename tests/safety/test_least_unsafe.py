@@ -18,6 +18,11 @@ from safedpa.safety.search import DecisionError
 Values = NDArray[np.float64]
 
 
+class Mute:
+    def solve(self, *_: Any) -> None:
+        return None
+
+
 def test_the_highest_is_taken_though_the_wish_is_far() -> None:
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0, abs=2.5 * TOLERANCE)
@@ -109,10 +114,6 @@ def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_wi
 def test_of_what_is_known_the_best_is_never_lost() -> None:
     """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the wish."""
 
-    class Mute:
-        def solve(self, *_: Any) -> None:
-            return None
-
     def bump(a: Values) -> list[float]:
         return [0.5 - abs(a[0] - 0.2) - 0.1 * a[1]]
 
@@ -127,10 +128,6 @@ def test_of_what_is_known_the_best_is_never_lost() -> None:
 
 def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_wish() -> None:
     """h_0 stays the least; h_1 misses its condition by more at the one that is nearer to the wish."""
-
-    class Mute:
-        def solve(self, *_: Any) -> None:
-            return None
 
     case = Case(lambda a: [-7.0, a[0]], [-7.0, 2.0], [-0.5], eta=0.0, highest=Mute())
     assert case.run([-0.5], [0.5]).action == (1.0,)

@@ -229,7 +229,6 @@ class Robot:
 
 @pytest.mark.parametrize("lost", [(), (5,), (5, 6), (4, 8)])
 def test_the_watchdogs_actions_come_behind_what_is_in_flight(lost: tuple[int, ...]) -> None:
-    """Once they were forgotten: after one lost action the actuators seemed to have settled at the brake."""
     robot = Robot(LATE, lost=lost)
     for tick in range(14):
         truth, start = robot.memory, robot.values

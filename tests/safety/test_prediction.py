@@ -215,7 +215,6 @@ def test_one_value_that_is_no_number_makes_the_step_none() -> None:
 
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
 def test_how_large_a_value_is_says_what_an_answer_is(size: float) -> None:
-    """The same steps, whatever the unit of the value."""
     steps: list[float] = []
 
     def function(x: np.ndarray) -> np.ndarray:

@@ -42,7 +42,6 @@ def problem(random: np.random.Generator) -> tuple[QuadraticProgram, np.ndarray, 
 
 
 def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
-    """The solution for arrays, in arrays."""
     found = program.solve(A.tolist(), b.tolist(), wish.tolist())
     return Solution(np.array(found.action), np.array(found.slack), found.solved, found.status)
 
@@ -169,7 +168,6 @@ def test_how_far_a_limit_lies_beyond_all_actions_does_not_matter() -> None:
 
 
 def test_a_row_that_no_action_changes_is_left_out() -> None:
-    """Whether it is kept is not for the program to say."""
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     solution = solved(program, np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([5.0, 0.5]), np.zeros(2))
     assert (solution.solved, solution.status) == (True, "solved")

@@ -54,15 +54,12 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
     assert len(counting.asked) == 10
 
 
-def test_states_that_begin_alike_are_distinguished() -> None:
+def test_states_that_begin_alike_are_distinguished_and_the_oldest_is_forgotten_first() -> None:
     counting = Counting()
     known = Remembered(counting)
     for state in ((1.0, 0.0), (1.0, 2.0), (0.0, 2.0), (3.0,), (1.0, 2.0)):
         assert known.heights(state) == list(state)
     assert len(counting.asked) == 4
-
-
-def test_the_oldest_goes_first_however_often_all_were_forgotten() -> None:
     counting = Counting()
     known = Remembered(counting)
     for index in range(30):
@@ -176,16 +173,15 @@ def test_a_rehearsal_that_fails_costs_no_verdict_and_is_not_repeated(monkeypatch
     assert len(tried) == 1
 
 
-def test_nothing_is_rehearsed_where_nothing_can_be_decided(verdicts: list[Verdict]) -> None:
+def test_nothing_is_rehearsed_where_nothing_is_decided_and_a_rehearsal_changes_no_later_decision(
+    verdicts: list[Verdict],
+) -> None:
     node = SafetyFilterNode(CAR, SETTINGS)
     assert step(node, 0, values=(0.0, 0.0, 0.0)).status == "fallback", "a state of another size"
     assert len(verdicts) == 1
     step(node, 1)
     assert [verdict.status is Status.relaxed for verdict in verdicts] == [False, False, True]
-
-
-def test_a_rehearsal_changes_no_later_decision() -> None:
-    """At the model's own period one robot rehearses for all: the second robot's filter has not."""
+    # At the model's own period one robot rehearses for all: the second robot's filter has not.
     node = SafetyFilterNode(CAR, SETTINGS)
     for tick in range(3):
         one, other = (step(node, tick, robot, period=0.05) for robot in ("r", "s"))
@@ -242,7 +238,9 @@ def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_a
 
 
 @pytest.mark.parametrize("until_action", [0.03, 0.05, 0.12])
-def test_the_state_is_taken_to_where_the_action_is_put_in_force(until_action: float) -> None:
+def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_ones_expected_there(
+    until_action: float,
+) -> None:
     trail, states = followed(CAR, until_action, 10)
     pending = trail.pending(until_action)
     assert sum(seconds for _, seconds in pending.sent) == pytest.approx(until_action)
@@ -255,10 +253,6 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force(until_action: fl
     if rest > 1e-9:
         state = CAR.advance(state, np.array(commands(10)[-2]), (), np.array(LATENTS), period=rest)[0]
     np.testing.assert_allclose(begin.state, state, atol=2e-3)
-
-
-@pytest.mark.parametrize("until_action", [0.03, 0.05, 0.12])
-def test_the_next_states_are_expected_under_what_is_in_force_then(until_action: float) -> None:
     trail, states = followed(DELAYED, until_action, 10)
     later = followed(DELAYED, until_action, 12)[1]
     assert later[:10] == states

@@ -57,15 +57,12 @@ def test_the_true_model_needs_no_margin_and_the_incomplete_one_does(name: str) -
     assert right.fingerprint != wrong.fingerprint
 
 
-def test_a_saved_margin_belongs_to_its_model(tmp_path) -> None:
+def test_a_saved_margin_belongs_to_its_model_and_other_robots_and_periods_are_refused(tmp_path) -> None:
     model = incomplete_model()
     calibration = calibration_from_runs(model, settings_named("car"), [driven(model)], 0.95, "2024-01-01")
     calibration.save(tmp_path / "margin.toml")
     assert MarginCalibration.load(tmp_path / "margin.toml") == calibration
     assert margin_for(model, str(tmp_path / "margin.toml")) == calibration
-
-
-def test_other_robots_and_other_periods_are_refused() -> None:
     with pytest.raises(InputError, match=r"got bounds of -0\.6 to 2 1 for throttle"):
         calibration_from_runs(load_model("dart_car"), settings_named("car"), [], 0.9, "2024-01-01")
     run = driven(incomplete_model())

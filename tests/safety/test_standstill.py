@@ -147,7 +147,6 @@ def test_places_are_positions_or_what_is_no_rate() -> None:
 
 @pytest.mark.parametrize(("ticks", "stands"), [(1, True), (10, True), (11, False)])
 def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stands: bool) -> None:
-    """At 200 Hz a wish that came late twice a second hid a stand of 100 s."""
     standing = Standstill((0,))
     for tick in range(220):
         standing.measure((1.0,), PERIOD)

@@ -103,10 +103,19 @@ def test_settings_of_no_known_bounds(given: dict[str, Any], words: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_right_pairs_are_accepted(name: str) -> None:
+def test_right_pairs_are_accepted_and_so_are_limits_that_are_the_models_own_but_none_beyond(name: str) -> None:
     model = load_model(MODELS[name])
     SafetyFilter.for_model(model, settings_named(name))
     SafetyFilterNode(model, settings_named(name))
+    model = load_model(MODELS[name])
+    bounds = {end: [getattr(each, end[7:]) for each in model.system.action] for end in ("action_low", "action_high")}
+    SafetyFilter.for_model(model, FilterSettings(system="", **bounds))
+    for place, variable in enumerate(model.system.action):
+        for end, further in (("action_low", -1e-9), ("action_high", 1e-9)):
+            beyond = {**bounds, end: [*bounds[end]]}
+            beyond[end][place] += further
+            with pytest.raises(InputError, match=rf"for {variable.name}, the system .* takes .*; wanted bounds within"):
+                SafetyFilter.for_model(model, FilterSettings(system="", **beyond))
 
 
 @pytest.mark.parametrize(("model", "settings"), WRONG)
@@ -201,7 +210,6 @@ def test_names_of_a_range_tell_the_states_and_each_barrier_says_what_it_reads() 
 
 
 def test_default_settings_around_a_users_functions_are_refused() -> None:
-    """They would answer a one-action model with two entries."""
     one = [FunctionBarrier(lambda x: 1.0 - x[0])]
     with pytest.raises(InputError, match=r"made for the system 'car' \(x, y, yaw, speed; target_speed, steer\), which"):
         SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings())
@@ -227,19 +235,6 @@ def test_default_settings_around_a_users_functions_are_refused() -> None:
 def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         SafetyFilter.for_model(load_model("car"), FilterSettings(**changed))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_limits_that_are_the_models_own_fit_and_none_beyond_them(name: str) -> None:
-    model = load_model(MODELS[name])
-    bounds = {end: [getattr(each, end[7:]) for each in model.system.action] for end in ("action_low", "action_high")}
-    SafetyFilter.for_model(model, FilterSettings(system="", **bounds))
-    for place, variable in enumerate(model.system.action):
-        for end, further in (("action_low", -1e-9), ("action_high", 1e-9)):
-            beyond = {**bounds, end: [*bounds[end]]}
-            beyond[end][place] += further
-            with pytest.raises(InputError, match=rf"for {variable.name}, the system .* takes .*; wanted bounds within"):
-                SafetyFilter.for_model(model, FilterSettings(system="", **beyond))
 
 
 def test_a_backup_that_answers_no_numbers_is_refused() -> None:

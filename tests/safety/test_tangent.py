@@ -221,7 +221,6 @@ def test_a_car_is_not_sent_along_the_plateau_of_its_drive(number: int) -> None:
 
 @pytest.mark.parametrize("number", [1424, 3861, 8186, 10808])
 def test_the_least_unsafe_action_is_looked_for_across_the_plateau(number: int) -> None:
-    """Found by the grid: more than 1 % of a scale below what it reaches."""
     _, (found,) = CarGrid().work(("car", 2010, number, number + 1))
     assert found.status in ("relaxed", "violated")
     assert found.shortfall is not None

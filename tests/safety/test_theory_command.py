@@ -32,7 +32,6 @@ MODEL = load_model("car")
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Forty seconds with the latents as the adaptation says them."""
     path = tmp_path_factory.mktemp("drive") / "recording.mcap"
     filtering = SafetyFilterNode(MODEL, settings_named("car"), margin_for(MODEL))
     nodes = [AdaptationNode(MODEL), PolicyNode(MODEL), filtering]

@@ -364,7 +364,6 @@ def test_where_an_action_raises_h_by_the_error_h_stays_above_0_wherever_it_begin
 
 
 def test_where_actions_only_keep_h_errors_add_up_and_no_filter_helps() -> None:
-    """A robot that is pushed for ever and cannot back away."""
     error = 0.005
     now, then = driven(0.0, error, DEPTH, 60)
     first = next(tick for tick, h in enumerate(now) if h < -1e-9)

@@ -103,14 +103,12 @@ def test_noise_drop_outs_blind_sectors_and_glass() -> None:
     assert ranges[1] == pytest.approx(3.88, abs=1e-9)
 
 
-def test_a_scan_fits_its_topic_and_comes_back_as_it_was() -> None:
+def test_a_scan_comes_back_as_it_was_and_two_drives_with_the_same_seed_are_the_same() -> None:
     scan = driven(Laser(LaserSettings(rays=1080)), 4)[1][1][0]
     payload = encode(scan)
     assert len(payload) < 12_000
     assert decode(ScanMessage, payload) == scan
 
-
-def test_two_drives_with_the_same_seed_are_the_same() -> None:
     def once() -> tuple[str, list[list[ScanMessage]]]:
         robot, told = driven(Laser(LaserSettings(), seed=2), 40, (Walks((-2.0, 0.0), 1.5, 3),))
         return robot.trajectory_hash, [[scan.ranges for scan in one] for one in told]
@@ -135,14 +133,11 @@ def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
     assert walked > 4 * 30.0 * 0.3
 
 
-def test_a_person_steps_out_when_the_robot_is_near() -> None:
+def test_a_person_steps_out_when_the_robot_is_near_and_a_collision_has_the_speed_of_the_car() -> None:
     far, near = StepsOut((3.5, 2.5), (3.5, -2.5), 1.5, 0.5), StepsOut((-2.0, 2.0), (-2.0, -2.0), 1.5, 10.0)
     driven(Laser(EXACT), 20, (far, near))
     assert far.place == (3.5, 2.5)
     assert near.place[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
-
-
-def test_a_collision_has_the_speed_of_the_car() -> None:
     scene = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0))
     robot = CarRobot(scene, senses=Senses((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),)))
     for _ in range(60):

@@ -81,16 +81,13 @@ def test_all_that_is_occupied_is_covered_and_nothing_far_beyond(
     assert apart.max() <= most + HALF_DIAGONAL + 1e-6
 
 
-def test_a_pixel_that_ends_at_a_cells_border_closes_that_cell_alone(tmp_path: Path) -> None:
+def test_a_pixel_that_ends_at_a_border_closes_that_cell_alone_and_darkness_is_as_documented(tmp_path: Path) -> None:
     pixels = np.full((4, 4), 254)
     pixels[3, 2:] = 0
     pixels[2, 2:] = 0
     cells = read_map(written(tmp_path, pixels, 0.05, 0.3, -0.7))
     assert cells.corner == (4, -7)
     assert cells.flags.tolist() == [[True]]
-
-
-def test_darkness_is_computed_as_documented(tmp_path: Path) -> None:
     pixels = np.array([[0, 89, 90, 205, 254, 255]])
     path = written(tmp_path, pixels, 0.1)
     assert read_map(path).flags.sum() == 2, "0.65 of 255 is 165.75: darker than 89.25"

@@ -183,7 +183,6 @@ def commands_while_told(
 
 @pytest.mark.parametrize("told", [0.03, 0.09, -0.09, 0.101])
 def test_a_speed_that_is_a_little_wrong_at_rest_does_not_make_the_car_creep(told: float) -> None:
-    """A bias of 0.05 m/s, and the car crept backwards for as long as it was to stand."""
     commands = commands_while_told(car().state_message(), [told] * 120)
     assert set(commands[-40:]) == {0.0}
 
@@ -245,7 +244,7 @@ def test_a_mover_ahead_of_a_stationary_car_counts_though_a_wall_is_nearer() -> N
         assert both.action[0] <= alone.action[0] + 1e-6
 
 
-def test_what_may_move_is_wider_where_the_action_acts_late() -> None:
+def test_what_may_move_is_wider_where_the_action_acts_late_or_the_actuators_are_slow() -> None:
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.5))
     heights = []
     for until_action in (0.0, 0.1, 0.2):
@@ -254,10 +253,7 @@ def test_what_may_move_is_wider_where_the_action_acts_late() -> None:
         heights.append(asked(node, late, surroundings(late, movers=((1.8, 0.0, 0.05, 0.0, 0.0, 1.5),))).h_now)
     assert heights[0] - heights[1] >= 0.1 * 1.5 - 1e-6
     assert heights[0] - heights[2] >= 0.2 * 1.5 - 1e-6
-
-
-def test_what_may_move_is_wider_where_the_actuators_are_slow() -> None:
-    """The model knows a dead time: until an action acts, people go on walking."""
+    # The model knows a dead time: until an action acts, people go on walking.
     state, heights = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.0)), []
     for delay in (0.0, 0.2):
         model = load_model("car")
@@ -369,17 +365,13 @@ def test_after_a_leap_backwards_no_scan_of_before_is_believed_later() -> None:
     assert message.ages == (-1.0,)
 
 
-def test_a_scan_that_comes_before_the_state_after_it_waits_for_that() -> None:
+def test_scans_between_states_wait_for_the_state_after_them_even_of_the_next_epoch() -> None:
     node = PerceptionNode()
     step(node, state_of(0))
     step(node, state_of(1))
     node.hear("r", scan_of(0, 2.4 * PERIOD, 2))
     assert step(node, state_of(2)).ages == (-1.0,)
     assert step(node, state_of(3)).ages == pytest.approx((0.6 * PERIOD,))
-
-
-def test_a_scan_of_the_next_epoch_that_overtakes_its_state_counts_with_that_state() -> None:
-    """A replay gives perception the recorded scans, and would miss it."""
     node = PerceptionNode()
     step(node, state_of(40))
     node.hear("r", scan_of(0, 0.0, 0, epoch=2))

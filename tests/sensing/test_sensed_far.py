@@ -219,14 +219,13 @@ def test_no_period_does_more(name: str) -> None:
     assert (changes[:, :2] <= bounds.reach * swiftness[:, None] * period).all()
 
 
-def test_a_model_that_is_quicker_than_a_car_is_taken_as_quick_as_it_is() -> None:
+def test_a_model_that_is_quicker_than_a_car_is_taken_so_and_one_without_a_number_leaves_nothing_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """With the bounds of an ordinary car, what it can reach would be left out as far away."""
     assert bounds_of("car") == bounds_of("car_mix") == ORDINARY
     assert bounds_of("car_learned").acceleration > 1.5 * ORDINARY.acceleration, "at the ends of its latents"
     assert bounds_of("dart_car").acceleration == pytest.approx(125.0), "of a gain of up to 100 m/s2"
-
-
-def test_a_model_that_gives_no_number_leaves_nothing_out(monkeypatch: pytest.MonkeyPatch) -> None:
     model = load_model("car")
     monkeypatch.setattr(type(model), "advance", lambda *_, **__: (np.full((9, 5, 5, 5, 4), np.nan), None))
     found = quickness_of(model, settings_named("car"))
@@ -329,15 +328,12 @@ def test_no_slope_exceeds_its_bound_with_a_load(load: str, hidden: bool) -> None
             assert (np.abs(stack.gradient(state)) <= bound + 1e-9).all()
 
 
-def test_a_load_needs_more_room_where_the_car_was_driven_backwards() -> None:
+def test_a_load_needs_more_room_behind_and_without_an_own_radius_the_body_is_the_footprint() -> None:
     """Next to the car's front no person is near a towed load; once pushed back it may be there."""
     place, reach = [(0.5, 0.75, 0.2, 1.5)], towed_reach(load_named("large_chair"))[2]
     drawn, pushed = (barrier("large_chair", place, way).values(np.zeros(4))[0] for way in (0.0, 1.0))
     assert pushed == pytest.approx(np.hypot(0.58, 0.75) - reach - 0.2)
     assert drawn == pytest.approx(np.hypot(0.58 - 0.05, 0.75 - reach) - 0.2)
-
-
-def test_without_the_own_radius_the_body_is_the_footprint_as_it_was() -> None:
     body, (begin, end, reach) = footprint(load_named("chair")), towed_reach(load_named("chair"))
     towed = TowedReach(begin, end, reach - body[2], 0.0, (0.0, 0.0, 0.0))
     known = [(1.2, 0.1, 0.2, 1.5)], [False], body, BRAKES, BRAKES_BACK, 0.0, 0.0, None, towed

@@ -224,12 +224,15 @@ def test_the_wish_passes_where_nothing_is_near_and_a_point_ahead_is_kept_away_fr
     assert verdict.action[0] < 1.0
 
 
-def test_what_moves_needs_more_room_than_what_is_at_rest() -> None:
+def test_what_moves_needs_more_room_than_what_is_at_rest_and_what_hides_behind_the_car_holds_it_not() -> None:
     place = (1.6, 0.0, 0.05)
     assert decided(surroundings(state_of(), points=(place,))).status == "passed"
     assert decided(surroundings(state_of(), movers=((*place, 0.0, 0.0, 1.5),))).status == "corrected"
     assert decided(surroundings(state_of(), movers=((1.2, 0.0, 0.05, 0.0, 0.0, 1.5),))).status == "stopped"
     assert decided(surroundings(state_of(), hidden=((*place, 1.5),))).status != "passed"
+    behind = ((-0.9, 0.0, 0.3, 1.5),)
+    assert decided(surroundings(state_of(), hidden=behind)).status == "passed"
+    assert decided(surroundings(state_of(), hidden=behind), speed=-0.5, wish=-0.5).status != "passed"
 
 
 def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_brakes() -> None:
@@ -237,12 +240,6 @@ def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_
     assert verdict.status == "stopped"
     assert "mover 0 may be at the robot before it stands" in verdict.sentence
     assert verdict.action == (-0.6, 0.0), "as hard as it can"
-
-
-def test_hidden_places_behind_the_car_do_not_hold_it() -> None:
-    behind = ((-0.9, 0.0, 0.3, 1.5),)
-    assert decided(surroundings(state_of(), hidden=behind)).status == "passed"
-    assert decided(surroundings(state_of(), hidden=behind), speed=-0.5, wish=-0.5).status != "passed"
 
 
 @pytest.mark.parametrize(
@@ -369,8 +366,6 @@ def test_what_is_far_is_nearer_for_a_slow_car_and_farther_where_its_action_acts_
 
 
 class Ahead:
-    """Wishes to drive straight on."""
-
     def __call__(self, state: StateMessage) -> tuple[float, float]:
         return (1.5, 0.0)
 

@@ -41,12 +41,9 @@ from safedpa_sim.sensing.senses import Senses
 from safedpa_sim.sensing.shapes import Outline, box, room_to
 
 
-def test_a_drive_repeats_and_only_the_sensing_ones_see_people() -> None:
+def test_a_drive_repeats_people_are_seen_by_sensing_alone_and_perfect_knowledge_drives_farther() -> None:
     once, again = (run_drive(Drive("people", 1000, 4.0, 1.5)) for _ in range(2))
     assert {**once, "microseconds": 0} == {**again, "microseconds": 0}
-
-
-def test_with_perfect_knowledge_the_car_drives_farther() -> None:
     way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "safedpa")}
     assert way["told"] > way["safedpa"] > 0.0
 
@@ -81,9 +78,11 @@ def test_a_room_has_a_door_that_the_car_fits_through() -> None:
         assert sides == {True, False}
 
 
-def test_a_scene_that_does_not_exist_is_refused() -> None:
+def test_scenes_that_do_not_exist_are_refused_and_so_are_their_margins() -> None:
     with pytest.raises(InputError, match=r"scene 'room'.*rooms"):
         scene_and_people("room", 1, "none")
+    refused = CliRunner().invoke(command, ["--scene", "room"])
+    assert isinstance(refused.exception, InputError)
 
 
 def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
@@ -403,8 +402,3 @@ def test_drives_in_which_nothing_comes_near_and_what_is_no_record_are_reported(t
     for path in (tmp_path, tmp_path / "picture"):
         with pytest.raises(InputError, match="cannot be kept as a record"):
             margins_of_sensing(2, 1, 0.1, 0.6, record=path)
-
-
-def test_margins_of_a_scene_that_does_not_exist_are_refused() -> None:
-    refused = CliRunner().invoke(command, ["--scene", "room"])
-    assert isinstance(refused.exception, InputError)

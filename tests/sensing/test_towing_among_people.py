@@ -228,7 +228,6 @@ def model() -> PhysicsModel:
 
 
 def facing(apart: float) -> SharedField:
-    """Each has its goal behind the other's back."""
     half = apart / 2
     scenes = (
         Scene(1, None, FIELD, (), (-half, 0.0, 0.0), ((3.2, 0.0), (-3.2, 0.0))),

@@ -41,9 +41,6 @@ def kept_calls(monkeypatch: pytest.MonkeyPatch, where: type, name: str, answer: 
     return calls
 
 
-# the latent
-
-
 def test_a_latent_that_is_a_tick_old_is_used_however_long_the_tick() -> None:
     memory = driven()
     memory.latent = latent_at(state_at(0))
@@ -59,9 +56,6 @@ def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, t
     memory = driven()
     memory.changed_at = since
     assert memory.may_wait(state_at(tick)) is waits
-
-
-# the margin's watch
 
 
 @pytest.mark.parametrize(("before", "now"), [((), ("laser",)), (("laser",), ()), (("laser",), ("laser",)), ((), ())])
@@ -109,9 +103,6 @@ def test_without_a_scene_no_margin_rises() -> None:
     assert risen == [0.05]
 
 
-# what is around it
-
-
 @pytest.mark.parametrize(
     ("before", "now", "again"),
     [
@@ -149,9 +140,6 @@ def test_a_model_that_refuses_its_dead_time_has_none(monkeypatch: pytest.MonkeyP
     assert driven()._dead_time() == 0.0
 
 
-# the actuators
-
-
 def test_where_nothing_was_expected_the_command_is_felt_all_the_same() -> None:
     memory = driven(LATE)
     before, memory.expected_memory = memory.memory, None
@@ -174,9 +162,6 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
     assert begun.memory != LATE.initial_memory(np.array(oldest))
 
 
-# how late it acts
-
-
 @pytest.mark.parametrize(
     ("applied_by", "sources", "stood", "learns"),
     [
@@ -197,9 +182,6 @@ def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
 
 def test_a_delay_is_weighed_by_the_ranges_of_the_actions() -> None:
     assert driven().delay._ranges == pytest.approx((SETTINGS.high - SETTINGS.low).tolist())
-
-
-# what is foreseen
 
 
 def test_a_step_on_the_straight_line_is_taken_at_its_own_time() -> None:
@@ -265,9 +247,6 @@ def test_without_a_memory_of_the_actuators_none_comes_of_what_is_on_its_way(monk
     memory.pending = SimpleNamespace(sent=((0.0, 0.0),))
     monkeypatch.setattr(Trail, "expected", lambda *_: np.ones((1, 4)))
     assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent)[1] == memory.memory
-
-
-# what is left of a robot whose step raised
 
 
 class Scene(AbstractScene):
