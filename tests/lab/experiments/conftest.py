@@ -81,16 +81,6 @@ def _no_learned_model_ships():
         yield
 
 
-@pytest.fixture
-def crude():
-    """Writes a crude model of a name into a folder, with a policy or without."""
-
-    def write(folder: Path, name: str, policy: bool) -> None:
-        save_crude(folder, name, crude_weights(2, straight_on=policy))
-
-    return write
-
-
 @pytest.fixture(scope="session")
 def learned_folder(tmp_path_factory) -> Path:
     """All learned models that the experiment asks for: ``car_simulated`` takes the servo for a third as quick."""

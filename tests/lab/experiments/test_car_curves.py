@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from math import hypot
@@ -62,8 +60,7 @@ def test_without_conditions_an_episode_and_its_cell_are_the_experiment_s_own() -
     """What was measured before conditions were known is still found: the key says nothing of them."""
     cell = Cell(METHODS["physics"], LOAD, (0,), NOWHERE, SETTINGS, None)
     harder = replace(cell, conditions=Conditions(friction=0.6))
-    assert cell.name == "physics-chair"
-    assert harder.name == "physics-chair-friction=0.6"
+    assert (cell.name, harder.name) == ("physics-chair", "physics-chair-friction=0.6")
     assert cell.key == replace(cell, conditions=Conditions(friction=1.0)).key != harder.key
     assert [group.conditions for group in harder.groups((0, 1))] == [harder.conditions]
     assert Conditions(delay=0.1, told=False).label == "delay=0.1,told=False"
@@ -196,48 +193,29 @@ def test_safedpa_is_compared_pair_by_pair_and_corrected_for_every_comparison() -
     assert len(rows) == 4
     hard = rows["hard", "safe"]
     assert (hard["only_safedpa"], hard["only_other"], hard["against"]) == (10, 0, "rma")
-    assert hard["mcnemar"] == 2 / 2**10
-    assert hard["holm"] == 8 / 2**10
+    assert (hard["mcnemar"], hard["holm"]) == (2 / 2**10, 8 / 2**10)
     assert rows["hard", "both"]["holm"] == rows["easy", "safe"]["holm"] == 1.0
     assert advantages({"easy": {"rma": driven("1", "1")}}) == []
 
 
-@contextmanager
-def shortened() -> Iterator[None]:
-    """The first and last value of two sweeps, and as few drives for the margins as make one."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("friction", "noise"):
-            ends = {key: (getattr(SWEEPS[name], key)[0], getattr(SWEEPS[name], key)[-1]) for key in ("values", "shown")}
-            patch.setitem(SWEEPS, name, replace(SWEEPS[name], **ends))  # type: ignore[arg-type]
-        patch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
-        yield
-
-
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two sweeps, two methods without networks, as a person would ask for them."""
-    folder = tmp_path_factory.mktemp("curves") / "new" / "folder"
-    with shortened():
-        assert safedpa.run([*WORDS, "--out", str(folder)]) == 0
-    return folder
-
-
-WORDS = ["experiment", "car-curves", "--models", str(NOWHERE), "--sweep", "friction", "--sweep", "noise"]
-WORDS += ["--method", "physics", "--method", "goal_seeker", "--episodes", "1", "--drives", "1", "--processes", "1"]
-
-
 @pytest.mark.long
-def test_the_command_writes_tables_picture_and_every_point(out: Path) -> None:
+def test_the_command_writes_tables_picture_and_every_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the first and last value of two sweeps, with two methods without networks and as few drives as make one."""
+    for name in ("friction", "noise"):
+        ends = {key: (getattr(SWEEPS[name], key)[0], getattr(SWEEPS[name], key)[-1]) for key in ("values", "shown")}
+        monkeypatch.setitem(SWEEPS, name, replace(SWEEPS[name], **ends))
+    monkeypatch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
+    words, out = ["experiment", "car-curves", "--models", str(NOWHERE)], tmp_path / "new" / "folder"
+    words += ["--sweep", "friction", "--sweep", "noise", "--method", "physics", "--method", "goal_seeker"]
+    words += ["--episodes", "1", "--drives", "1", "--processes", "1", "--out", str(out)]
+    assert safedpa.run(words) == 0
     told = json.loads((out / "car-curves.json").read_text())
     assert told["seeds"] == [1000, 1000]
     assert told["sweeps"].keys() == {"friction", "noise"}
     points = told["sweeps"]["noise"]["points"]
     assert [(point["method"], point["shown"]) for point in points] == [
-        ("physics", "0"),
-        ("goal_seeker", "0"),
-        ("physics", "4"),
-        ("goal_seeker", "4"),
-    ]
+        ("physics", "0"), ("goal_seeker", "0"), ("physics", "4"), ("goal_seeker", "4"),
+    ]  # fmt: skip
     assert points[:2] == [{**point, "value": 0.0, "shown": "0"} for point in told["sweeps"]["friction"]["points"][:2]]
     assert all(point["safe"]["of"] == 1 and len(point["both"]["interval_95"]) == 2 for point in points)
     assert points[0]["safe"]["hits"] == 1
@@ -252,42 +230,6 @@ def test_the_command_writes_tables_picture_and_every_point(out: Path) -> None:
     assert wanted <= colours
 
 
-@pytest.mark.long
-def test_finished_episodes_are_not_driven_again(
-    out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refused(_: Any) -> Any:
-        raise AssertionError("an episode was driven again")
-
-    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", refused)
-    before = json.loads((out / "car-curves.json").read_text())
-    with shortened():
-        assert safedpa.run([*WORDS, "--out", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["sweeps"] == before["sweeps"]
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--sweep", "frictoin"], "did you mean 'friction'"),
-        (["--method", "safdpa"], "did you mean 'safedpa'"),
-        (["--family", "paper"], "car_learned.toml is not in"),
-        (["--episodes", "0"], "wanted at least 1"),
-        (["--first-seed", "4950"], "wanted seeds from 0"),
-    ],
-)
-def test_invalid_options_are_refused_in_one_line_without_a_folder(
-    words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked = ["experiment", "car-curves", "--models", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *words]
-    assert safedpa.run(asked) == 2
-    shown = capsys.readouterr()
-    assert told in shown.err
-    assert shown.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_sweeps_are_listed_in_their_own_order() -> None:
     assert [sweep.name for sweep in chosen_sweeps(("noise", "passage"))] == ["passage", "noise"]
-    assert chosen_sweeps(()) == list(SWEEPS.values())
-    assert SWEEPS["passage"].usual == PASSAGE
+    assert (chosen_sweeps(()), SWEEPS["passage"].usual) == (list(SWEEPS.values()), PASSAGE)

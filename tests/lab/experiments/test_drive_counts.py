@@ -106,9 +106,7 @@ KINDS = [
 
 @pytest.mark.parametrize("driven", KINDS, ids=lambda one: one.__name__)
 @pytest.mark.parametrize("touched", [0, 1, 3])
-def test_contacts_goals_statuses_and_the_least_h_of_a_drive_are_counted(
-    driven: Callable[[Patch, Any], Counted], touched: int, monkeypatch: Patch
-) -> None:
+def test_contacts_goals_statuses_and_the_least_h_of_a_drive_are_counted(driven, touched, monkeypatch) -> None:
     contacts, goals, statuses, least = driven(monkeypatch, robot(touched, goals=5))
     assert (contacts, least) == (touched, -0.125)
     assert goals in (None, 5)
@@ -136,9 +134,7 @@ def long_drive(patch: Patch, start: Any, places: Sequence[Any], period: float) -
     ],
 )
 @pytest.mark.parametrize("way", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
-def test_the_longest_standstill_is_measured_within_two_centimetres(
-    places: list[float], longest: float, way: tuple[float, float], monkeypatch: Patch
-) -> None:
+def test_the_longest_standstill_is_measured_within_two_centimetres(places, longest, way, monkeypatch) -> None:
     """In periods of half a second."""
     found = long_drive(monkeypatch, (9.0, 9.0), [(way[0] * place, way[1] * place) for place in places], 0.5)
     assert found.longest_stand == pytest.approx(longest)
@@ -156,9 +152,7 @@ def test_the_longest_standstill_is_measured_within_two_centimetres(
     ],
 )
 @pytest.mark.parametrize("period", [1.0, 0.5])
-def test_the_least_way_is_that_of_the_twenty_seconds_with_the_least_progress(
-    steps: list[float], least: float, period: float, monkeypatch: Patch
-) -> None:
+def test_the_least_way_is_that_of_the_twenty_seconds_with_the_least_progress(steps, least, period, monkeypatch) -> None:
     """Steps of a second each, m; reported every second, or twice as often."""
     often = round(1.0 / period)
     along = np.cumsum([0.0, *np.repeat(np.array(steps) / often, often)])
@@ -292,9 +286,7 @@ def test_contacts_are_counted_by_whether_the_car_moved_and_drove_towards_them(
         ([(0.0, 0.0)], 0.0),
     ],
 )
-def test_the_kept_share_of_nominal_speeds_counts_either_direction(
-    wishes: list[tuple[float, float]], kept: float, monkeypatch: Patch
-) -> None:
+def test_the_kept_share_of_nominal_speeds_counts_either_direction(wishes, kept, monkeypatch) -> None:
     story = [tick(wish=(wish, 0.0), action=(action, 0.0)) for wish, action in wishes]
     assert among_people(monkeypatch, story=story)[0]["kept"] == pytest.approx(kept)
 
@@ -303,9 +295,7 @@ def test_the_kept_share_of_nominal_speeds_counts_either_direction(
     ("stepped", "told"),
     [([True], True), ([False], False), ([False, True, False], True), ([None], False), ([None, True], True)],
 )
-def test_a_drive_notes_whether_any_person_stepped_out(
-    stepped: list[bool | None], told: bool, monkeypatch: Patch
-) -> None:
+def test_a_drive_notes_whether_any_person_stepped_out(stepped, told, monkeypatch) -> None:
     """None is a person who stands there from the beginning."""
 
     class Stands(Person):
@@ -335,9 +325,7 @@ LOOKS = (AdaptationNode, PerceptionNode, PolicyNode)
         ("NOTHING", (*LOOKS, NoFilter)),
     ],
 )
-def test_a_controller_that_looks_around_has_the_same_perception_behind_each_guard(
-    guard: str, nodes: tuple[type, ...], monkeypatch: Patch
-) -> None:
+def test_a_controller_that_looks_around_has_the_same_perception_behind_each_guard(guard, nodes, monkeypatch) -> None:
     """In capitals: with the controller that looks around."""
     assert among_people(monkeypatch, guard=guard)[1] == list(nodes)
 
@@ -386,9 +374,7 @@ def test_a_monitor_scales_the_wish_by_the_time_left_over_its_patience(apart: flo
         ([[1.2, 0.0]], 0.0, 1.0, 1.0),
     ],
 )
-def test_the_brake_by_time_to_collision_stops_less_than_0_8_s_ahead(
-    points: list[list[float]], speed: float, wish: float, share: float
-) -> None:
+def test_the_brake_by_time_to_collision_stops_less_than_0_8_s_ahead(points, speed, wish, share) -> None:
     assert TimeToCollision().share_of(np.array(points), at(speed), (wish, 0.0)) == share
 
 

@@ -1,20 +1,28 @@
-"""All experiments by one command: each is asked for as it wants to be, and what is made is not made again."""
+"""All experiments by one command, what each refuses before hours of work, and how a figure was made."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from safedpa.errors import InputError
-from safedpa_lab.commands.experiment import EXPERIMENTS
+from safedpa_lab.commands.experiment import EXPERIMENTS, command
 from safedpa_lab.commands.experiment import command as experiment
+from safedpa_lab.commands.results import command as results
 from safedpa_lab.experiments.everything import ELSEWHERE, PARTS, Part, chosen, make
-from safedpa_lab.provenance.record import KEY
+from safedpa_lab.provenance import code, record
+from safedpa_lab.provenance.check import standings
+from safedpa_lab.provenance.record import KEY, command_line, write_result
 from safedpa_services.command_line.group import safedpa
 
 DRIVES = ("controllers", "--seeds", "1", "--controller", "goal_seeker")
@@ -123,3 +131,262 @@ def test_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = capsys.readouterr()
     assert json.loads(told.out)["controllers"]["exit_code"] == 0
     assert "1 of 1: controllers: done" in told.err
+
+
+def told(*words: str) -> str:
+    found = CliRunner().invoke(command, list(words))
+    assert isinstance(found.exception, InputError), found.output
+    return str(found.exception)
+
+
+@pytest.mark.parametrize("name", ["point", "point-heat-map", "point-relinearised", "point-story", "pendulum"])
+def test_an_out_that_cannot_be_made_is_refused_before_anything_is_driven(name, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("safedpa_services.progress.progress", lambda *_: pytest.fail("work was begun"))
+    monkeypatch.setattr("safedpa_lab.point.heat_map.heat_map", lambda *_, **__: pytest.fail("work was begun"))
+    (tmp_path / "file").touch()
+    assert told(name, "--out", str(tmp_path / "file" / "in")).startswith(f"--out {tmp_path / 'file' / 'in'}: cannot be")
+
+
+@pytest.mark.parametrize(
+    "named", ["point --models", "point --baselines", "point-heat-map --models", "point-relinearised --models"]
+)
+def test_a_folder_that_is_named_and_not_there_is_not_replaced_by_what_ships(named, tmp_path) -> None:
+    name, option = named.split()
+    assert told(name, option, str(tmp_path / "mistyped")) == (
+        f"{option} {tmp_path / 'mistyped'}: got no folder that exists, wanted one; without {option} what ships is taken"
+    )
+
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a small experiment writes; nobody changes it here."""
+    out = tmp_path_factory.mktemp("written") / "theory.json"
+    assert (
+        safedpa.run(["experiment", "theory", "car_learned", "--states", "2000", "--seed", "4", "--out", str(out)]) == 0
+    )
+    return out
+
+
+@pytest.fixture
+def kept(written: Path, tmp_path: Path) -> Path:
+    """A folder with a copy of it, to be changed."""
+    shutil.copy(written, tmp_path)
+    return tmp_path
+
+
+def test_a_result_holds_how_to_make_it_again(written: Path) -> None:
+    told = json.loads(written.read_text())[KEY]
+    assert told["command"] == "safedpa experiment theory car_learned --states 2000 --seed 4"
+    assert told["date"][:2] == "20"
+    assert told["machine"]["cores"] >= 1
+    assert {"safedpa.safety", "safedpa.dynamics", "safedpa.robots.car", "shipped models"} <= set(told["code"])
+    assert str(written.parent) not in json.dumps(told)
+
+
+def test_the_check_names_the_package_that_has_changed(kept: Path) -> None:
+    (now,) = standings(kept)
+    assert (now.changed, now.told) == ((), "made by the code of today")
+    path = kept / "theory.json"
+    document = json.loads(path.read_text())
+    document[KEY]["code"]["safedpa.safety"] = "0" * 12
+    path.write_text(json.dumps(document))
+    (then,) = standings(kept)
+    assert then.changed == ("safedpa.safety",)
+    assert then.told == f"older than its code in 1 of {then.rooms} rooms"
+    shown = CliRunner().invoke(results, ["check", str(kept), "--strict"], standalone_mode=False)
+    assert "differ: safedpa.safety" in shown.output
+    assert shown.return_value == 1
+
+
+def test_a_result_without_provenance_is_not_called_current(tmp_path: Path) -> None:
+    (tmp_path / "old.json").write_text('{"date": "2026-11-21", "rows": []}')
+    (old,) = standings(tmp_path)
+    assert (old.date, old.rooms, old.told) == ("2026-11-21", 0, "made before its code was written down")
+    assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
+    assert CliRunner().invoke(results, ["check", str(tmp_path), "--strict"], standalone_mode=False).return_value == 1
+
+
+def test_each_row_of_a_benchmark_is_checked_by_itself(kept: Path) -> None:
+    told = json.loads((kept / "theory.json").read_text())[KEY]
+    (kept / "theory.json").write_text(json.dumps({"rows": {"new": {KEY: told}, "old": {"name": "old"}}}))
+    assert [(each.name, bool(each.rooms)) for each in standings(kept)] == [
+        ("theory.json: new", True),
+        ("theory.json: old", False),
+    ]
+
+
+def test_no_results_and_no_json_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="name the folder"):
+        list(standings(tmp_path))
+    (tmp_path / "torn.json").write_text("{")
+    with pytest.raises(InputError, match="make it anew"):
+        list(standings(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[1, 2]", "null", f'{{"{KEY}": null}}', f'{{"{KEY}": [1]}}', f'{{"{KEY}": {{"code": {{"a": "b"}}}}}}',
+        f'{{"{KEY}": {{"code": ["a"], "module": "safedpa_lab"}}}}', '{"rows": {"one": 3}}',
+        f'{{"{KEY}": {{"code": {{"a": "b"}}, "module": null, "date": 3}}}}',
+    ],
+)  # fmt: skip
+def test_a_malformed_provenance_counts_as_unknown(tmp_path: Path, text: str) -> None:
+    (tmp_path / "odd.json").write_text(text)
+    (told,) = standings(tmp_path)
+    assert (told.rooms, told.changed, told.date) == (0, (), None)
+    assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
+
+
+def test_every_package_differs_if_the_module_is_gone(kept: Path) -> None:
+    path = kept / "theory.json"
+    document = json.loads(path.read_text())
+    document[KEY]["module"] = "safedpa_lab.of.long.ago"
+    document[KEY]["code"] = {"safedpa_lab.of": "0" * 12}
+    path.write_text(json.dumps(document))
+    (then,) = standings(kept)
+    assert "safedpa_lab.of" in then.changed
+    assert len(then.changed) == then.rooms
+
+
+def test_a_result_is_json_whatever_was_measured(tmp_path: Path) -> None:
+    odd = {"a": math.nan, "b": [np.float32("inf"), np.int64(3)], "c": {"d": (-math.inf, 1.5, None, True)}}
+    write_result(tmp_path / "odd.json", odd)
+    document = json.loads((tmp_path / "odd.json").read_text(), parse_constant=pytest.fail)
+    assert {key: document[key] for key in odd} == {"a": None, "b": [None, 3.0], "c": {"d": [None, 1.5, None, True]}}
+
+
+def test_an_environment_within_another_project_bears_no_commit_of_that_project(tmp_path, monkeypatch) -> None:
+    package = tmp_path / "env" / "safedpa"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (tmp_path / ".gitignore").write_text("env\n")
+    own = ("-c", "user.name=a", "-c", "user.email=a@b")
+    for words in (("init", "-q"), ("add", "."), (*own, "commit", "-q", "-m", "theirs")):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
+    monkeypatch.setattr(record.safedpa, "__file__", str(package / "__init__.py"))
+    write_result(tmp_path / "odd.json", {})
+    assert json.loads((tmp_path / "odd.json").read_text())[KEY]["commit"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--seed", "7", "--only", "box", "--only", "large chair", "--quick", "--processes", "1", "--out", "/x/y"],
+         "drive --only box --only 'large chair' --seed 7 --quick"),
+        (["--no-peers"], "drive --no-peers"),
+        (["--place", "1", "2"], "drive --place 1.0 2.0"),
+        (["--only", "it's $HOME"], "drive --only 'it'\"'\"'s $HOME'"),
+        (["--model", "/home/someone/private/m.toml"], "drive --model m.toml"),
+        (["--when", "now"], "drive"),
+    ],
+)  # fmt: skip
+def test_a_command_is_recorded_as_typed_without_folders(words: list[str], told: str) -> None:
+    said: list[str] = []
+
+    @click.command(name="drive")
+    @click.option("--peers/--no-peers", default=True)
+    @click.option("--place", nargs=2, type=float)
+    @click.option("--only", multiple=True)
+    @click.option("--model")
+    @click.option("--when", default=lambda: "now")
+    @click.option("--seed", type=int, default=0)
+    @click.option("--quick", is_flag=True)
+    @click.option("--processes", type=int, default=2)
+    @click.option("--out", type=click.Path(path_type=Path))
+    def drive(**_: object) -> None:
+        said.append(command_line(click.get_current_context()))
+
+    CliRunner().invoke(drive, words, prog_name="drive")
+    assert said == [told]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "same"),
+    [
+        ('"""One."""\na = 1\n', "# two\n\na = 1\n", True),
+        ('def f():\n    """One."""\n    return 1\n', "def f():\n    return 1\n", True),
+        ('if a:\n    """One."""\n    b()\n', "if a:\n    b()\n", True),
+        ("a = 1\n", "a = 2\n", False),
+        ("a = b < c\n", "a = b <= c\n", False),
+        ('a = "one"\n', 'a = "two"\n', False),
+        ('a = """\n# one\n"""\n', 'a = """\n# two\n"""\n', False),
+        ('a = f"""\n# one {b}\n"""\n', 'a = f"""\n# two {b}\n"""\n', False),
+    ],
+)
+def test_comments_and_layout_do_not_count_and_all_else_does(before: str, after: str, same: bool) -> None:
+    assert (code.without_words(before) == code.without_words(after)) is same
+
+
+def test_code_that_is_only_named_counts_as_well() -> None:
+    """Imports within functions, processes started by a module's name, robots found by theirs."""
+    faults = set(code.code_behind("safedpa_lab.commands.experiments.faults"))
+    assert {"safedpa.robots.car.barriers", "safedpa.safety.decision", "safedpa_lab.faults.report"} <= faults
+    assert {"safedpa_services.safety_filter.__main__", "safedpa_services.recorder.__main__"} <= faults
+
+
+def test_a_result_written_outside_a_command_names_none(tmp_path: Path) -> None:
+    write_result(tmp_path / "plain.json", {"a": 1})
+    document = json.loads((tmp_path / "plain.json").read_text())
+    assert (document["a"], document[KEY]["command"], document[KEY]["code"]) == (1, None, {})
+
+
+def test_every_experiment_that_writes_a_result_writes_its_provenance() -> None:
+    """No file of results is written past the one place that adds it."""
+    bare = []
+    for path in sorted((ROOT / "sim" / "safedpa_lab").rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if "commands" in path.parts or "report" in path.name or path.name.endswith("_record.py"):
+            bare += [str(path.relative_to(ROOT))] if "write_text(json.dumps(" in text else []
+    assert bare == []
+
+
+CAR = "--models TMP/none --out TMP/results/car"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("safty", "did you mean 'safety'"), ("safety --suite none", "--suite"), ("safety --seeds 0", "more than 0"),
+        ("adversary --only programms", "did you mean 'programs'"), ("adversary --workers 0", "wanted at least 1"),
+        ("adversary --seed -1", "--seed"),
+        ("hidden-effects --cases 0", "--cases"), ("hidden-effects --suite no", "--suite"),
+        ("hidden-effects --seed -1", "--seed"), ("hidden-effects --out /no/where", "--out"),
+        ("hidden-effects --horizons --suite none --page TMP/page.md", "--page"),
+        ("safety-pays --hidden chairs", "--hidden"), ("safety-pays --seeds 0", "--seeds"),
+        ("safety-pays --out /no/where/x.json", "--out"),
+        (f"car {CAR} --method safdpa", "did you mean 'safedpa'"), (f"car {CAR} --method safedpa", "safedpa train car"),
+        (f"car {CAR} --load sofa", "sofa"), (f"car {CAR} --part tables", "did you mean 'table'"),
+        (f"car {CAR} --episodes 0", "wanted at least 1"), (f"car {CAR} --first-seed 4950", "wanted seeds from 0"),
+        (f"car {CAR} --margin wide", "wanted 'conformal', 'theorem' or a number"),
+        (f"car {CAR} --drive-ticks 30", "at least 120"), (f"car {CAR} --settings nowhere.toml", "nowhere.toml"),
+        (f"car {CAR} --method physics --part equal-margin", "equal-margin"),
+        (f"car {CAR} --family paper", "car_learned.toml is not in"),
+        (f"car {CAR} --family papr", "family 'papr': did you mean 'paper'"),
+        ("car --models TMP --out /proc/no/where", "choose another folder"),
+        (f"car-curves {CAR} --sweep frictoin", "did you mean 'friction'"),
+        (f"car-curves {CAR} --method safdpa", "did you mean 'safedpa'"),
+        (f"car-curves {CAR} --family paper", "car_learned.toml is not in"),
+        (f"car-curves {CAR} --episodes 0", "wanted at least 1"),
+        (f"car-curves {CAR} --first-seed 4950", "wanted seeds from 0"),
+        ("meeting --robots 9", "--robots: got 9, wanted 2 to 8"), ("meeting --seconds 0", "--seconds: got 0.0"),
+        ("meeting --guard safe", "did you mean"), ("meeting --load sofa", "--load sofa"),
+        ("meeting --fastest 0", "--fastest: got 0.0"), ("meeting --out /nowhere/at/all.json", "create it"),
+        ("margins --robot carr --out TMP/out", "--robot"), ("margins --kind both --out TMP/out", "--kind"),
+        ("margins --drives 0 --out TMP/out", "--drives"), ("margins --minutes -1 --out TMP/out", "--minutes"),
+        ("pendulum --directions=1", "--directions"), ("pendulum --episodes=0", "--episodes"),
+        ("pendulum --seed=-1", "--seed"), ("pendulum --seed=200000", "seeds for evaluation"),
+        ("pendulum --drives=20", "--drives"),
+        ("pendulum --sweep-episodes=-1", "--sweep-episodes"), ("pendulum-story --hidden ghost", "--hidden"),
+        ("point --methods cppo", "did you mean"),
+    ],
+)  # fmt: skip
+def test_what_no_experiment_can_do_is_refused_in_one_line_and_leaves_no_folder(words, told, tmp_path, capsys) -> None:
+    assert safedpa.run(["experiment", *words.replace("TMP", str(tmp_path)).split()]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert told.lower() in shown.err.lower()
+    assert list(tmp_path.iterdir()) == []

@@ -130,9 +130,7 @@ def test_episodes_with_an_incomplete_and_with_a_diagnosed_model(monkeypatch: pyt
     }  # fmt: skip
 
 
-def test_drives_on_wheels_are_grouped_by_world_policy_and_filter(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_drives_on_wheels_are_grouped_by_world_policy_and_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five seeds, of which the first and the last are driven without the filter as well."""
     usual = {"collisions": 0, "goals": 2, "way": 3.0, "least_h": 0.5, "statuses": {"passed": 4}, "microseconds": 100.0}
     own: dict[int, dict[str, Any]] = {
@@ -302,9 +300,7 @@ def test_each_scene_guard_and_load_has_the_goals_of_its_own_drives(monkeypatch: 
     assert [row["goals_a_minute"] for row in found["by_load"]] == [6.0, 5.0, 2.0, 1.0, 5.0, 4.0, 1.0, 0.0]
 
 
-def test_a_point_of_a_curve_is_compared_with_perfect_knowledge_at_the_same_value(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_point_of_a_curve_is_compared_with_perfect_knowledge_at_the_same_value(monkeypatch) -> None:
     """Two values with three seeds each of half a minute; goals rise from drive to drive."""
     monkeypatch.setattr(
         sensing_curves, "driven", lambda _run, wanted, *_: [sensed(one.seed, goals=n) for n, one in enumerate(wanted)]
@@ -368,9 +364,7 @@ def test_long_drives_count_standstills_and_crawls() -> None:
         ({"taken": None}, (1, 1, 1, 0)),
     ],
 )
-def test_a_change_is_found_in_time_within_its_limits(
-    changes: dict[str, Any], in_time: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_is_found_in_time_within_its_limits(changes, in_time, monkeypatch) -> None:
     """10 s to the finding, 60 s to the name, 20 s from the changed model to the fallen error; two drives alike."""
     usual: dict[str, Any] = {"changed": 100.0, "raised": 105.0, "found": 150.0, "effect": "towed_load"}
     drive = LiveDrive("hitch", 1, **{**usual, "taken": 170.0, "fell": 180.0, "collisions": 2, **changes})

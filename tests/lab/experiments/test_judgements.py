@@ -159,9 +159,7 @@ def test_what_is_hidden_in_all_robots_is_to_be_named_as_common_and_counts_in_non
         ("", "", "unexplained", "", False),
     ],
 )
-def test_a_robot_is_right_if_all_that_is_hidden_is_named_and_nothing_else(
-    hidden: str, effects: str, kind: str, shared: str, right: bool
-) -> None:
+def test_a_robot_is_right_if_all_that_is_hidden_is_named_and_nothing_else(hidden, effects, kind, shared, right) -> None:
     """A second robot has only what is hidden in all."""
     everywhere = {name: {} for name in shared.split()}
     truth: dict[str, Any] = {"r1": {**everywhere, **{name: {} for name in hidden.split()}}, "r2": everywhere}
@@ -172,8 +170,7 @@ def test_a_robot_is_right_if_all_that_is_hidden_is_named_and_nothing_else(
 
 
 @pytest.mark.parametrize(
-    ("groups", "count"),
-    [("a b;c", 2), ("a b;c x", 1), ("a;b;c", 1), ("a b c", 0), ("a b h;c", 1)],
+    ("groups", "count"), [("a b;c", 2), ("a b;c x", 1), ("a;b;c", 1), ("a b c", 0), ("a b h;c", 1)]
 )
 def test_a_kind_of_hidden_effects_is_right_if_its_robots_make_up_one_group(groups: str, count: int) -> None:
     """a and b drag, c tows, x and h are healthy."""
@@ -268,9 +265,7 @@ def test_a_target_is_met_where_the_report_says_that_it_holds(after: float, met: 
         ([], [2.0], [False, False, True], ["nothing", "+0.0 %", "none"]),
     ],
 )  # fmt: skip
-def test_the_pendulum_meets_its_targets(
-    added: list[str], errors: list[float], met: list[bool], measured: list[str]
-) -> None:
+def test_the_pendulum_meets_its_targets(added, errors, met, measured) -> None:
     found = targets_of([{"part": "pendulum", "added": added, "errors": errors}])
     assert [one["met"] for one in found] == met
     assert all(said in one["measured"] for one, said in zip(found, measured, strict=True))
@@ -306,9 +301,7 @@ def report(errors: tuple[float, ...], added: tuple[str, ...] = ("a",)) -> Any:
 
 
 @pytest.mark.parametrize(("errors", "change"), [((4.0, 3.0, 1.0), -0.75), ((0.0, 0.0), 0.0), ((2.0,), 0.0)])
-def test_recordings_are_diagnosed_together_and_with_each_log_left_out(
-    errors: tuple[float, ...], change: float, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
-) -> None:
+def test_recordings_are_diagnosed_together_and_with_each_log_left_out(errors, change, monkeypatch, tmp_path) -> None:
     """Errors on the logs left out fall from 4, 2 and 2 to 1, 1 and 0.5; b was added in two of the three."""
     paths = [tmp_path / f"{name}.csv" for name in "xyz"]
     unseen = {"x": (4.0, 1.0), "y": (2.0, 1.0), "z": (2.0, 0.5)}

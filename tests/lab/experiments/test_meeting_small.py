@@ -39,10 +39,8 @@ def test_a_meeting_repeats_bit_for_bit(guard: str) -> None:
 @pytest.mark.parametrize(("robots", "load"), [(2, "none"), (8, "none"), (4, "large_chair")])
 def test_all_begin_apart_on_the_field_of_the_seed_and_have_goals_of_their_own(robots: int, load: str) -> None:
     scenes = meeting_scenes(4691, robots, load)
-    assert scenes == meeting_scenes(4691, robots, load)
-    assert len(scenes) == robots
-    assert scenes[0] == Scene.random(4691, load)
-    assert len({one.obstacles for one in scenes}) == 1
+    assert (scenes, len(scenes)) == (meeting_scenes(4691, robots, load), robots)
+    assert (scenes[0], len({one.obstacles for one in scenes})) == (Scene.random(4691, load), 1)
     for one, other in combinations(scenes, 2):
         assert hypot(one.start[0] - other.start[0], one.start[1] - other.start[1]) > 1.5
     assert len({next(one.goals()) for one in scenes}) == robots
@@ -78,9 +76,7 @@ def test_the_discs_of_another_car_cover_all_of_it() -> None:
 )
 @pytest.mark.parametrize("turn", [0.0, 0.5 * pi, -2.0])
 @pytest.mark.parametrize("periods", [1, 200])
-def test_two_stuck_cars_face_each_other_if_each_is_in_front_of_the_other(
-    yaws: tuple[float, float], face: bool, turn: float, periods: int
-) -> None:
+def test_two_stuck_cars_face_each_other_if_each_is_in_front_of_the_other(yaws, face, turn, periods) -> None:
     """One metre apart, however the field is turned; of a short drive all of it counts."""
     path = np.zeros((periods, 2, 4))
     path[:, 1, :2] = cos(turn), sin(turn)
@@ -96,9 +92,7 @@ def test_two_stuck_cars_face_each_other_if_each_is_in_front_of_the_other(
         (1.0, 150, 0.15, True), (1.0, 150, 0.25, False),
     ],
 )  # fmt: skip
-def test_two_cars_are_stuck_if_they_stood_near_each_other_for_the_last_eight_seconds(
-    apart: float, moved_at: int, by: float, stuck: bool
-) -> None:
+def test_two_cars_are_stuck_if_they_stood_near_each_other_for_the_last_eight_seconds(apart, moved_at, by, stuck):
     """The second one was elsewhere in a single period; a third is always far away, a fourth creeps past all."""
     path = np.zeros((200, 4, 4))
     path[:, 1, 0], path[:, 2, 1], path[:, 3, 1] = apart, 9.0, np.linspace(0.0, 1.0, 200)
@@ -191,19 +185,3 @@ def test_by_command_with_a_page(tmp_path: Path) -> None:
     result = json.loads(out.read_text(encoding="utf-8"))
     assert [row["robots"] for row in result["rows"]] == [2]
     assert "--first-seed 4694" in page.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--robots", "9"], "--robots: got 9, wanted 2 to 8"),
-        (["--seconds", "0"], "--seconds: got 0.0"),
-        (["--guard", "safe"], "did you mean"),
-        (["--load", "sofa"], "--load sofa"),
-        (["--fastest", "0"], "--fastest: got 0.0"),
-        (["--out", "/nowhere/at/all.json"], "create it"),
-    ],
-)
-def test_options_that_cannot_be_are_refused(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert safedpa.run(["experiment", "meeting", *words]) == 2
-    assert said.lower() in capsys.readouterr().err.lower()

@@ -1,15 +1,18 @@
-"""Intervals of means, ratios and shares, compared with their definitions and with SciPy."""
+"""Intervals and paired tests, compared with their definitions, with what is counted by hand, and with SciPy."""
 
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.stats import binomtest
 
+from safedpa_lab.experiments.paired import holm, mcnemar_exact, sign_flip_exact
 from safedpa_lab.experiments.statistics import (
     clopper_pearson_interval,
     cluster_interval,
@@ -113,3 +116,57 @@ def test_a_row_of_coverage_counts_steps_and_whole_drives() -> None:
     assert (row["epsilon"], row["steps"], row["drives"]) == (0.03, pytest.approx(0.88), 0.6)
     assert row["steps_95"] == list(cluster_interval(shares))
     assert row["drives_95"] == list(clopper_pearson_interval(3, 5))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mcnemar_is_a_binomial_test_of_where_they_differ(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    one, other = random.random(40) < 0.8, random.random(40) < 0.5
+    more, fewer, p = mcnemar_exact(one, other)
+    assert (more, fewer) == (int((one & ~other).sum()), int((other & ~one).sum()))
+    assert p == pytest.approx(binomtest(more, more + fewer).pvalue, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_exchange_of_directions_is_counted_out(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    one, other = random.random(24) < 0.8, random.random(24) < 0.5
+    differences = (one.astype(int) - other.astype(int)).reshape(8, 3).sum(1)
+    totals = [abs(np.dot(signs, differences)) for signs in product((-1, 1), repeat=8)]
+    wanted = np.mean([total >= abs(differences.sum()) for total in totals])
+    assert sign_flip_exact(one, other, 8) == pytest.approx(wanted)
+
+
+def test_holm_multiplies_by_what_is_left() -> None:
+    assert (holm([0.01, 0.04, 0.03]), holm([0.9, 0.8])) == (pytest.approx([0.03, 0.06, 0.06]), [1.0, 1.0])
+    assert holm([]) == []
+
+
+def test_flags_of_other_episodes_are_refused() -> None:
+    for one, other in ((np.ones(3), np.ones(4)), (np.ones(0), np.ones(0)), (np.ones((2, 2)), np.ones((2, 2)))):
+        with pytest.raises(ValueError, match="one each of every episode"):
+            mcnemar_exact(one.astype(bool), other.astype(bool))
+    for count, groups in ((4, 3), (6, 0), (6, -1)):
+        with pytest.raises(ValueError, match="as many in each"):
+            sign_flip_exact(np.ones(count, dtype=bool), np.zeros(count, dtype=bool), groups)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "groups", "p", "pairs"),
+    [
+        ("101", "101", 3, 1.0, (0, 0, 1.0)),
+        ("1", "0", 1, 1.0, (1, 0, 1.0)),  # one episode alone is an episode
+        ("1" * 6, "0" * 6, 1, 1.0, (6, 0, 2 / 64)),  # one group proves nothing
+        ("1" * 6, "0" * 6, 2, 0.5, (6, 0, 2 / 64)),
+        ("1" * 480, "0" * 20 + "1" * 460, 24, 1.0, (20, 0, 2 / 2**20)),  # lost in a single wind: one event, not twenty
+        ("1111", "0000", 4, 2 / 16, (4, 0, 2 / 16)),  # all alike: both ways round, of the sixteen exchanges of four
+        ("1110", "0000", 4, 2 / 8, (3, 0, 2 / 8)),
+        ("1110", "0001", 4, 10 / 16, (3, 1, 10 / 16)),  # 3 less 1: whose total is 2 or more, or -2 or less
+        ("1100", "0011", 4, 1.0, (2, 2, 1.0)),
+    ],
+)
+def test_paired_tests_are_symmetric_in_better_and_worse(one, other, groups, p, pairs) -> None:
+    flags = [np.array([letter == "1" for letter in word]) for word in (one, other)]
+    assert sign_flip_exact(flags[0], flags[1], groups) == sign_flip_exact(flags[1], flags[0], groups) == p
+    assert mcnemar_exact(*flags) == pytest.approx(pairs)
+    assert mcnemar_exact(*reversed(flags)) == pytest.approx((pairs[1], pairs[0], pairs[2]))

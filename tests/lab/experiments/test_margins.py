@@ -1,24 +1,28 @@
-"""Margins from drives whose heights are given: which drives are made, kept and counted."""
+"""Margins: from drives whose heights are given, and by the command that makes those that ship, in small."""
 
 from __future__ import annotations
 
+import json
 import time
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
+from safedpa.safety import MarginCalibration
+from safedpa_lab.commands.experiments.margins import command
 from safedpa_lab.experiments import margins, sensing_margins
-from safedpa_lab.experiments.margin_drives import DriveOrder, DriveResult
+from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_lab.experiments.margins import MarginCases, margins_experiment
+from safedpa_lab.experiments.seeds import SEEDS, seeds_for
 from safedpa_lab.experiments.sensing_scores import Score
 from safedpa_lab.experiments.statistics import mean_interval
-
-PERIOD = 0.05
-
 
 LAYERS = [
     np.pad([[0.9, 0.9], [0.9, 0.010], [0.009, 0.008], [0.9, 0.9], [0.9, 0.9]], ((0, 0), (0, 2))),
@@ -54,9 +58,7 @@ def cases(out: Path, **changes: Any) -> MarginCases:
     return MarginCases(("car",), out, **{**usual, **changes})
 
 
-def test_margins_come_from_all_drives_and_count_what_they_cover(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_margins_come_from_all_drives_and_count_what_they_cover(tmp_path, monkeypatch) -> None:
     drives = Drives(monkeypatch)
     told: list[tuple[int, int]] = []
     wanted = cases(tmp_path)
@@ -105,9 +107,7 @@ def test_drives_that_are_kept_are_not_made_again(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("short", [0, 1])
-def test_no_margin_is_made_from_fewer_drives_than_asked_for(
-    short: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_margin_is_made_from_fewer_drives_than_asked_for(short, tmp_path, monkeypatch) -> None:
     """Time ends one drive before the first or the second kind of margin has all its drives."""
     Drives(monkeypatch)
     wanted = cases(tmp_path)
@@ -150,9 +150,7 @@ def sensed(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     ("kind", "steps", "near", "largest", "worst"),
     [("obstacle", 5, 2, 0.4, (1, 4)), ("mover", 1, 1, -0.1, (1,)), ("hidden", 0, 0, None, ())],
 )
-def test_steps_and_drives_near_something_are_counted_by_kind(
-    kind: str, steps: int, near: int, largest: float | None, worst: tuple[int, ...], sensed: dict[str, Any]
-) -> None:
+def test_steps_and_drives_near_something_are_counted_by_kind(kind, steps, near, largest, worst, sensed) -> None:
     """Of an obstacle steps below 0.5 m count, of a mover below 1 m; what is hoped farther counts as far as that."""
     (row,) = [row for row in sensed["rows"] if row["kind"] == kind]
     assert (row["steps"], row["drives_near"]) == (steps, near)
@@ -172,9 +170,7 @@ def test_margins_of_a_laser_are_reported_with_what_they_cover(sensed: dict[str, 
 
 
 @pytest.mark.parametrize("near", [(), (1,), (0, 2)])
-def test_margins_of_a_laser_need_a_drive_that_came_near_something(
-    near: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_margins_of_a_laser_need_a_drive_that_came_near_something(near, monkeypatch) -> None:
     class ReachedError(Exception):
         pass
 
@@ -189,3 +185,84 @@ def test_margins_of_a_laser_need_a_drive_that_came_near_something(
         sensing_margins.margins_of_sensing(3, 2, 5.0, 0.5)
     counts = str([n + 1 if n in near else 0 for n in range(3)])
     assert (counts if near else "in none the car came near anything") in str(raised.value)
+
+
+SMALL = ["--robot", "pendulum", "--drives", "4", "--fresh", "2", "--coverage", "0.7", "--seconds", "1"]
+
+
+def test_seeds_of_one_purpose_are_those_of_no_other() -> None:
+    for one, other in combinations(SEEDS.values(), 2):
+        assert not set(one) & set(other)
+
+
+@pytest.mark.parametrize(("purpose", "first"), [("development", 0), ("calibration", 10**6), ("evaluation", 2 * 10**6)])
+def test_a_hundred_thousand_seeds_belong_to_each_purpose(purpose: str, first: int) -> None:
+    assert seeds_for(purpose, 100_000) == range(first, first + 100_000)
+    assert seeds_for(purpose, 3, 99_997) == range(first + 99_997, first + 100_000)
+    assert len(seeds_for(purpose, 0, 100_000)) == 0
+    for count, skip in ((100_001, 0), (1, 100_000), (4, 99_997), (-1, 5), (5, -1)):
+        with pytest.raises(InputError, match=rf"got {skip} \+ {count}, wanted at most 100000"):
+            seeds_for(purpose, count, skip)
+    with pytest.raises(InputError, match="seeds for"):
+        seeds_for(purpose[:-1], 1)
+
+
+@pytest.mark.long
+def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
+    asked = [*SMALL, "--skip", "5", "--processes", "1", "--out", str(tmp_path), "--json"]
+    cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
+    assert cut.exit_code == 0, cut.output
+    assert json.loads(cut.output)["missing"] == 15
+    done = CliRunner().invoke(command, asked)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.output)
+    assert result["missing"] == 0
+    row = result["robots"]["pendulum"]
+    margin = MarginCalibration.load(tmp_path / "pendulum" / "margin.toml")
+    assert margin.fingerprint == fingerprint(load_model("pendulum"))
+    assert (margin.drives, margin.coverage) == (4, 0.7)
+    assert "seeds 1000003 to 1000006" in margin.origin, "three drives go before"
+    assert "--drives 4 --coverage 0.7:" in margin.origin
+    assert 0.0 < margin.epsilon["corridor"] <= margin.drive["corridor"]
+    for kind in ("conformal", "drive"):
+        fresh = row[f"fresh_{kind}"]
+        assert fresh["drives"] == 2
+        counted = fresh["covered"]["corridor"][kind]
+        assert 0.0 <= counted["steps"] <= 1.0
+        assert margin.covered[f"{kind}.corridor"] == counted["drives" if kind == "drive" else "steps"]
+    page = (tmp_path / "margins.md").read_text()
+    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2 --skip 5 --kind" in page
+    seeds = {path.name.partition("-")[0] for path in tmp_path.glob("pendulum/fresh-*/*.npz")}
+    assert seeds == {"2000005", "2000006"}, "of the evaluation seeds the first five are left out"
+    assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
+    assert page.count("| pendulum |") == 6, "both margins in three tables"
+    before = {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    again = CliRunner().invoke(command, asked)
+    assert json.loads(again.output) == result, "nothing is driven twice, and the same comes out"
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == before
+
+
+@pytest.mark.parametrize(("name", "epsilon"), [("pendulum", 0.0292), ("point_learned", 0.003)])
+def test_what_ships_is_counted_alone(name: str, epsilon: float, tmp_path: Path) -> None:
+    """A calibrated margin, or the one that the settings assume."""
+    asked = ["--robot", name, "--drives", "0", "--fresh", "2", "--kind", "shipped", "--seconds", "1"]
+    done = CliRunner().invoke(command, [*asked, "--processes", "1", "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.output)
+    assert result["missing"] == 0
+    (counted,) = result["robots"][name]["fresh_shipped"]["covered"].values()
+    assert (counted["drives"], counted["shipped"]["epsilon"]) == (2, pytest.approx(epsilon, abs=5e-5))
+    assert not (tmp_path / name / "margin.toml").exists(), "nothing was calibrated"
+    page = (tmp_path / "margins.md").read_text()
+    assert f"| shipped | {epsilon:.4f} |" in page
+    assert f"--robot {name} --drives 0 --fresh 2 --kind shipped" in page
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_every_shipped_robot_can_be_driven_and_its_errors_are_numbers(name: str) -> None:
+    made = driven(DriveOrder(name, 1, None, seconds=0.6))
+    assert made.heights.keys() >= ({"corridor"} if "pendulum" in name else {"obstacle"})
+    assert all(np.isfinite(values).all() and values.shape[1] == 4 for values in made.heights.values())
+    assert made.ticks == round(0.6 / (DRIVERS[name].period or load_model(DRIVERS[name].model).period))
+    again = driven(DriveOrder(name, 1, None, seconds=0.6))
+    assert (again.goals, again.statuses, again.least_h) == (made.goals, made.statuses, made.least_h)
