@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -53,9 +54,7 @@ def still(step: int) -> Values:
 class Drive:
     """A simulated car and the estimator that watches it, side by side."""
 
-    def __init__(
-        self, model: str, settings: EstimatorSettings = SETTINGS, seed: int = 0, noise: Values = NOISE
-    ) -> None:
+    def __init__(self, model, settings=SETTINGS, seed=0, noise=NOISE):
         self.model: PhysicsModel = parse_model(model)
         self.estimator = LatentEstimator(self.model, settings)
         self.random, self.noise = np.random.default_rng(seed), noise
@@ -78,15 +77,10 @@ class Drive:
 @pytest.mark.parametrize(
     ("model", "planted"),
     [
-        (TOWED, (0.0,)),
-        (TOWED, (0.4,)),
-        (TOWED, (1.2,)),
-        (DRAG, (0.0,)),
-        (DRAG, (0.25,)),
-        (BOTH, (0.5, 0.2)),
+        (TOWED, (0.0,)), (TOWED, (0.4,)), (TOWED, (1.2,)), (DRAG, (0.0,)), (DRAG, (0.25,)), (BOTH, (0.5, 0.2)),
         (LAGGED, (0.5, 0.15)),
     ],
-)
+)  # fmt: skip
 def test_it_recovers_what_was_planted(model: str, planted: tuple[float, ...], seed: int) -> None:
     drive = Drive(model, seed=seed).run(20.0, planted)
     estimator = drive.estimator
@@ -110,8 +104,7 @@ def test_a_teleport_does_not_throw_it(jump: tuple[float, ...]) -> None:
     drive = Drive(TOWED).run(10.0, (0.5,))
     before, deviation = drive.estimator.latent.copy(), drive.estimator.deviations[0]
     drive.estimator.update(drive.measured, lively(drive.steps), drive.measured + np.array(jump), PERIOD)
-    moved = float(abs(drive.estimator.latent - before)[0])
-    assert moved <= SETTINGS.largest_innovation * deviation
+    assert float(abs(drive.estimator.latent - before)[0]) <= SETTINGS.largest_innovation * deviation
     drive.run(4.0, (0.5,))
     assert drive.estimator.latent[0] == pytest.approx(0.5, abs=3.0 * drive.estimator.deviations[0])
 
@@ -164,9 +157,11 @@ def test_whatever_is_measured_the_estimate_stays_physical(rows: list[tuple[float
     assert np.all(estimator.deviations <= first * (1.0 + 1e-9))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", ["state", "action", "next_state", "period"])
-def test_what_is_no_number_cannot_enter(place: str, bad: float) -> None:
+@pytest.mark.parametrize(
+    ("place", "bad"),
+    [("period", 0.0), *product(("state", "action", "next_state", "period"), (np.nan, np.inf, -np.inf))],
+)
+def test_what_is_no_number_or_no_period_cannot_enter(place: str, bad: float) -> None:
     drive = Drive(TOWED).run(1.0, (0.5,))
     latent, deviations = drive.estimator.latent.copy(), drive.estimator.deviations.copy()
     arguments: dict[str, Values | float] = {"state": np.zeros(4), "action": np.zeros(2), "next_state": np.zeros(4)}
@@ -180,11 +175,6 @@ def test_what_is_no_number_cannot_enter(place: str, bad: float) -> None:
         drive.estimator.update(**arguments)  # type: ignore[arg-type]
     np.testing.assert_array_equal(drive.estimator.latent, latent)
     np.testing.assert_array_equal(drive.estimator.deviations, deviations)
-
-
-def test_a_period_of_zero_is_refused() -> None:
-    with pytest.raises(InputError, match="period"):
-        Drive(LAGGED).estimator.update(np.zeros(4), np.zeros(2), np.zeros(4), 0.0)
 
 
 def test_a_model_without_free_parameters_has_nothing_to_estimate() -> None:

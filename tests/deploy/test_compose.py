@@ -124,10 +124,8 @@ def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
     for name, service in PLAIN["services"].items():
         assert set(service) <= {"command", "healthcheck"}
         kept = [word for word in service["command"] if not word.startswith("tcp/")]
-        secured = SERVICES[name]["command"]
-        assert [word for word in kept if word not in ("--mode", "client", "--plain")] == [
-            word for word in secured if word in kept
-        ]
+        plain = [word for word in kept if word not in ("--mode", "client", "--plain")]
+        assert plain == [word for word in SERVICES[name]["command"] if word in kept]
 
 
 def test_the_centre_may_look_and_speaks_for_no_robot() -> None:
@@ -146,17 +144,12 @@ def _value(words: list[str], option: str) -> Any:
 
 
 @each_service
-def test_a_container_may_write_nothing_but_its_scratch_space(name: str) -> None:
+def test_a_container_may_write_nothing_but_its_scratch_space_and_has_no_rights_to_spare(name: str) -> None:
     service = SERVICES[name]
     assert service["read_only"] is True
     assert [entry.split(":")[0] for entry in service["tmpfs"]] == ["/tmp"]
     writable = [entry for entry in service["volumes"] if not entry.endswith(":ro")]
     assert name == "authority" or writable == WRITES.get(name, [])
-
-
-@each_service
-def test_a_container_has_no_rights_to_spare(name: str) -> None:
-    service = SERVICES[name]
     assert service["cap_drop"] == ["ALL"]
     assert "no-new-privileges:true" in service["security_opt"]
     assert not {"privileged", "cap_add", "network_mode", "pid", "ipc", "user", "devices"} & set(service)
@@ -206,10 +199,8 @@ def test_no_image_that_ships_grows_out_of_the_compilers_stage() -> None:
 
 
 def test_what_is_installed_by_name_has_a_pinned_version() -> None:
-    pinned = {
-        re.split("==", line)[0].lower().replace("_", "-")
-        for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
-    }
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
+    pinned = {line.split("==")[0].lower().replace("_", "-") for line in lines}
     joined = DOCKERFILE.replace("\\\n", " ")
     named = re.findall(r"--constraint \S+((?: +[a-z][a-z0-9-]*)+)", joined)
     assert {name for names in named for name in names.split()} <= pinned
@@ -229,12 +220,9 @@ class OutsideContainers:
         self._places = {
             r"tls/(router|0\.0\.0\.0|127\.0\.0\.1):7447": f"tls/127.0.0.1:{bus}",
             r"/certificates$|/tmp/certificates$|/healthcheck$|/certificates(?= )|/healthcheck(?= )": str(folder),
-            r"^/recordings/": f"{folder}/",
-            r"^/versions": f"{folder}/versions",
-            r"\$\{SAFEDPA_RATE:-20\}": "20",
-            r"\$\{SAFEDPA_ROS_NAME:-ros-1\}": "ros-1",
-            r'"\$\$\(cat /tmp/name\)"': "robot-1",
-        }
+            r"^/recordings/": f"{folder}/", r"^/versions": f"{folder}/versions", r"\$\{SAFEDPA_RATE:-20\}": "20",
+            r"\$\{SAFEDPA_ROS_NAME:-ros-1\}": "ros-1", r'"\$\$\(cat /tmp/name\)"': "robot-1",
+        }  # fmt: skip
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self._environment = {**os.environ, "PATH": path, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1"}
 

@@ -58,8 +58,7 @@ def test_no_name_is_an_error() -> None:
 
 @pytest.mark.parametrize("name", ["fleet_robot_3.fleet_bus", "fleet-robot-3", "fleet-robot-3.fleet_enrolment"])
 def test_a_robots_container_has_a_robots_role(name: str) -> None:
-    assert robot_role(name) == "robot.robot-3"
-    assert number_in(name) == 3
+    assert (robot_role(name), number_in(name)) == ("robot.robot-3", 3)
 
 
 @pytest.mark.parametrize(
@@ -132,8 +131,7 @@ def test_the_budget_counts_what_was_recorded(tmp_path: Path) -> None:
     assert flows["state"].messages == pytest.approx(20.0)
     assert sum(flow.octets for flow in flows.values()) == pytest.approx(sent / (2 * 41 / 20.0))
     assert fleet_budget.readers("action", fleet_budget.CENTRE) == 2
-    total = fleet_budget.total(flows, {"state": 3, "action": 1}, 200.0)
-    assert total.messages == pytest.approx(4 * 20.0)
+    assert fleet_budget.total(flows, {"state": 3, "action": 1}, 200.0).messages == pytest.approx(4 * 20.0)
 
 
 ACCOUNT = {"ticks": 100, "watchdog_ticks": 2, "collisions": 0, "latency_us": {"p50": 900.0, "p99": 3000.0}}
@@ -146,19 +144,14 @@ def test_percentiles_and_what_is_late() -> None:
     assert found["late_share"] == pytest.approx(0.5), "49 that took longer than 50 ms, and one that never came"
 
 
-def test_the_account_is_the_last_one_of_the_log() -> None:
+def test_the_account_is_the_last_one_of_the_log_or_its_last_words_are_reported() -> None:
     lines = ['{"event": "robot.ready"}', json.dumps({**ACCOUNT, "ticks": 1}), "no json", json.dumps(ACCOUNT), "7"]
     assert container_latency.account_in(lines) == ACCOUNT
-
-
-def test_a_robot_without_an_account_is_reported_with_its_last_words() -> None:
     with pytest.raises(RuntimeError, match="no account of its drive; its last words: one two"):
         container_latency.account_in(["none", "one", "two"])
 
 
-def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_containers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_containers(monkeypatch):
     ran: list[list[str]] = []
 
     def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
@@ -187,9 +180,7 @@ def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_contain
     assert ran[-1][-3:] == ["--remove-orphans", "--timeout", "3"]
 
 
-def test_an_error_of_the_engine_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_of_the_engine_is_one_line(monkeypatch, capsys):
     def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(words, 1, "", "Traceback\n  line\nno engine answers\n")
 
@@ -206,9 +197,7 @@ def test_an_error_of_the_engine_is_one_line(
 
 
 @pytest.mark.parametrize(("seconds", "rate"), [(float("nan"), 20.0), (-1.0, 20.0), (0.0, 20.0), (5.0, 0.0), (5.0, 2e3)])
-def test_impossible_times_are_refused_before_anything_is_started(
-    seconds: float, rate: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_impossible_times_are_refused_before_anything_is_started(seconds, rate, monkeypatch):
     monkeypatch.setattr(container_latency.subprocess, "run", lambda *_, **__: pytest.fail("started"))
     with pytest.raises(ValueError, match="wanted one tick at least"):
         container_latency.measured(seconds, rate)
@@ -269,9 +258,7 @@ SILENT = "policy: no two heartbeats within 0 s"
 @pytest.mark.parametrize(
     ("beats", "said"),
     [
-        ([(1.0, 10, {}), (1.25, 15, {})], ""),
-        ([(1.0, 0, READY), (1.25, 0, READY)], ""),
-        ([], SILENT),
+        ([(1.0, 10, {}), (1.25, 15, {})], ""), ([(1.0, 0, READY), (1.25, 0, READY)], ""), ([], SILENT),
         ([(1.0, 10, {}), (1.0, 10, {})], SILENT),
         ([(1.0, 10, {}), (1.25, 10, {})], "policy: alive, but it made no step after step 10"),
         ([(1.0, 10, FAILING), (1.25, 15, FAILING)], "policy: failing, disk full"),
@@ -283,9 +270,7 @@ SILENT = "policy: no two heartbeats within 0 s"
         "two processes", "another service",
     ],
 )  # fmt: skip
-def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(
-    beats: list[tuple[float, int, dict[str, object]]], said: str
-) -> None:
+def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(beats, said):
     broker = MemoryBroker()
     check, bus = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy"), Bus(MemoryTransport(broker), "fleet")
     for at, steps, other in beats:

@@ -51,13 +51,9 @@ def built(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[P
 
 def test_the_wheel_holds_all_three_packages_and_what_ships_with_them(built: tuple[Path, Path]) -> None:
     names = zipfile.ZipFile(built[0]).namelist()
-    assert {name.split("/")[0] for name in names if not name.startswith("safedpa-")} == {
-        "safedpa",
-        "safedpa_services",
-        "safedpa_sim",
-    }
-    endings = {Path(name).suffix for name in names}
-    assert {".toml", ".safetensors", ".typed", ".py"} <= endings
+    packages = {name.split("/")[0] for name in names if not name.startswith("safedpa-")}
+    assert packages == {"safedpa", "safedpa_services", "safedpa_sim"}
+    assert {".toml", ".safetensors", ".typed", ".py"} <= {Path(name).suffix for name in names}
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".so"))]
 
 
@@ -69,9 +65,7 @@ def test_the_source_distribution_can_be_built_from(built: tuple[Path, Path]) -> 
 
 
 @pytest.mark.parametrize("interpreter", PYTHONS)
-def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(
-    interpreter: str, built: tuple[Path, Path], repository: Path, tmp_path: Path
-) -> None:
+def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(interpreter, built, repository, tmp_path):
     done = _run(interpreter, "-m", "venv", "--without-pip", tmp_path / "empty")
     if done.returncode != 0:
         pytest.skip(f"{interpreter}: {(done.stderr or done.stdout).strip().splitlines()[-1]}")

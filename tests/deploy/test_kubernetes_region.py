@@ -25,9 +25,7 @@ Document = dict[str, Any]
 
 COMPOSE: dict[str, Document] = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
 LOOP = ("router", "safety_filter", "adaptation", "policy")
-SHIPPED = sorted(
-    name for name, each in COMPOSE.items() if name not in ("authority", "robot") and "profiles" not in each
-)
+SHIPPED = sorted(name for name in {*COMPOSE} - {"authority", "robot"} if "profiles" not in COMPOSE[name])
 each_service = pytest.mark.parametrize("name", SHIPPED)
 
 
@@ -75,13 +73,10 @@ def test_a_pod_mounts_the_keys_of_its_own_role_and_may_not_change_them(documents
     places = {each["mountPath"]: each.get("readOnly", False) for each in container["volumeMounts"]}
     assert places.pop("/certificates")
     assert places.pop("/healthcheck")
-    wanted = {"recorder": {"/recordings"}, "diagnosis": {"/versions"}}.get(name, set())
-    assert {*places} == {"/tmp", *wanted}
+    assert {*places} == {"/tmp", *{"recorder": {"/recordings"}, "diagnosis": {"/versions"}}.get(name, set())}
 
 
-def test_a_secret_holds_what_a_process_needs_and_nothing_of_the_authority(
-    keys: Path, documents: list[Document]
-) -> None:
+def test_a_secret_holds_what_a_process_needs_and_nothing_of_the_authority(keys, documents):
     secrets = _of(documents, "Secret")
     assert {*secrets} == {*[f"{name.replace('_', '-')}-key" for name in SHIPPED], "healthcheck-key", "robot-keys"}
     files = {"authority.pem", "safety_filter.pem", "safety_filter.key.pem"}
@@ -108,9 +103,7 @@ def test_rights_are_those_that_the_strictest_namespace_asks_for(documents: list[
 
 
 @each_service
-def test_of_each_service_there_is_one_and_the_loop_has_whole_cores_on_one_node(
-    documents: list[Document], name: str
-) -> None:
+def test_of_each_service_there_is_one_and_the_loop_has_whole_cores_on_one_node(documents, name):
     deployment = _of(documents, "Deployment")[name.replace("_", "-")]["spec"]
     assert (deployment["replicas"], deployment["strategy"]) == (1, {"type": "Recreate"})
     pod, container = _pod(documents, name)
@@ -159,13 +152,10 @@ def test_a_simulated_robot_sees_its_own_key_alone(documents: list[Document], key
     mount = next(each for each in container["volumeMounts"] if each["mountPath"] == "/certificates")
     assert (mount["subPathExpr"], mount["readOnly"]) == ("$(SAFEDPA_NAME)", True)
     items = next(each["secret"]["items"] for each in pod["volumes"] if each["name"] == "robot-keys")
-    names = {"robot-1": set[str](), "robot-2": set[str]()}
-    for item in items:
-        folder, file = item["path"].split("/")
-        assert file == item["key"]
-        names[folder].add(file)
-    assert names == {
-        name: {"authority.pem", f"robot.{name}.pem", f"robot.{name}.key.pem"} for name in ("robot-1", "robot-2")
+    assert {(item["path"], item["key"]) for item in items} == {
+        (f"{name}/{file}", file)
+        for name in ("robot-1", "robot-2")
+        for file in ("authority.pem", f"robot.{name}.pem", f"robot.{name}.key.pem")
     }
     assert {*_of(documents, "Secret")["robot-keys"]["data"]} == {item["key"] for item in items}
     assert container["args"][container["args"].index("--certificates") + 1] == "/certificates"
@@ -181,13 +171,11 @@ def test_a_robot_that_has_its_certificate_does_not_ask_for_one(keys: Path, monke
     ("words", "said"),
     [
         (["--robots", "17"], "--robots 17: wanted 0 to as many as docker-compose.yml tells its router to let join"),
-        (["--robots", "-1"], "--robots -1"),
-        (["--namespace", "West_1"], "--namespace 'West_1'"),
-        (["--namespace", ""], "--namespace ''"),
-        (["--certificates", "nowhere"], "nowhere"),
+        (["--robots", "-1"], "--robots -1"), (["--namespace", "West_1"], "--namespace 'West_1'"),
+        (["--namespace", ""], "--namespace ''"), (["--certificates", "nowhere"], "nowhere"),
         (["--robots-from", "10.20.0.1/16"], "10.20.0.1/16"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_line(words: list[str], said: str) -> None:
     command = [sys.executable, str(ROOT / "deploy" / "kubernetes_region.py"), *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

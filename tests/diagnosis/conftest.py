@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -23,9 +22,8 @@ Drive = Callable[..., Run]
 @pytest.fixture
 def plain() -> PhysicsModel:
     """A car with throttle and no effect."""
-    return PhysicsModel(
-        KinematicBicycle("throttle"), [], {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
-    )
+    own = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
+    return PhysicsModel(KinematicBicycle("throttle"), [], own)
 
 
 @pytest.fixture
@@ -64,10 +62,8 @@ def drive() -> Drive:
         states[0] = start
         memory = model.initial_memory(actions[0])
         for row in range(rows - 1):
-            seconds_now = float(t[row + 1] - t[row])
-            states[row + 1], memory = model.advance(
-                states[row], actions[row], memory, period=seconds_now, time=float(t[row])
-            )
+            now, lasts = float(t[row]), float(t[row + 1] - t[row])
+            states[row + 1], memory = model.advance(states[row], actions[row], memory, period=lasts, time=now)
         parts = tuple(Stretch(*part) for part in (stretches or [(0, rows)]))
         return Run(name, model.system, t, states, actions, parts)
 
@@ -88,12 +84,9 @@ def _held(random: np.random.Generator, rows: int, hold: int) -> np.ndarray:
 
 
 @pytest.fixture
-def data() -> Path:
+def data(data_folder: Path) -> Path:
     """The folder of real logs; skips where it is absent."""
-    root = Path(os.environ.get("SAFEDPA_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    if not root.is_dir():
-        pytest.skip(f"no real logs in {root}; set SAFEDPA_DATA to the folder that holds them")
-    return root
+    return data_folder
 
 
 @pytest.fixture

@@ -1,24 +1,133 @@
-"""One verdict whatever is shown, a fourth verdict where the data decide nothing, and what they could have shown."""
+"""What was hidden is found, one verdict whatever is shown, and what the data could have shown, also rehearsed."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.addition import add_effect
+from safedpa.diagnosis.check import check_lines, checked
 from safedpa.diagnosis.diagnose import diagnose, library_for
 from safedpa.diagnosis.document import as_document
 from safedpa.diagnosis.fit.evidence import evidence_seconds
-from safedpa.dynamics import load_model
+from safedpa.diagnosis.rehearsal import as_driven, measured_noise, rehearsal_of, simulated
+from safedpa.dynamics import Setting, load_model, parse_model, write_model
 from safedpa.effects import effect
+from safedpa.errors import InputError
 from safedpa.records import load_run
+from safedpa.records.run import Run, Stretch
 from safedpa.report.diagnosis_story import story_of
 from safedpa_lab.hidden import Case, write_case
+from safedpa_lab.hidden.sensor import NOISE
 from safedpa_services.command_line.diagnose import story_lines
+from safedpa_services.command_line.group import safedpa
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory):
+    """hidden(effects, ...) -> report on logs in which the effects are hidden."""
+
+    def made(effects, runs=4, seconds=25.0, seed=7, horizon=1.0, **options):
+        case = Case("test", seed, effects, runs=runs, seconds=seconds, **options)
+        log = write_case(case, tmp_path_factory.mktemp("log"))
+        model = load_model(str(log.model))
+        return diagnose(model, [load_run(str(path), model.system) for path in log.runs], horizon)
+
+    return made
+
+
+def accepted(report, name):
+    return next(item for item in report.candidates if item.decision == "accepted" and name in item.effect)
+
+
+ONE = [("quadratic_drag", {"coefficient": 0.12}), ("steering_lag", {"time_constant": 0.15})]
+
+
+@pytest.fixture(
+    scope="module", params=[ONE[0], pytest.param(ONE[1], marks=pytest.mark.long)], ids=[name for name, _ in ONE]
+)
+def one(request, hidden):
+    """(name, parameters, report) of logs in which one effect is hidden."""
+    name, parameters = request.param
+    return name, parameters, hidden({name: parameters})
+
+
+def test_one_effect_is_named_with_its_number(one):
+    name, parameters, report = one
+    assert (report.verdict, report.added) == ("effect_missing", (name,))
+    first, last = report.stages
+    assert last.heldout_error < 0.4 * first.heldout_error
+    assert last.runs_improved == "4/4"
+    for key, value in parameters.items():
+        found = report.parameters[f"{name}.{key}"]
+        assert abs(found.value - value) < max(4 * found.std, 0.01 * value)
+        assert found.std < 0.05 * value
+    model = report.models[-1]
+    assert [item.name for item in model.effects] == [name]
+    assert parse_model(write_model(model)).settings == model.settings
+
+
+def test_the_document_has_the_format_of_the_contract(one):
+    name, parameters, report = one
+    document = json.loads(json.dumps(as_document(report), allow_nan=False))
+    assert {
+        "format", "robot", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
+        "data_quality",
+    } <= set(document)  # fmt: skip
+    assert (document["format"], document["stages"][0]["effects"]) == (1, [])
+    assert set(document["stages"][0]) == {"effects", "heldout_error", "per_state", "runs_improved"}
+    assert set(document["candidates"][0]) == {
+        "stage", "effect", "parameters", "heldout_error", "score", "indistinguishable_from", "decision", "reason",
+    }  # fmt: skip
+    for key in parameters:
+        assert accepted(report, name).parameters[key].unit == {"coefficient": "1/m", "time_constant": "s"}[key]
+    assert {"variable", "low", "high", "error", "share", "samples"} <= set(document["where"][0])
+
+
+@pytest.mark.long
+def test_two_effects_are_both_found(hidden):
+    report = hidden({"rolling_resistance": {"deceleration": 0.45}, "steering_offset": {"angle": 0.04}})
+    assert set(report.added) == {"rolling_resistance", "steering_offset"}
+    errors = [stage.heldout_error for stage in report.stages]
+    assert errors[0] > errors[1] > errors[2]
+
+
+@pytest.mark.long
+def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
+    report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True)
+    assert report.added[0] in ("viscous_drag", "speed_command_gain")
+    group = {report.added[0], *accepted(report, report.added[0]).indistinguishable_from}
+    assert {"viscous_drag", "speed_command_gain"} <= group
+
+
+@pytest.mark.long
+def test_a_payload_is_reported_as_taken_up_by_a_free_servo_gain(hidden):
+    report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True)
+    assert "payload" not in report.added
+    payload = next(item for item in report.candidates if item.effect == "payload")
+    assert payload.indistinguishable_from == ("base.speed_gain",)
+    assert "speed_gain" in payload.reason
+
+
+CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
+
+
+@pytest.mark.long
+def test_a_carpet_is_reported_with_its_position(hidden):
+    laws = {"rolling_resistance": "where circle"}
+    report = hidden({"rolling_resistance": CARPET}, laws=laws, seconds=40.0, seed=194365079)
+    assert (report.verdict, report.added) == ("effect_missing", ("rolling_resistance",))
+    (told,) = report.conditions
+    assert (told.kind, told.words) == ("where", "circle")
+    assert "inside the circle of 1.5" in told.sentence
+    for name, value in CARPET.items():
+        assert report.parameters[f"rolling_resistance.{name}"].value == pytest.approx(value, abs=0.1)
+    model = report.models[-1]
+    assert parse_model(write_model(model)).effects == model.effects
 
 
 @pytest.fixture
@@ -52,19 +161,8 @@ def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, search
     assert decided(reports[0])[:2] == ("effect_missing", ("viscous_friction",))
     assert decided(reports[1]) == decided(reports[0]) == decided(reports[2])
     assert len(searched_once) == 2, "the question and the answer"
-    shown = [report.stages[0].heldout_error for report in reports]
-    assert len(set(shown)) == 3
+    assert len({report.stages[0].heldout_error for report in reports}) == 3
     assert [report.horizon for report in reports] == [0.2, 0.6, 1.4]
-
-
-@pytest.mark.long
-def test_add_fits_at_the_horizon_of_the_data(logs):
-    given = logs({"rolling_resistance": {"deceleration": 0.3}})
-    found = [add_effect(given[0], "rolling_resistance", given[1], horizon) for horizon in (0.3, 1.0)]
-    values = [item.values["rolling_resistance.deceleration"] for item in found]
-    assert values[0] == values[1]
-    assert abs(values[0].value - 0.3) < 3.0 * values[0].std
-    assert found[0].before.value != found[1].before.value
 
 
 def test_an_unstable_model_is_judged_over_less_time(logs):
@@ -76,8 +174,6 @@ def test_an_unstable_model_is_judged_over_less_time(logs):
 
 def standing(run):
     """The same, near upright: errors grow as exp(4.4 t)."""
-    from dataclasses import replace
-
     states = run.states.copy()
     states[:, 0] = 0.1 * np.sin(run.t)
     states[:, 1] = 0.1 * np.cos(run.t)
@@ -87,14 +183,12 @@ def standing(run):
 def test_with_too_little_data_the_verdict_is_undecided_and_the_closest_effect_is_named(logs, few):
     model, runs = logs({"rolling_resistance": {"deceleration": 0.5}}, runs=1, seconds=5.5, seed=8)
     report = diagnose(model, runs)
-    assert report.verdict == "undecided"
-    assert report.added == ()
+    assert (report.verdict, report.added) == ("undecided", ())
     nearest = report.closest[0]
     assert nearest.effect == "rolling_resistance"
     assert nearest.parameters["rolling_resistance.deceleration"].value == pytest.approx(0.5, abs=0.25)
     assert nearest.drive
-    lead = story_of(as_document(report)).lead
-    assert "rolling_resistance" in lead
+    assert "rolling_resistance" in story_of(as_document(report)).lead
     told = [line for line, _ in story_lines(report)]
     assert any(line.strip().startswith("Likely, not proven: rolling_resistance") for line in told)
     assert any(nearest.drive in line for line in told)
@@ -112,8 +206,6 @@ def test_a_straight_drive_does_not_prove_that_nothing_is_missing(logs):
 
 
 def straight(run, model):
-    from dataclasses import replace
-
     actions = np.stack([np.where(np.sin(0.2 * run.t) > 0.0, 1.0, 1.02), np.zeros(len(run.t))], axis=1)
     states = np.zeros((len(run.t), 4))
     states[0, 3] = 1.0
@@ -133,17 +225,14 @@ def nothing_hidden(tmp_path_factory):
 @pytest.mark.long
 def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hidden):
     model, report = nothing_hidden
-    assert report.verdict == "nothing_missing"
-    assert report.added == ()
+    assert (report.verdict, report.added) == ("nothing_missing", ())
     assert report.unexplained is None
     assert all(item.decision != "accepted" for item in report.candidates)
     sizes = {(item.effect, item.parameter): item for item in report.detectable}
     assert {item.effect for item in report.detectable} == {item.name for item in library_for(model)}
-    smallest = sizes["quadratic_drag", "coefficient"].smallest
-    assert 0.001 < smallest < 0.02
+    assert 0.001 < sizes["quadratic_drag", "coefficient"].smallest < 0.02
     document = json.loads(json.dumps(as_document(report), allow_nan=False))
-    assert document["closest"] == []
-    assert document["evidence"][0] == 1.0
+    assert (document["closest"], document["evidence"][0]) == ([], 1.0)
     assert "0.00" in story_of(document).lead or "would have been found" in story_of(document).lead
 
 
@@ -160,8 +249,6 @@ def test_a_diagnosis_finds_effects_above_the_smallest_size(factor, logs, nothing
 
 @pytest.mark.long
 def test_the_same_recording_twice_is_no_more_evidence(logs, few):
-    from dataclasses import replace
-
     model, runs = logs({"rolling_resistance": {"deceleration": 0.3}}, runs=2)
     twice = [*runs, replace(runs[0], name="copy", t=runs[0].t + 1000.0)]
     once, again = diagnose(model, runs), diagnose(model, twice)
@@ -170,3 +257,96 @@ def test_the_same_recording_twice_is_no_more_evidence(logs, few):
     (said,) = [item for item in again.data_quality if item["kind"] == "same_recording"]
     assert "copy" in (said["run"], said["message"])
     assert "used once" in said["message"]
+
+
+LIBRARY = ("rolling_resistance", "understeer", "viscous_drag", "speed_command_gain")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return write_case(Case("test", 21, {}, runs=3, seconds=15.0), tmp_path_factory.mktemp("rehearsal"))
+
+
+@pytest.fixture
+def few_everywhere(monkeypatch):
+    for place in ("diagnose", "check", "rehearsal"):
+        found = f"safedpa.diagnosis.{place}.library_for"
+        monkeypatch.setattr(found, lambda _: [effect("car", name) for name in LIBRARY])
+
+
+@pytest.fixture
+def given(log, few_everywhere):
+    model = load_model(log.model)
+    return model, [load_run(path, model.system) for path in log.runs]
+
+
+def test_the_noise_of_the_logs_is_measured(given):
+    np.testing.assert_allclose(measured_noise(given[1]), NOISE["car"], rtol=0.25)
+
+
+def test_noise_is_measured_during_any_steady_motion():
+    deviations, random = np.array([0.002, 0.05, 0.3, 1.0]), np.random.default_rng(4)
+    t = 0.05 * np.arange(4000.0)
+    states = np.array([1.0, -2.0, 0.3, 4.0]) * t[:, None] + random.normal(0.0, deviations, (4000, 4))
+    run = Run("steady", load_model("car").system, t, states, np.zeros((4000, 2)), (Stretch(0, 4000),))
+    assert measured_noise([run]) == pytest.approx(deviations, rel=0.1)
+
+
+def test_simulated_logs_have_the_commands_and_the_noise_of_the_given_ones(given):
+    model, runs = given
+    again = list(simulated(model, runs, measured_noise(runs), np.random.default_rng(0)))
+    for one, other in zip(runs, again, strict=True):
+        np.testing.assert_array_equal(one.actions, other.actions)
+        apart = np.abs(one.system.difference(one.states, other.states))
+        assert np.median(apart) < 0.02  # nothing is missing, so the model drives where the robot did
+    np.testing.assert_allclose(measured_noise(again), measured_noise(runs), rtol=0.25)
+
+
+def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
+    """The car has a gain of 4.95 or 4.05, in gusts; with three times as much it would drive three times as fast."""
+    log = write_case(Case("test", 22, {}, runs=2, seconds=15.0, drive="throttle", hard=True), tmp_path)
+    model = load_model(log.model)
+    runs = [load_run(path, model.system) for path in log.runs]
+    guessed = model.with_settings({"base.drive_gain": Setting(15.0, True)})
+    driven = as_driven(guessed, runs)
+    assert driven.latent_names == guessed.latent_names
+    assert 3.0 < driven.settings["base.drive_gain"].value < 6.0
+    again = next(simulated(driven, runs, measured_noise(runs), np.random.default_rng(0)))
+    assert np.abs(again.states[:, 3]).max() < 2.0 * np.abs(runs[0].states[:, 3]).max()
+
+
+def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
+    found = checked(*given)
+    assert {item.effect for item in found.told()} == {"rolling_resistance", "understeer"}
+    assert {item.effect for item in found.as_sums()} == {"viscous_drag", "speed_command_gain"}
+    told = "\n".join(check_lines(found))
+    assert "only as a sum" in told
+    assert "together with viscous_drag" in told
+
+
+@pytest.mark.long
+def test_a_rehearsal_finds_what_the_check_foretells(given):
+    found = rehearsal_of(*given, sizes=(0.002, 1.0), names=("rolling_resistance", "understeer"))
+    assert [(trial.effect, trial.found) for trial in found.trials] == [
+        ("rolling_resistance", False), ("rolling_resistance", True), ("understeer", False), ("understeer", True),
+    ]  # fmt: skip
+    assert found.agreeing == 4
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("few_everywhere")
+def test_the_commands_print_the_check_and_the_rehearsal(log, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runs = [str(path) for path in log.runs]
+    assert safedpa.run(["diagnose", str(log.model), *runs, "--check"]) == 0
+    assert "Would be found, from this size on:" in capsys.readouterr().out
+    assert safedpa.run(["diagnose", str(log.model), *runs, "--check", "--json"]) == 0
+    assert {item["effect"] for item in json.loads(capsys.readouterr().out)["sizes"]} == set(LIBRARY)
+    assert safedpa.run(["rehearse", str(log.model), *runs, "--effect", "understeer"]) == 0
+    assert "1 of 1 as the check of these runs foretells" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []  # nothing is written
+
+
+def test_an_unknown_effect_is_refused(given):
+    with pytest.raises(InputError, match="understeer"):
+        rehearsal_of(*given, names=("underster",))

@@ -1,10 +1,11 @@
-"""Systems of the user, effects that every system has, and the point robot."""
+"""Systems of the user, effects that every system has, the point robot, and models that are learned."""
 
 from __future__ import annotations
 
 import csv
 import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -15,17 +16,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safedpa.adaptation import AdaptationNode
+from safedpa.diagnosis.addition import add_effect
 from safedpa.diagnosis.diagnose import diagnose, library_for
+from safedpa.diagnosis.experiment.choice import chosen_experiment, general_manoeuvres, manoeuvres
 from safedpa.diagnosis.fit.heldout import heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import tried
 from safedpa.diagnosis.search.search import searched
-from safedpa.dynamics import load_model, load_own
+from safedpa.dynamics import LearnedBase, Setting, fingerprint, load_model, load_own
+from safedpa.effects import CommandEffect, effect, effects_of, general_effects
+from safedpa.effects.effect import Context
 from safedpa.errors import InputError
+from safedpa.operations import FLOATS
+from safedpa.policy import PolicyNode
+from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
 from safedpa.records.write import write_columns
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import settings_named
+from safedpa.systems import System, Variable
 from safedpa_lab.hidden import Case, write_case
+from safedpa_lab.hidden.excitation import car_commands
 from safedpa_services.command_line.group import safedpa
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots import CarRobot
+from safedpa_sim.robots.scene import Scene
 
 DOCS = Path(__file__).parents[2] / "docs"
 BALL = DOCS / "examples" / "falling_ball.py"
@@ -34,11 +51,8 @@ GRASS = re.findall(r"```python\n(.*?)```", (DOCS / "effects.md").read_text(encod
 
 
 @pytest.fixture(scope="module")
-def drops(tmp_path_factory):
-    root = Path(os.environ.get("SAFEDPA_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    table = root / "ball_drops" / "ball_drops.csv"
-    if not table.is_file():
-        pytest.skip(f"no real logs in {root}; set SAFEDPA_DATA to the folder that holds them")
+def drops(tmp_path_factory, data_folder):
+    table = data_folder / "ball_drops" / "ball_drops.csv"
     folder = tmp_path_factory.mktemp("drops")
     found = defaultdict(list)
     with table.open(encoding="utf-8", newline="") as file:
@@ -58,14 +72,9 @@ def diagnosed(runs, out, capsys):
 
 def test_the_page_shows_the_files_as_they_are():
     page = (DOCS / "own-system.md").read_text(encoding="utf-8")
-    assert BALL.read_text(encoding="utf-8").strip() in page
-    assert MODEL.read_text(encoding="utf-8").strip() in page
-
-
-def test_a_bowling_ball_lacks_nothing(drops, tmp_path, capsys):
-    document = diagnosed(sorted(drops.glob("bowling_ball-*.csv")), tmp_path, capsys)
-    assert document["verdict"] == "nothing_missing"
-    assert document["added"] == []
+    for name in ("falling_ball.py", "falling_ball.toml", "cart.py", "cart.toml"):
+        assert (DOCS / "examples" / name).read_text(encoding="utf-8").strip() in page
+    assert "(examples/helicopter.py)" in page
 
 
 @pytest.mark.parametrize("ball", ["whiffle_ball_1", "whiffle_ball_2", "yellow_whiffle_ball"])
@@ -118,12 +127,14 @@ def test_every_command_takes_a_system_of_the_user(simulated, tmp_path, capsys):
     assert table.read_text(encoding="utf-8").startswith("start_t,t,height,velocity")
 
 
+def printed(script, own):
+    return subprocess.run([sys.executable, "-c", script, MODEL], capture_output=True, text=True, check=False, env=own)
+
+
 def test_the_environment_variable_serves_every_process(tmp_path):
     script = "from safedpa.dynamics import load_model; import sys; print(load_model(sys.argv[1]).system.name)"
     environment = {**os.environ, "SAFEDPA_EFFECTS": str(BALL)}
-    done = subprocess.run(
-        [sys.executable, "-c", script, MODEL], capture_output=True, text=True, check=False, env=environment
-    )
+    done = printed(script, environment)
     assert done.stdout.strip() == "ball", done.stderr
 
 
@@ -139,9 +150,7 @@ def test_an_entry_point_serves_every_process(tmp_path):
         "print(load_model(sys.argv[1]).system.name, *effects_of('ball'))"
     )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", script, MODEL], capture_output=True, text=True, check=False, env=environment
-    )
+    done = printed(script, environment)
     assert done.stdout.split() == ["ball", "quadratic_drag"], done.stderr
 
 
@@ -195,13 +204,10 @@ def test_a_model_of_an_unknown_robot_names_the_option(tmp_path, capsys):
 
 NOISE = np.array([0.001, 0.001, 0.002, 0.005, 0.005])
 HIDDEN = {
-    "constant_force": {"ax": 0.3, "ay": -0.2},
-    "viscous_drag": {"coefficient": 0.6},
-    "quadratic_drag": {"coefficient": 0.5},
-    "payload": {"mass_ratio": 0.4},
-    "actuator_gain": {"gain": 0.8},
+    "constant_force": {"ax": 0.3, "ay": -0.2}, "viscous_drag": {"coefficient": 0.6},
+    "quadratic_drag": {"coefficient": 0.5}, "payload": {"mass_ratio": 0.4}, "actuator_gain": {"gain": 0.8},
     "actuator_delay": {"seconds": 0.1},
-}
+}  # fmt: skip
 
 
 def driven(hidden, seed, seconds=20.0, period=0.02, substeps=4):
@@ -273,3 +279,248 @@ def test_the_commands_take_it(tmp_path, capsys):
     f, g = load_model(out).affine(np.zeros(5))
     assert np.allclose(f, 0.0)
     assert g.shape == (5, 2)
+
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+STEP = 0.001
+
+
+@pytest.fixture(autouse=True)
+def own():
+    load_own(EXAMPLES / "cart.py")
+    load_own(EXAMPLES / "helicopter.py")
+
+
+def held(random, seconds, size, lengths=(0.3, 1.5)):
+    """A command by fine steps: held at random sizes for random times."""
+    found = []
+    while len(found) < seconds / STEP:
+        found += [random.uniform(-size, size)] * round(random.uniform(*lengths) / STEP)
+    return np.array(found[: round(seconds / STEP)])
+
+
+def rows_of(command):
+    """The command as it is held over each row of 0.05 s."""
+    each = round(0.05 / STEP)
+    return np.repeat(command[::each], each)[: len(command)]
+
+
+def carts(folder, delay=0.0, lag=0.0, drag=0.0, runs=4, seconds=30.0):
+    """Logs of a cart, by Euler's method in steps of a millisecond, independent of the library's equations."""
+    for number in range(runs):
+        random = np.random.default_rng(50 + number)
+        command = rows_of(held(random, seconds, 0.6))
+        late = np.concatenate([np.full(round(delay / STEP), command[0]), command])[: len(command)]
+        speed, felt, found = 0.0, late[0], []
+        for index, wanted in enumerate(late):
+            felt += (wanted - felt) * (1.0 - np.exp(-STEP / lag)) if lag else wanted - felt
+            if index % 50 == 0:
+                found.append((index * STEP, speed + random.normal(0.0, 0.01), command[index]))
+            speed += STEP * (3.0 * felt - drag * speed)
+        path = folder / f"run_{number}.csv"
+        np.savetxt(path, found, delimiter=",", header="t,speed,throttle", comments="", fmt="%.9g")
+    return sorted(folder.glob("run_*.csv"))
+
+
+def runs_of(model, paths):
+    return [load_run(path, model.system) for path in paths]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "names"),
+    [
+        ({"delay": 0.15, "drag": 0.6}, {"throttle_delay": 0.15, "speed_drag": 0.6}),
+        ({"lag": 0.2, "drag": 0.6}, {"throttle_lag": 0.2, "speed_drag": 0.6}),
+    ],
+)
+def test_the_effects_that_a_cart_lacks_are_found(hidden, names, tmp_path):
+    model = load_model(EXAMPLES / "cart.toml")
+    report = diagnose(model, runs_of(model, carts(tmp_path, **hidden)))
+    assert set(report.added) == set(names)
+    for name, value in names.items():
+        (number,) = (item for path, item in report.parameters.items() if path.startswith(f"{name}."))
+        assert number.value == pytest.approx(value, rel=0.05)
+    assert report.conditions == ()
+
+
+@pytest.mark.slow
+def test_a_cart_that_lacks_nothing_is_reported_as_complete(tmp_path):
+    model = load_model(EXAMPLES / "cart.toml")
+    assert diagnose(model, runs_of(model, carts(tmp_path))).verdict == "nothing_missing"
+
+
+def test_add_chooses_its_horizon(tmp_path):
+    model = load_model(EXAMPLES / "cart.toml")
+    runs = runs_of(model, carts(tmp_path, drag=0.6, runs=3, seconds=20.0))
+    short, long = (add_effect(model, "speed_drag", runs, horizon) for horizon in (0.3, 2.0))
+    assert short.values == long.values
+    assert short.values["speed_drag.coefficient"].value == pytest.approx(0.6, rel=0.02)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_lag_and_drag_of_a_helicopter_of_two_axes_are_found(tmp_path):
+    model = load_model(EXAMPLES / "helicopter.toml")
+    for number in range(4):
+        random = np.random.default_rng(80 + number)
+        main, tail = rows_of(5.0 + held(random, 30.0, 2.0)), rows_of(held(random, 30.0, 4.0))
+        pitch = yaw = pitch_rate = yaw_rate = 0.0
+        felt, found = main[0], []
+        for index in range(len(main)):
+            # a pilot keeps it up: without feedback it would hang
+            wanted = main[index // 50 * 50] if index % 50 else main[index] - 4.0 * pitch - 2.0 * pitch_rate
+            if index % 50 == 0:
+                sent = wanted
+                noise = random.normal(0.0, [0.002, 0.002, 0.01, 0.01])
+                found.append((index * STEP, *(np.array([pitch, yaw, pitch_rate, yaw_rate]) + noise), sent, tail[index]))
+            felt += (sent - felt) * (1.0 - np.exp(-STEP / 0.3))
+            lift = 0.6 * felt - 3.0 * np.cos(pitch)
+            turn = 0.8 * tail[index] + 0.1 * felt - 0.9 * yaw_rate
+            pitch, yaw = pitch + STEP * pitch_rate, yaw + STEP * yaw_rate
+            pitch_rate, yaw_rate = pitch_rate + STEP * lift, yaw_rate + STEP * turn
+        head = "t,pitch,yaw,pitch_rate,yaw_rate,main,tail"
+        np.savetxt(tmp_path / f"run_{number}.csv", found, delimiter=",", header=head, comments="", fmt="%.9g")
+    report = diagnose(model, runs_of(model, sorted(tmp_path.glob("run_*.csv"))))
+    assert set(report.added) == {"main_lag", "yaw_rate_drag"}
+    assert report.parameters["main_lag.time_constant"].value == pytest.approx(0.3, rel=0.05)
+    assert report.parameters["yaw_rate_drag.coefficient"].value == pytest.approx(0.9, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["cart", "helicopter"])
+def test_the_next_experiment_is_in_the_systems_own_words(name):
+    model = load_model(EXAMPLES / f"{name}.toml")
+    texts = list(manoeuvres(model))
+    for action in model.system.action_names:
+        assert sum(action in text for text in texts) == 4
+    first = model.system.action_names[0]
+    one, other = (
+        model.with_effect(effect(name, f"{first}_{kind}"), {key: Setting(0.2)})
+        for kind, key in (("lag", "time_constant"), ("delay", "seconds"))
+    )
+    proposed = chosen_experiment({"lag": one, "delay": other}, np.full(len(model.system.state), 0.005))
+    assert proposed is not None
+    assert first in proposed.manoeuvre
+
+
+def test_every_general_effect_does_nothing_where_it_is_neutral():
+    for name in ("cart", "helicopter"):
+        model = load_model(EXAMPLES / f"{name}.toml")
+        random = np.random.default_rng(3)
+        state, action = random.uniform(-0.5, 0.5, len(model.system.state)), random.uniform(-0.5, 0.5, 1)
+        action = np.resize(action, len(model.system.action))
+        every = effects_of(name)
+        assert len(every) == 6 * len(model.system.action) + 4 * (1 if name == "cart" else 2)
+        for item in every.values():
+            done = model.with_effect(item, {}).step(state, action)
+            np.testing.assert_allclose(done, model.step(state, action), atol=1e-12)
+            assert type(pickle.loads(pickle.dumps(item))) is type(item)
+
+
+def test_bounds_may_be_missing():
+    free = System("free", (Variable("v", "m/s", -np.inf, np.inf),), (Variable("u", "N", -np.inf, np.inf),))
+    for item in general_effects(free, {"v": 2.0}):
+        for parameter in item.parameters:
+            assert np.isfinite([parameter.low, parameter.high, parameter.typical]).all()
+        if isinstance(item, CommandEffect):
+            felt, _ = item.transform({"u": 0.3}, item.initial_memory({"u": 0.3}), start_of(item), 0.05, FLOATS)
+            assert np.isfinite(felt["u"])
+        else:
+            rates = item.modify({"v": 1.0}, start_of(item), Context({"v": 1.0}, {"u": 0.3}, {}, 0.0, 0.05, FLOATS))
+            assert np.isfinite(rates["v"])
+    proposed = general_manoeuvres(free, np.arange(0.0, 6.0, 0.05)).values()
+    assert all(np.isfinite(actions).all() for _, actions in proposed)
+
+
+def start_of(item):
+    return {parameter.name: parameter.typical for parameter in item.parameters}
+
+
+def test_an_unknown_state_is_refused():
+    system = System("slow", (Variable("v", "m/s", -1.0, 1.0),), ())
+    with pytest.raises(InputError, match="moving: got 'w'"):
+        general_effects(system, {"w": 1.0})
+    with pytest.raises(InputError, match="usual"):
+        general_effects(system, {"v": 0.0})
+
+
+DRAG = 0.15
+SENSED = np.array([0.002, 0.002, 0.003, 0.015])
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two drives of the learned car with drag added to its networks, as files."""
+    true = load_model("car_learned").with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(DRAG)})
+    paths = []
+    for run in range(2):
+        random, rows = np.random.default_rng([1, run]), 400
+        commands = car_commands(random, rows, true.period, 0.34)
+        actions = np.stack([commands.drive, commands.steer], axis=1)
+        states = np.zeros((rows, 4))
+        states[0] = (0.0, 0.0, random.uniform(-3.0, 3.0), 0.5)
+        for row in range(rows - 1):
+            states[row + 1], _ = true.advance(states[row], actions[row], ())
+        measured = states + SENSED * random.standard_normal(states.shape)
+        table = np.column_stack([true.period * np.arange(rows), measured, actions])
+        paths.append(str(tmp_path_factory.mktemp("learned") / f"run_{run}.csv"))
+        names = ("t", *true.system.state_names, *true.system.action_names)
+        np.savetxt(paths[-1], table, delimiter=",", header=",".join(names), comments="")
+    return paths
+
+
+@pytest.fixture(scope="module")
+def found_on_top(runs, tmp_path_factory):
+    """(report, folder) of ``safedpa diagnose`` with a library of two."""
+    folder = tmp_path_factory.mktemp("found")
+    names = ("quadratic_drag", "steering_offset")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
+        assert safedpa.run(["diagnose", "car_learned", *runs, "--out", str(folder), "--json"]) == 0
+    return json.loads((folder / "report.json").read_text(encoding="utf-8")), folder
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_effect_on_top_of_the_networks_is_found(found_on_top):
+    report, _ = found_on_top
+    assert report["added"] == ["quadratic_drag"]
+    value = report["parameters"]["quadratic_drag.coefficient"]
+    assert abs(value["value"] - DRAG) < max(4.0 * value["std"], 0.005)
+    assert report["stages"][1]["heldout_error"] < 0.6 * report["stages"][0]["heldout_error"]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_model_weights_and_margin_belong_together(found_on_top):
+    _, folder = found_on_top
+    model = load_model(folder / "model.toml")
+    assert isinstance(model.base, LearnedBase)
+    assert [item.name for item in model.effects] == ["quadratic_drag"]
+    margin = MarginCalibration.load(folder / "margin.toml")
+    assert margin.fingerprint == fingerprint(model) != fingerprint(load_model("car_learned"))
+    assert 0.0 < margin.epsilon["obstacle"] < 0.2
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_loop_drives_with_what_was_diagnosed(found_on_top):
+    _, folder = found_on_top
+    model, margin = load_model(folder / "model.toml"), MarginCalibration.load(folder / "margin.toml")
+    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin)]
+    robot = CarRobot(Scene.random(1, "none"), model.period)
+    ticks = list(drive(robot, nodes, 60))
+    assert {tick.verdict.status for tick in ticks} <= {"passed", "corrected"}
+    assert robot.collisions == []
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_add_takes_a_learned_model(runs, tmp_path, capsys):
+    out = tmp_path / "model.toml"
+    assert safedpa.run(["add", "car_learned", "quadratic_drag", *runs, "--out", str(out), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["after"] < 0.6 * document["before"]
+    assert abs(load_model(out).settings["quadratic_drag.coefficient"].value - DRAG) < 0.01
+    assert out.with_suffix(".safetensors").is_file()

@@ -72,14 +72,11 @@ def test_dfki_pendulum_is_pushed_by_hand(data):
 def test_coulomb_friction_of_the_pendulum_is_found_at_any_horizon(data, searched_once):
     """Of all effects of the library; the horizon that is shown changes neither verdict nor names nor numbers."""
     model = load_model("dfki_pendulum")
-    paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))
-    columns = load_column_map("dfki_pendulum_columns")
-    runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
+    runs = _runs(data / "dfki_pendulum", "data_measured.csv", model, "dfki_pendulum_columns")
     reports = [diagnose(model, runs, horizon) for horizon in (0.2, 1.0)]
     assert len(searched_once) == 2
     first = reports[0]
-    assert first.verdict == "effect_missing"
-    assert first.added == ("coulomb_friction",)
+    assert (first.verdict, first.added) == ("effect_missing", ("coulomb_friction",))
     assert first.stages[-1].heldout_error < 0.6 * first.stages[0].heldout_error
     friction = first.parameters["coulomb_friction.torque"]
     assert friction.std is not None
@@ -92,10 +89,7 @@ def test_coulomb_friction_of_the_pendulum_is_found_at_any_horizon(data, searched
 @pytest.mark.long
 def test_friction_of_the_car_takes_error_off_logs_that_it_was_not_fitted_to(data):
     model = load_model("dart_car")
-    paths = sorted((data / "dart_rc_car").rglob("*.csv"))
-    columns = load_column_map("dart_car_columns")
-    runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
-    found = add_effect(model, "viscous_drag", runs)
+    found = add_effect(model, "viscous_drag", _runs(data / "dart_rc_car", "*.csv", model, "dart_car_columns"))
     assert found.after.value < 0.85 * found.before.value
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from safedpa.compare.actuators import late_commands
 from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.document import as_document
 from safedpa.diagnosis.fit.evidence import evidence_at
 from safedpa.diagnosis.fit.heldout import error_with, heldout_of
 from safedpa.diagnosis.fit.least_squares import fit
@@ -27,7 +29,8 @@ from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa.records.run import Run
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
-from safedpa_lab.hidden import Case, write_case
+from safedpa_lab.hidden import Case, cases_of, write_case
+from safedpa_lab.hidden.judge import judged
 
 FEEDBACK = Case("test", 2884420874, {}, drive="throttle", hard=True)
 """Nothing is hidden; unseen blocks alone find a dead zone with 3.6 standard errors and 8 % off the held-out error."""
@@ -145,27 +148,22 @@ def test_each_of_several_effects_has_to_last_and_a_short_recording_decides_nothi
     assert {one[3:] for one in asked} == {("windows", 3)}
 
 
-def ordered(before, **after):
-    """Names in the order in which they are asked, the first the best in the windows."""
+@pytest.mark.parametrize(
+    ("before", "after", "order"),
+    [
+        (0.6, {"understeer": 0.52, "steering_gain": 0.5, "viscous_drag": 0.36},
+         ["viscous_drag", "understeer", "steering_gain"]),
+        (0.6, {"understeer": 0.52, "viscous_drag": 0.45}, ["understeer", "viscous_drag"]),  # only a little more
+        (0.2, {"understeer": 0.18, "viscous_drag": 0.1}, ["understeer", "viscous_drag"]),  # little is missing
+        (0.6, {}, []),
+    ],
+)  # fmt: skip
+def test_while_much_is_missing_the_effect_that_takes_far_more_off_comes_first(before, after, order):
+    """``after``: from the best in the windows on."""
     trials = [SimpleNamespace(effects=(name,)) for name in after]
     errors = {(name,): SimpleNamespace(value=value) for name, value in after.items()}
-    stage = Stage(0, trials, {}, errors)
-    return [trial.effects[0] for trial in farthest(trials, stage, SimpleNamespace(value=before))]
-
-
-def test_while_much_is_missing_the_effect_that_takes_far_more_off_comes_first():
-    assert ordered(0.6, understeer=0.52, steering_gain=0.5, viscous_drag=0.36) == [
-        "viscous_drag", "understeer", "steering_gain",
-    ]  # fmt: skip
-
-
-def test_a_little_more_off_the_error_changes_nothing():
-    assert ordered(0.6, understeer=0.52, viscous_drag=0.45) == ["understeer", "viscous_drag"]
-
-
-def test_where_little_is_missing_the_windows_decide():
-    assert ordered(0.2, understeer=0.18, viscous_drag=0.1) == ["understeer", "viscous_drag"]
-    assert ordered(0.6) == []
+    found = farthest(trials, Stage(0, trials, {}, errors), SimpleNamespace(value=before))
+    assert [trial.effects[0] for trial in found] == order
 
 
 @pytest.fixture
@@ -222,15 +220,13 @@ def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
     assert united(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
     assert search.added == ["towed_load"]
     assert search.error.value <= 1.002 * before
-    ratio = search.current.fit.model.settings["towed_load.mass_ratio"].value
-    assert ratio == pytest.approx(0.5, rel=0.1)
+    assert search.current.fit.model.settings["towed_load.mass_ratio"].value == pytest.approx(0.5, rel=0.1)
     assert accepted(search) == ["towed_load"]
 
 
 def test_two_effects_without_an_equivalent_third_stay(searching):
-    search, heldout = searching(
-        {"turning_drag": {"coefficient": 2.0}}, ["turning_drag", "steering_lag"], ["towed_load"]
-    )
+    hidden = {"turning_drag": {"coefficient": 2.0}}
+    search, heldout = searching(hidden, ["turning_drag", "steering_lag"], ["towed_load"])
     assert not united(search, of_car(["turning_drag", "steering_lag", "towed_load"]), heldout)
     assert search.added == ["turning_drag", "steering_lag"]
 
@@ -284,9 +280,8 @@ def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
 
 
 def test_a_delay_of_all_actuators_stays_one(searching):
-    search, heldout = searching(
-        {"actuator_delay": {"seconds": 0.12}}, ["actuator_delay"], ["steering_lag", "drive_lag"]
-    )
+    hidden = {"actuator_delay": {"seconds": 0.12}}
+    search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag"])
     split(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
     assert search.added == ["actuator_delay"]
 
@@ -298,8 +293,7 @@ def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searchi
     search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
     same_at_last(search, of_car([*names, *rivals]), heldout)
     (told,) = [item.equals for item in search.candidates if item.decision == "accepted"]
-    assert told == ("viscous_drag",)
-    assert search.added == names
+    assert (told, search.added) == (("viscous_drag",), names)
 
 
 def test_a_single_effect_has_no_equals(searching):
@@ -346,9 +340,6 @@ def test_lateness_that_the_servo_or_another_lateness_may_feign(plain, with_effec
 @pytest.fixture(scope="module")
 def towing(tmp_path_factory):
     """The pymunk car with a chair, driven for 6 runs of 40 s."""
-    from safedpa.records import load_run
-    from safedpa_lab.hidden import cases_of, write_case
-
     log = write_case(cases_of("towing", 1, seed=52)[0], tmp_path_factory.mktemp("towing"))
     model = load_model(str(log.model))
     return log, model, [load_run(str(path), model.system) for path in log.runs]
@@ -363,12 +354,10 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
     def fitted(*names):
         made = model
         for name in names:
-            made = made.with_effect(
-                effect("car", name), {p.name: Setting(p.typical) for p in effect("car", name).parameters}
-            )
+            item = effect("car", name)
+            made = made.with_effect(item, {p.name: Setting(p.typical) for p in item.parameters})
         own = shooting.around(made)
-        paths = [path for path in made.settings if path.split(".")[0] in names]
-        return fit(made, paths, own, np.full(4, 0.02))
+        return fit(made, [path for path in made.settings if path.split(".")[0] in names], own, np.full(4, 0.02))
 
     search = begun(model, shooting, heldout)
     less, full = fitted("towed_load"), fitted("towed_load", "drive_lag")
@@ -387,12 +376,6 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
 @pytest.mark.long
 def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towing):
     """No number appears twice in the report with different values."""
-    import json
-
-    from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.document import as_document
-    from safedpa_lab.hidden.judge import judged
-
     log, model, runs = towing
     report = diagnose(model, runs)
     document = as_document(report)
@@ -413,9 +396,8 @@ NAMES = ("towed_load", "rolling_resistance", "viscous_drag")
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
     """(search, trials by effect) of a car with a free gain whose dry friction is hidden."""
-    case = Case(
-        "test", 4, {"rolling_resistance": {"deceleration": 0.6}}, drive="throttle", hard=True, runs=3, seconds=15
-    )
+    hidden = {"rolling_resistance": {"deceleration": 0.6}}
+    case = Case("test", 4, hidden, drive="throttle", hard=True, runs=3, seconds=15)
     log = write_case(case, tmp_path_factory.mktemp("free_gain"))
     model = load_model(str(log.model))
     evidence = evidence_at([load_run(str(path), model.system) for path in log.runs], 1.0)
@@ -431,9 +413,8 @@ def test_of_two_that_explain_the_same_the_one_with_fewer_numbers_is_added(stage)
 
 def test_an_effect_that_explains_something_else_stays(stage):
     search, trials = stage
-    assert (
-        plainest(trials["towed_load"], [trials["towed_load"], trials["viscous_drag"]], search) is trials["towed_load"]
-    )
+    towed = trials["towed_load"]
+    assert plainest(towed, [towed, trials["viscous_drag"]], search) is towed
     assert plainest(trials["viscous_drag"], list(trials.values()), search) is trials["viscous_drag"]
 
 
@@ -456,8 +437,7 @@ def test_the_effects_of_the_model_stay_and_their_free_numbers_are_fitted(carpet,
     search = searched(model, [], shooting_of(runs, 1.0), heldout_of(runs, 1.0))
     found = search.current.fit.model
     assert [type(item) for item in found.effects] == [type(item) for item in model.effects]
-    assert search.added == []
-    assert search.candidates == []
+    assert (search.added, search.candidates) == ([], [])
     assert found.settings.keys() == model.settings.keys()
     changed = {name for name, setting in found.settings.items() if setting.value != model.settings[name].value}
     assert changed == {name for name, setting in model.settings.items() if setting.free}

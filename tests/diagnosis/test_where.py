@@ -23,7 +23,6 @@ from safedpa.compare.summary import (
     state_sentence,
     where_sentence,
     worse_sentence,
-    worst_bins,
 )
 from safedpa.compare.where import cells, factors, place, window_errors, window_squares
 from safedpa.compare.windows import windows_of
@@ -38,13 +37,11 @@ from safedpa_services.command_line.group import safedpa
 TOY = System(
     "toy",
     (
-        Variable("x", "m", -math.inf, math.inf),
-        Variable("y", "m", -math.inf, math.inf),
-        Variable("yaw", "rad", -math.inf, math.inf, angle=True),
-        Variable("speed", "m/s", -9.0, 9.0),
+        Variable("x", "m", -math.inf, math.inf), Variable("y", "m", -math.inf, math.inf),
+        Variable("yaw", "rad", -math.inf, math.inf, angle=True), Variable("speed", "m/s", -9.0, 9.0),
     ),
     (Variable("push", "N", -99.0, 99.0),),
-)
+)  # fmt: skip
 X_ALONE = np.array([0.5, 0.0, 0.0, 0.0])
 """A scale on which x alone has changed."""
 
@@ -82,14 +79,6 @@ def test_hidden_steering_asymmetry_turns_both_sides_one_way_and_spares_straight_
     assert max(physical, key=physical.__getitem__) in ("steer", "speed")
 
 
-def test_hidden_steering_gain_is_worst_at_full_steer_and_fine_straight_on(plain, with_effect, drive):
-    comparison = _compared(plain, drive, with_effect(plain, "steering_gain", gain=0.6))
-    steer = _factor(comparison, "steer")
-    straight = min(steer.bins, key=lambda item: abs(item.low + item.high))
-    outer = [steer.bins[0], steer.bins[-1]]
-    assert min(item.error for item in outer) > 1.5 * straight.error
-
-
 def test_hidden_steering_offset_turns_every_bin_of_steer_to_one_side(plain, with_effect, drive):
     comparison = _compared(plain, drive, with_effect(plain, "steering_offset", angle=0.1))
     assert "The state predicted worst is yaw" in state_sentence(comparison)
@@ -123,16 +112,6 @@ def test_noise_alone_is_nowhere_in_particular(plain, drive):
     noise = np.random.default_rng(0).normal(size=run.states.shape) * 0.3
     noisy = type(run)("noisy", run.system, run.t, run.states + noise, run.actions, run.stretches)
     assert "nowhere in particular" in where_sentence(compare_model(plain, [noisy]))
-
-
-def test_bins_hold_every_window_once_and_shares_add_up(plain, with_effect, drive):
-    comparison = _compared(plain, drive, with_effect(plain, "rolling_resistance", deceleration=0.5), 60.0)
-    for factor in comparison.factors:
-        assert sum(item.samples for item in factor.bins) == len(comparison.windows)
-        assert sum(item.share for item in factor.bins) == pytest.approx(1.0)
-        assert all(item.samples >= 10 for item in factor.bins)
-    errors = [item.error for item in worst_bins(comparison)]
-    assert errors == sorted(errors, reverse=True)
 
 
 @settings(max_examples=100, deadline=None)
@@ -291,8 +270,7 @@ def test_a_glitch_counts_as_the_square_below_which_95_percent_lie():
 def test_an_infinite_or_missing_error_counts_as_the_largest_and_as_one_at_least(largest, counted):
     wrong = [math.nan, math.inf, -math.inf, 1e100, 1e200, -1e300]
     errors = np.array([*[0.1] * 30, *[largest] * 4, *wrong])[:, None]
-    squares = window_squares(errors, np.ones(1))
-    assert squares == pytest.approx([0.01] * 30 + [largest**2] * 4 + [counted] * 6)
+    assert window_squares(errors, np.ones(1)) == pytest.approx([0.01] * 30 + [largest**2] * 4 + [counted] * 6)
 
 
 def test_the_error_of_a_window_is_the_root_of_its_mean_square_without_a_cap():
@@ -386,8 +364,7 @@ def test_angles_are_binned_in_sectors_of_one_turn():
 )
 def test_a_bin_with_too_few_values_joins_its_right_neighbour_and_the_last_its_left_one(smallest, wanted):
     """One, two, two and two values in bins of width 1."""
-    values = np.array([0.5, 1.2, 1.4, 2.2, 2.4, 3.2, 3.4])
-    assert merged(values, np.arange(5.0), smallest).tolist() == wanted
+    assert merged(np.array([0.5, 1.2, 1.4, 2.2, 2.4, 3.2, 3.4]), np.arange(5.0), smallest).tolist() == wanted
 
 
 def test_each_part_of_the_horizon_has_the_change_of_its_own_time(plain: Any, drive: Any) -> None:
@@ -432,9 +409,8 @@ def test_rates_are_those_of_the_rows_nearest_to_0_2_s(plain: Any, drive: Any, pa
 def test_a_table_of_predictions_has_a_row_for_each_measured_one_up_to_the_horizon(plain: Any, drive: Any) -> None:
     """0.3 s at 20 Hz, from every eighth trusted row: six rows each, but for the last, after which its stretch ends."""
     run = drive(plain, 2.0, stretches=[(0, 25), (28, 40)])
-    expected = [
-        (start, row) for start, last in ((0, 6), (8, 14), (16, 22), (35, 39)) for row in range(start + 1, last + 1)
-    ]
+    spans = ((0, 6), (8, 14), (16, 22), (35, 39))
+    expected = [(start, row) for start, last in spans for row in range(start + 1, last + 1)]
     found = predict_run(plain, run, 0.3, stride=8)
     assert set(found) == {"start_t", "t", "x", "y", "yaw", "speed"}
     starts, rows = (np.array(column) for column in zip(*expected, strict=True))
@@ -446,9 +422,7 @@ def test_a_table_of_predictions_has_a_row_for_each_measured_one_up_to_the_horizo
 
 
 @pytest.mark.parametrize("most", [100, 1000])
-def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(
-    plain: Any, drive: Any, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(plain, drive, most, monkeypatch):
     """Three runs of ten seconds: a hundred windows lie 0.3 s apart; a thousand would be nearer than requested."""
     monkeypatch.setattr("safedpa.compare.comparison.MOST_WINDOWS", most)
     found = compare_model(plain, [drive(plain, 10.0, seed, name=f"run {seed}") for seed in range(3)], 1.0)
@@ -462,15 +436,12 @@ def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(
 @pytest.mark.parametrize(
     ("rows", "shared", "copy"), [(40, 40, True), (40, 21, True), (40, 20, False), (19, 19, False), (20, 20, True)]
 )
-def test_a_recording_of_20_rows_is_a_copy_if_more_than_half_of_them_are_in_another(
-    plain: Any, drive: Any, rows: int, shared: int, copy: bool
-) -> None:
+def test_a_recording_of_20_rows_is_a_copy_if_more_than_half_of_them_are_in_another(plain, drive, rows, shared, copy):
     whole, other = drive(plain, 10.0, 1, name="whole"), drive(plain, 10.0, 2, name="other")
     states = np.concatenate([whole.states[50 : 50 + shared], other.states[: rows - shared]])
     actions = np.concatenate([whole.actions[50 : 50 + shared], other.actions[: rows - shared]])
-    piece = replace(
-        other, name="piece", t=other.t[:rows], states=states, actions=actions, stretches=(Stretch(0, rows),)
-    )
+    own = {"t": other.t[:rows], "states": states, "actions": actions, "stretches": (Stretch(0, rows),)}
+    piece = replace(other, name="piece", **own)
     for runs in ([piece, whole], [whole, piece]):
         kept, findings = without_repeated(runs)
         assert [run.name for run in kept] == [run.name for run in runs if not (copy and run.name == "piece")]
@@ -479,9 +450,7 @@ def test_a_recording_of_20_rows_is_a_copy_if_more_than_half_of_them_are_in_anoth
 
 @pytest.mark.parametrize(("jitter", "reported"), [(0.15, False), (0.25, True)])
 @pytest.mark.parametrize("faster", [1.0, 20.0])
-def test_periods_that_vary_by_more_than_a_fifth_are_reported(
-    plain: Any, drive: Any, jitter: float, reported: bool, faster: float
-) -> None:
+def test_periods_that_vary_by_more_than_a_fifth_are_reported(plain, drive, jitter, reported, faster):
     """A tenth of the periods is longer by so much."""
     run = drive(plain, 10.0)
     steps = np.full(len(run.t) - 1, 0.05)
@@ -526,8 +495,7 @@ def test_a_state_that_gets_worse_in_one_run_is_named(plain, runs, with_effect):
     """A model whose steering is a little off: better on the run that has it, worse on the others."""
     biased = with_effect(plain, "steering_offset", angle=0.05)
     before, after = (compare_model(model, runs, 1.0) for model in (plain, biased))
-    told = worse_sentence(before, after)
-    assert "yaw in drive_0" in told
+    assert "yaw in drive_0" in worse_sentence(before, after)
     assert "no state gets worse in any run" in worse_sentence(after, before)
 
 
@@ -539,7 +507,7 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
     arguments = ["compare", str(later), *map(str, log.runs), "--before", str(log.model), "--out", str(tmp_path / "out")]
     assert safedpa.run(arguments) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "what gets worse: yaw in" in told or "what gets worse: " in told
+    assert "what gets worse: " in told
     assert "Error by run and state" in told
     assert safedpa.run([*arguments, "--json"]) == 0
     assert "gets worse" in json.loads(capsys.readouterr().out)["change"]
@@ -553,9 +521,8 @@ def test_a_diagnosis_reports_states_that_got_worse(plain, runs, with_effect, dri
     random = np.random.default_rng(1)
     mixed = [drive(offset, 25.0, seed, name=f"drive_{seed}") for seed in range(5)]
     mixed.append(drive(other, 25.0, 9, name="other"))
-    noisy = [
-        replace(r, states=r.states + random.normal(0.0, (0.002, 0.002, 0.003, 0.015), r.states.shape)) for r in mixed
-    ]
+    noise = (0.002, 0.002, 0.003, 0.015)
+    noisy = [replace(run, states=run.states + random.normal(0.0, noise, run.states.shape)) for run in mixed]
     report = diagnose(plain, noisy)
     assert report.added == ("steering_offset",)
     assert {(item.run, item.state) for item in report.worse} >= {("other", "yaw")}

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model, shipped_models, written_steps
-from safedpa.dynamics.straight import Equations, step_texts, straight_step
+from safedpa.dynamics.straight import step_texts, straight_step
 from safedpa.dynamics.tangent import complex_step, written_key
 from safedpa.dynamics.write_steps import text
 from safedpa.effects import CommandEffect, Context, Parameter, RateEffect, Stage
@@ -58,9 +58,8 @@ def with_every_effect(robot: str) -> list[PhysicsModel]:
     return models
 
 
-ALL = [load_model(name) for name in MODELS] + [
-    model for robot in ("car", "pendulum", "point") for model in with_every_effect(robot)
-]
+ALL = [load_model(name) for name in MODELS]
+ALL += [model for robot in ("car", "pendulum", "point") for model in with_every_effect(robot)]
 
 
 def agree(model: PhysicsModel, draw: np.random.Generator) -> None:
@@ -134,25 +133,18 @@ CAR = quick(load_model("car"))
 @settings(max_examples=60, deadline=None)
 @given(numbers=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=8, max_size=8))
 def test_numbers_beyond_all_bounds_end_alike(numbers: list[float]) -> None:
-    model = CAR
-    state, action, latent = np.array(numbers[:4]), np.array(numbers[4:6]), np.array(numbers[6:8])
-    latent = latent[: len(model.latent_names)]
+    latent = np.array(numbers[6 : 6 + len(CAR.latent_names)])
+    given_to_both = np.array(numbers[:4]), np.array(numbers[4:6]), (), latent
     with np.errstate(all="ignore"):
-        np.testing.assert_array_equal(
-            model.advance(state, action, (), latent)[0], reference(model).advance(state, action, (), latent)[0]
-        )
+        np.testing.assert_array_equal(CAR.advance(*given_to_both)[0], reference(CAR).advance(*given_to_both)[0])
 
 
 class Bump(RateEffect):
     """A user's effect that branches on a number, as Python allows."""
 
-    name = "bump"
-    robot = "car"
-    stage = Stage.RESISTANCE
-    equation = "one way or the other"
+    name, robot, stage = "bump", "car", Stage.RESISTANCE
+    equation = signature = source = "one way or the other"
     parameters = (Parameter("size", "m/s2", 0.0, 5.0, 1.0),)
-    signature = "none"
-    source = "this test"
 
     def modify(self, rates: Any, parameters: Any, context: Context) -> Any:
         if context.state["x"] > 0.0:
@@ -214,19 +206,14 @@ def bent(state: Sequence[Any], action: Sequence[Any], latent: Sequence[Any], tim
     return [use.atan(action[0] * state[0]) * action[1]]
 
 
-def both_roads(
-    equations: Equations, state: list[float], action: list[float]
-) -> tuple[list[float], np.ndarray, np.ndarray]:
+def both_roads(equations, state, action):
     made = straight_step(equations, BOTH, BOTH, ())
     assert made is not None
     step, _, tangent = made
     value, slopes = tangent(state, action, [], 0.5)
     assert value == step(state, action, [], 0.5) == equations(state, action, [], 0.5, FLOATS)
-
-    def nudged(entries: Sequence[Any]) -> Sequence[Any]:
-        return [complex(entry) for entry in equations(state, entries, [], 0.5, COMPLEX)]
-
-    return value, np.array(slopes), complex_step(nudged, action)[1]
+    reference = complex_step(lambda own: [complex(entry) for entry in equations(state, own, [], 0.5, COMPLEX)], action)
+    return value, np.array(slopes), reference[1]
 
 
 SMALL = st.floats(-0.9, 0.9)
@@ -243,9 +230,7 @@ def test_every_rule_gives_the_slopes_of_complex_steps(state: tuple[float, ...], 
 
 @pytest.mark.parametrize(("a", "slope"), [(-0.5, 0.0), (-0.6, 0.0), (-0.4, 1.0), (0.5, 0.0), (0.4, 1.0), (0.6, 0.0)])
 def test_on_a_bound_the_slope_is_that_of_the_bound(a: float, slope: float) -> None:
-    def bounded(state: Any, action: Any, latent: Any, time: Any, use: Operations) -> Any:
-        return [use.clip(action[0], -0.5, state[1])]
-
+    bounded = lambda state, action, latent, time, use: [use.clip(action[0], -0.5, state[1])]  # noqa: E731
     _, slopes, reference = both_roads(bounded, [0.0, 0.5], [a, 0.0])
     assert slopes.tolist() == reference.tolist() == [[slope, 0.0]]
 
@@ -262,9 +247,8 @@ def test_the_same_bits_for_models_of_the_project(name: str) -> None:
         action = draw.uniform(-2.0, 2.0, len(model.system.action_names)).tolist()
         reference = slow.slopes(np.array(state), model.latent, np.array(action), ())
         # the reference's complex step leaves its square in a slope of zero, which the recorded tangent does not
-        np.testing.assert_allclose(
-            tangent(state, action, model.latent.tolist(), 0.0)[1], reference, rtol=0.0, atol=1e-60
-        )
+        slopes = tangent(state, action, model.latent.tolist(), 0.0)[1]
+        np.testing.assert_allclose(slopes, reference, rtol=0.0, atol=1e-60)
 
 
 NUMBERS = st.one_of(st.floats(-30.0, 30.0), st.sampled_from([0.0, -0.0, 1e9, -1e300, 1e308, math.inf, math.nan]))
@@ -277,9 +261,8 @@ def recorded() -> dict[str, tuple[Any, str]]:
     for name in shipped_models():
         model = load_model(name)
         names = model.system.state_names, model.system.action_names, model.latent_names
-        for kind, function in zip(
-            ("step", "tangent"), step_texts(model.equations(model.period), *names) or (), strict=False
-        ):
+        texts = step_texts(model.equations(model.period), *names) or ()
+        for kind, function in zip(("step", "tangent"), texts, strict=False):
             found[f"{name}_{kind}"] = model, function
     return found
 

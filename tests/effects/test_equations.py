@@ -1,8 +1,10 @@
-"""Effects against equations worked out by hand, closed forms and conservation laws."""
+"""Effects against equations worked out by hand, closed forms and conservation laws; and effects with a law."""
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -10,9 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import PhysicsModel, Setting
-from safedpa.effects import effect
+from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model, write_model
+from safedpa.effects import Varies, Where, conditioned, effect, effects_of
+from safedpa.effects.effects_with_law import may_have_law
+from safedpa.effects.law import law_of
 from safedpa.effects.memory import delayed, follow, settled
+from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
@@ -53,30 +58,21 @@ PENDULUM_CASES = [
 
 @pytest.mark.parametrize(("name", "values", "change"), CAR_CASES, ids=[case[0] for case in CAR_CASES])
 def test_car(name: str, values: dict[str, float], change: dict[str, float]) -> None:
-    base = {"base.wheelbase": Setting(0.32), "base.drive_gain": Setting(8.0)}
-    plain = PhysicsModel(KinematicBicycle("throttle"), (), base, INSTANT)
-    model = plain.with_effect(effect("car", name), {key: Setting(value) for key, value in values.items()})
+    plain = throttle_car(INSTANT)
     state, action = np.array([0.0, 0.0, YAW, SPEED]), np.array([0.5, STEER])
-    added = (model.step(state, action) - plain.step(state, action)) / INSTANT
-    expected = [change.get(entry, 0.0) for entry in ("x", "y", "yaw", "speed")]
-    np.testing.assert_allclose(added, expected, atol=1e-4)
+    found = (added(plain, name, **values).step(state, action) - plain.step(state, action)) / INSTANT
+    np.testing.assert_allclose(found, [change.get(entry, 0.0) for entry in ("x", "y", "yaw", "speed")], atol=1e-4)
 
 
 @pytest.mark.parametrize(("name", "values", "change"), PENDULUM_CASES, ids=[case[0] for case in PENDULUM_CASES])
 def test_pendulum(name: str, values: dict[str, float], change: float) -> None:
-    base = {"base.length": Setting(0.5), "base.mass": Setting(0.6), "base.gravity": Setting(9.81)}
-    plain = PhysicsModel(RigidPendulum(), (), base, INSTANT)
-    model = plain.with_effect(effect("pendulum", name), {key: Setting(value) for key, value in values.items()})
-    state, action = np.array([ANGLE, RATE]), np.array([TORQUE])
-    added = (model.step(state, action) - plain.step(state, action)) / INSTANT
-    np.testing.assert_allclose(added, [0.0, change], atol=1e-3)
+    plain, state, action = pendulum().with_period(INSTANT), np.array([ANGLE, RATE]), np.array([TORQUE])
+    found = (added(plain, name, **values).step(state, action) - plain.step(state, action)) / INSTANT
+    np.testing.assert_allclose(found, [0.0, change], atol=1e-3)
 
 
 def test_speed_command_gain_moves_the_settled_speed() -> None:
-    base = {"base.wheelbase": Setting(0.32), "base.speed_gain": Setting(4.0), "base.acceleration_limit": Setting(5.0)}
-    model = PhysicsModel(KinematicBicycle(), (), base).with_effect(
-        effect("car", "speed_command_gain"), {"gain": Setting(0.8)}
-    )
+    model = added(servo_car(), "speed_command_gain", gain=0.8)
     state = np.zeros(4)
     for _ in range(200):
         state = model.step(state, np.array([1.5, 0.0]))
@@ -115,8 +111,7 @@ def test_lag_is_the_exact_step_response(time_constant: float, period: float, sta
         exact = target + (start - target) * math.exp(-tick * period / time_constant)
         assert felt == pytest.approx(exact, abs=1e-9)
         fall = math.exp(-(tick - 1) * period / time_constant) - math.exp(-tick * period / time_constant)
-        exact_mean = target + (start - target) * fall * time_constant / period
-        assert mean == pytest.approx(exact_mean, abs=1e-9)
+        assert mean == pytest.approx((target + (start - target) * fall * time_constant / period), abs=1e-9)
 
 
 def test_lag_of_zero_is_none_and_has_a_slope() -> None:
@@ -180,8 +175,7 @@ def test_drive_channel_effects_work_for_either_drive(name: str, model: PhysicsMo
     slow = added(model, name, **{effect("car", name).parameters[0].name: 0.2})
     memory = slow.initial_memory(np.array([0.0, 0.0]))
     late = slow.advance(np.zeros(4), np.array([0.5, 0.0]), memory)[0]
-    prompt = model.step(np.zeros(4), np.array([0.5, 0.0]))
-    assert 0.0 <= late[3] < 0.5 * prompt[3]
+    assert 0.0 <= late[3] < 0.5 * model.step(np.zeros(4), np.array([0.5, 0.0]))[3]
 
 
 def energy(state: np.ndarray, length: float = 0.5, mass: float = 0.6, gravity: float = 9.81) -> float:
@@ -241,26 +235,12 @@ def test_quadratic_drag_has_its_closed_form() -> None:
     assert state[0] == pytest.approx(math.log(1.0 + 0.3 * 3.0) / 0.3, rel=1e-6)
 
 
-def test_back_emf_settles_where_voltage_and_motor_balance() -> None:
-    model = added(throttle_car(), "back_emf", coefficient=2.0)
-    state = np.zeros(4)
-    for _ in range(400):
-        state = model.step(state, np.array([0.6, 0.0]))
-    assert state[3] == pytest.approx(8.0 / 2.0, rel=1e-6)
-
-
 def test_dead_zone_is_dead_inside_and_shifted_outside() -> None:
     model = added(throttle_car(), "drive_dead_zone", width=0.164)
     assert model.step(np.zeros(4), np.array([0.16, 0.0]))[3] == 0.0
     for throttle in (0.5, -0.5):
         expected = 8.0 * 0.05 * (throttle - math.copysign(0.164, throttle))
         assert model.step(np.zeros(4), np.array([throttle, 0.0]))[3] == pytest.approx(expected)
-
-
-def test_understeer_is_the_steady_state_formula() -> None:
-    model = added(throttle_car(), "understeer", gradient=0.03)
-    state = model.step(np.array([0.0, 0.0, 0.0, 2.0]), np.array([0.0, 0.2]))
-    assert state[2] == pytest.approx(0.05 * 2.0 * math.tan(0.2) / (0.32 + 0.03 * 4.0))
 
 
 def test_tyre_slip_carries_the_car_to_the_outside_and_keeps_its_heading() -> None:
@@ -296,12 +276,6 @@ def test_sensor_scale_leaves_the_path_to_the_true_speed() -> None:
     np.testing.assert_allclose(state, [2.0 * 0.05, 0.0, 0.0, 2.5], atol=1e-12)
 
 
-def test_tip_mass_is_the_pendulum_with_that_mass() -> None:
-    state, torque = np.array([0.7, -1.0]), np.array([0.8])
-    heavier = added(pendulum(mass=0.6), "tip_mass", mass=0.4).step(state, torque)
-    np.testing.assert_allclose(heavier, pendulum(mass=1.0).step(state, torque), rtol=1e-12)
-
-
 def test_wind_pushes_as_much_as_its_source_says() -> None:
     model = added(pendulum(gravity=0.0, mass=1.0), "wind", speed=4.0, drag=0.5)
     model = PhysicsModel(model.base, model.effects, model.settings, 1e-4)
@@ -332,3 +306,186 @@ def test_spring_swings_at_its_own_frequency() -> None:
     for _ in range(100):
         state = model.step(state, np.zeros(1))
     assert state[0] == pytest.approx(0.3 + 0.2 * math.cos(math.sqrt(6.0 / 0.15)), abs=1e-5)
+
+
+CAR = """
+format = 1
+robot = "car"
+[base]
+kind = "kinematic_bicycle"
+drive = "speed_servo"
+wheelbase = 0.32
+speed_gain = 3.0
+acceleration_limit = 6.0
+"""
+FLOOR = """
+[[effects]]
+name = "rolling_resistance"
+where = "x above"
+edge = 0.05
+deceleration = 0.9
+x_above = 1.0
+"""
+SAG = """
+[[effects]]
+name = "speed_command_gain"
+varies = "gain with time"
+gain = 1.0
+gain_per_time = -0.004
+"""
+LAWS = (
+    ("rolling_resistance", Where("above", "x", 0.05), {"deceleration": 0.9, "x_above": 1.0}),
+    ("rolling_resistance", Where("circle", "", 0.05), {"deceleration": 0.9, "at_x": 1.0, "at_y": 0.0, "radius": 1.0}),
+    ("rolling_resistance", Where("strip", "", 0.05), {"deceleration": 0.9, "angle": 0.3, "offset": 1.0,
+                                                      "half_width": 0.5}),
+    ("steering_gain", Where("between", "abs_speed", 0.05), {"gain": 0.8, "abs_speed_from": 0.5, "abs_speed_to": 1.5}),
+    ("steering_gain", Varies("gain", "abs_speed"), {"gain": 1.0, "gain_per_abs_speed": -0.08}),
+    ("speed_command_gain", Varies("gain", "time"), {"gain": 1.0, "gain_per_time": -0.004}),
+    ("quadratic_drag", Where("below", "time", 0.5), {"coefficient": 0.2, "time_below": 20.0}),
+)  # fmt: skip
+
+
+def car(name=None, law=None, numbers=None, free=False) -> PhysicsModel:
+    plain = parse_model(CAR)
+    if name is None:
+        return plain
+    made = conditioned(effect("car", name), law, plain.system)
+    return plain.with_effect(made, {key: Setting(value, free) for key, value in numbers.items()})
+
+
+def step(model, state, action, time=0.0):
+    action = np.array(action)
+    return model.advance(np.array(state), action, model.initial_memory(action), model.latent, time=time)[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "numbers", "outside", "inside"),
+    [
+        (Where("above", "x", 0.05), {"x_above": 1.0}, (0.0, 0.0), (2.0, 0.0)),
+        (Where("below", "y", 0.05), {"y_below": 1.0}, (0.0, 2.0), (0.0, 0.0)),
+        (Where("circle", "", 0.05), {"at_x": 5.0, "at_y": 1.0, "radius": 1.0}, (0.0, 0.0), (5.0, 1.2)),
+        (Where("strip", "", 0.05), {"angle": 0.0, "offset": 3.0, "half_width": 0.5}, (0.0, 7.0), (3.0, -7.0)),
+    ],
+)
+def test_a_region_has_the_plain_effect_inside_and_none_outside(law, numbers, outside, inside):
+    model = car("rolling_resistance", law, {"deceleration": 0.9, **numbers})
+    plain = car().with_effect(effect("car", "rolling_resistance"), {"deceleration": Setting(0.9)})
+    for place, same in ((outside, car()), (inside, plain)):
+        state = [*place, 0.3, 1.0]
+        np.testing.assert_allclose(step(model, state, [1.0, 0.1]), step(same, state, [1.0, 0.1]), atol=1e-9)
+
+
+def test_a_number_varies_in_proportion_and_stays_within_its_bounds():
+    model = car("speed_command_gain", Varies("gain", "time"), {"gain": 1.0, "gain_per_time": -0.004})
+    for time, gain in ((0.0, 1.0), (100.0, 0.6), (1e6, 0.1)):
+        same = car().with_effect(effect("car", "speed_command_gain"), {"gain": Setting(gain)})
+        at, alike = step(model, [0, 0, 0, 1.0], [1.5, 0.0], time), step(same, [0, 0, 0, 1.0], [1.5, 0.0])
+        np.testing.assert_allclose(at, alike, atol=5e-5 if time < 1e6 else 1e-9)
+
+
+def test_a_gain_with_a_law_acts_after_the_lag():
+    lag = car().with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.2)})
+    law = Where("above", "abs_speed", 0.01)
+    made = conditioned(effect("car", "steering_gain"), law, lag.system)
+    model = lag.with_effect(made, {"gain": Setting(0.5), "abs_speed_above": Setting(1.0)})
+    state, action = np.array([0.0, 0.0, 0.0, 2.0]), np.array([2.0, 0.2])
+    memory = model.initial_memory(np.array([2.0, 0.0]))
+    turned, whole = (one.advance(state, action, memory)[0][2] for one in (model, lag))
+    assert turned == pytest.approx(0.5 * whole, rel=0.01)
+
+
+@pytest.mark.parametrize(("name", "law", "numbers"), LAWS)
+def test_every_road_says_the_same_and_has_its_slopes(name, law, numbers):
+    model = car(name, law, numbers, free=True)
+    slow = copy.deepcopy(model)  # takes the road of dictionaries for its first two hundred steps
+    random = np.random.default_rng(4)
+    for _ in range(250):
+        step(model, [0, 0, 0, 1.0], [1.0, 0.1])
+    assert model.straight(model.period) is not None
+    states = random.uniform([-1, -1, -3, -2], [3, 1, 3, 2], (40, 4))
+    actions = random.uniform([-2, -0.5], [2, 0.5], (40, 2))
+    batch = model.advance(states, actions, (), model.latent, time=15.0)[0]
+    for state, action, many in zip(states, actions, batch, strict=True):
+        one = step(model, state, action, 15.0)
+        np.testing.assert_array_equal(one, step(slow, state, action, 15.0))
+        np.testing.assert_allclose(one, many, rtol=0, atol=1e-12)
+        g = model.affine(state, model.latent, around=action, time=15.0)[1]
+        nudge = 1e-6 * np.eye(2)
+        columns = [(step(model, state, action + e, 15.0) - step(model, state, action - e, 15.0)) / 2e-6 for e in nudge]
+        np.testing.assert_allclose(g, np.stack(columns, axis=1), atol=1e-6)
+
+
+def test_torch_has_gradients_in_border_and_rate():
+    torch = pytest.importorskip("torch")
+    model = car(*LAWS[0], free=True)
+    latent = torch.tensor(model.latent, requires_grad=True)
+    state = torch.tensor([[1.0, 0.0, 0.0, 1.5]], dtype=torch.float64)
+    model.step(state, torch.tensor([[1.5, 0.0]], dtype=torch.float64), latent)[0, 3].backward()
+    assert (latent.grad.abs() > 1e-6).all()
+
+
+@pytest.mark.parametrize(("name", "law", "numbers"), LAWS)
+def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
+    model = car(name, law, numbers)
+    text = write_model(model)
+    again = parse_model(text)
+    assert again.effects == model.effects
+    assert hash(again.effects) == hash(model.effects)
+    assert (again.settings, write_model(again)) == (model.settings, text)
+    assert pickle.loads(pickle.dumps(model)).effects == model.effects
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            FLOOR.replace("x above", "x abvoe"),
+            "rolling_resistance.where: got 'x abvoe', wanted 'VARIABLE above|below|between', say 'x above', or one of circle, strip",  # noqa: E501 - as the page has it, whole
+        ),
+        (FLOOR.replace("x above", "z above"), "where: got 'z'; known: abs_speed"),
+        (FLOOR.replace("x above", "yaw above"), "got 'yaw'"),
+        (FLOOR.replace("edge = 0.05\n", ""), "edge: missing; give the width over which it sets in"),
+        (FLOOR.replace("edge = 0.05", "edge = 0.0"), "edge: got 0, wanted a width above 0 m"),
+        (FLOOR.replace("x_above = 1.0\n", ""), "x_above: missing; give a number, -10000 to 10000 m"),
+        (FLOOR.replace('where = "x above"', "where = 3"), "where: got 3, wanted 'VARIABLE"),
+        (FLOOR + 'varies = "deceleration with time"\n', "got 'where' and 'varies'"),
+        (FLOOR.replace('where = "x above"\n', ""), "edge: got it without 'where'"),
+        (SAG.replace("gain with time", "gain with tide"), "varies: got 'tide'"),
+        (SAG.replace("gain with time", "grain with time"), "varies: got 'grain'; did you mean 'gain'?"),
+        (SAG.replace("gain with time", "gain"), "varies: got 'gain', wanted 'PARAMETER with VARIABLE'"),
+        ('[[effects]]\nname = "steering_lag"\nwhere = "x above"\nedge = 0.1\n', "cannot depend on where and when"),
+        ('[[effects]]\nname = "speed_sensor_scale"\nvaries = "scale with time"\n', "cannot depend on where and when"),
+    ],
+)
+def test_a_mistake_is_reported_in_one_line(text, said):
+    with pytest.raises(ModelFileError) as error:
+        parse_model(CAR + text)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("robot", ["car", "pendulum", "point"])
+def test_every_effect_that_may_have_a_law_can_be_asked(robot):
+    model = load_model(robot)
+    bare = PhysicsModel(model.base, (), {k: v for k, v in model.settings.items() if k.startswith("base.")})
+    state, action = np.full(len(bare.system.state), 0.3), np.full(len(bare.system.action), 0.1)
+    for item in effects_of(robot).values():
+        if not may_have_law(item, bare.system) or not set(item.needs) <= set(bare.system.action_names):
+            continue
+        for law in (Where("above", "time", 0.5), law_of("varies", f"{item.parameters[0].name} with time", None, "")):
+            made = conditioned(item, law, bare.system)
+            assert np.isfinite(bare.with_effect(made, {}).step(state, action)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "numbers", "said"),
+    [
+        (*LAWS[0], "beyond x = 1.00 m"), (*LAWS[1], "inside the circle of 1.00 m about x = 1.00, y = 0.00 m"),
+        (*LAWS[3], "where |speed| is between 0.5 and 1.5 m/s"), (*LAWS[4], "falls by 8 % with each m/s of |speed|"),
+        (*LAWS[5], "falls by 0.4 % a second"), (*LAWS[6], "until 20 s"),
+    ],
+)  # fmt: skip
+def test_a_law_is_described_in_words(name, law, numbers, said):
+    model = car(name, law, numbers)
+    item = model.effects[0]
+    assert item.law.sentence(numbers, item.inner, model.system) == said

@@ -23,12 +23,8 @@ def tried(effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str
 def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> RobotOutcome:
     evidence = min((item.score for item in found), default=0.5)
     common = {
-        "evidence": evidence,
-        "trials": 29,
-        "error_before": 0.2 if found else 0.02,
-        "error_after": 0.02,
-        "last": {},
-    }
+        "evidence": evidence, "trials": 29, "error_before": 0.2 if found else 0.02, "error_after": 0.02, "last": {},
+    }  # fmt: skip
     return RobotOutcome(name, status, "", tuple(found), **(common | more))
 
 

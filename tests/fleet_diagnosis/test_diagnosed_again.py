@@ -1,4 +1,4 @@
-"""From recordings to results: which robots are diagnosed again, how results are replaced, what all robots have."""
+"""Which recordings are whose, which robots are diagnosed again, how results are replaced, what all robots have."""
 
 from __future__ import annotations
 
@@ -11,16 +11,130 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.fleet_diagnosis.test_fleet_robots import record
 
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.dynamics import load_model, write_model
 from safedpa.errors import InputError, RecordingError
 from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
 from safedpa.fleet.fleet_diagnosis import clear_others, kept, read_result, write_result
 from safedpa.fleet.inputs import options_digest
 from safedpa.fleet.one_robot import RobotResult, Task, diagnosed_robot, not_diagnosed
-from safedpa.fleet.robots import RobotsFound, robots_in_folder
+from safedpa.fleet.robot_recordings import robots_in, split_recording
+from safedpa.fleet.robots import RobotsFound, robots_in_folder, robots_of_files
+from safedpa.records import McapRecorder, read_run_from_mcap
+from safedpa.robots.car.system import CAR
 from safedpa_lab.hidden import Case, write_cases
+
+
+def record(path: Path, robots: tuple[str, ...], ticks: int = 60) -> Path:
+    with McapRecorder(path) as recorder:
+        for tick in range(ticks):
+            for number, robot in enumerate(robots):
+                t = 0.05 * tick
+                state = StateMessage(
+                    epoch=3, publish_time=0.0, tick=tick, robot_time=t,
+                    values=(np.sin(t), 1 - np.cos(t), t, 1.0 + 0.1 * number),
+                    applied=(1.0 + 0.1 * np.sin(t), 0.3 * np.cos(t)), applied_by="filter",
+                    period=0.05, lockstep=True, goal=(), obstacles=(), field=(), footprint=(),
+                )  # fmt: skip
+                recorder.write(key_of("fleet", robot, STATE), encode(state), int(1e9 * t), int(1e9 * t))
+    return path
+
+
+def touched(*paths: Path) -> None:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("t\n0\n", encoding="utf-8")
+
+
+def named(found):
+    return {robot.name: sorted(path.name for path in robot.files) for robot in found.robots}
+
+
+def test_each_folder_is_a_robot_with_all_below_it(tmp_path):
+    names = ("a/1.csv", "a/may/2.parquet", "b/1.csv", "x.csv", "b/notes.txt", "b/.hidden.csv", ".trash/1.csv")
+    touched(*(tmp_path / name for name in names))
+    found = robots_in_folder(tmp_path)
+    assert found.by == "folder"
+    assert named(found) == {"a": ["1.csv", "2.parquet"], "b": ["1.csv"]}
+    assert [path.name for path, _ in found.left_out] == ["x.csv"]
+
+
+def test_each_file_is_a_robot(tmp_path):
+    touched(tmp_path / "a.csv", tmp_path / "a.parquet", tmp_path / "b.csv")
+    assert named(robots_in_folder(tmp_path)) == {"a": ["a.csv"], "a.parquet": ["a.parquet"], "b": ["b.csv"]}
+    touched(tmp_path / "c" / "a.csv")
+    assert "c_a" in named(robots_in_folder(tmp_path, "file"))
+
+
+def test_what_a_diagnosis_wrote_is_no_recording(tmp_path):
+    touched(tmp_path / "a" / "1.csv", tmp_path / "out" / "recordings" / "x.mcap", tmp_path / "out" / "fleet.json")
+    assert named(robots_in_folder(tmp_path)) == {"a": ["1.csv"]}
+
+
+def test_files_that_are_named_one_by_one(tmp_path):
+    paths = [tmp_path / "a" / "1.csv", tmp_path / "a" / "2.csv", tmp_path / "b" / "1.csv"]
+    touched(*paths)
+    assert named(robots_of_files(paths)) == {"a": ["1.csv", "2.csv"], "b": ["1.csv"]}
+    assert named(robots_of_files(paths[:2])) == {"a_1": ["1.csv"], "a_2": ["2.csv"]}
+    assert named(robots_of_files(paths[:2], "folder")) == {"a": ["1.csv", "2.csv"]}
+
+
+def test_one_recording_of_many_robots(tmp_path):
+    record(tmp_path / "all.mcap", ("one", "two"))
+    record(tmp_path / "more.mcap", ("two", "three"))
+    found = robots_in_folder(tmp_path)
+    assert found.by == "robot"
+    assert named(found) == {"one": ["all.mcap"], "three": ["more.mcap"], "two": ["all.mcap", "more.mcap"]}
+
+
+def test_recordings_of_one_robot_each_are_robots_by_file_though_all_call_it_car(tmp_path):
+    for name in ("monday", "tuesday"):
+        record(tmp_path / f"{name}.mcap", ("car",))
+    assert named(robots_in_folder(tmp_path)) == {"monday": ["monday.mcap"], "tuesday": ["tuesday.mcap"]}
+    assert named(robots_in_folder(tmp_path, "robot")) == {"car": ["monday.mcap", "tuesday.mcap"]}
+
+
+def test_each_piece_of_a_split_recording_is_that_robots_run(tmp_path):
+    whole = record(tmp_path / "all.mcap", ("one", "two", "three"))
+    pieces = split_recording(whole, tmp_path / "pieces")
+    assert sorted(pieces) == ["one", "three", "two"]
+    for robot, piece in pieces.items():
+        before, after = read_run_from_mcap(whole, CAR, robot), read_run_from_mcap(piece, CAR)
+        np.testing.assert_array_equal(before.states, after.states)
+        np.testing.assert_array_equal(before.actions, after.actions)
+        np.testing.assert_array_equal(before.t, after.t)
+
+
+def test_a_recording_that_was_cut_off_gives_what_is_there(tmp_path):
+    whole = record(tmp_path / "all.mcap", ("one", "two"), 2000)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+    assert robots_in(cut) == (["one", "two"], "")
+    assert 100 < len(read_run_from_mcap(split_recording(cut, tmp_path / "pieces")["one"], CAR).t) < 2000
+
+
+def test_what_is_no_recording_is_left_out_with_a_reason(tmp_path):
+    record(tmp_path / "all.mcap", ("one", "two"))
+    touched(tmp_path / "notes.mcap", tmp_path / "table.csv")
+    found = robots_in_folder(tmp_path, "robot")
+    assert sorted(path.name for path, _ in found.left_out) == ["notes.mcap", "table.csv"]
+
+
+def test_nothing_to_find_is_bad_input(tmp_path):
+    with pytest.raises(InputError, match="holds no recording"):
+        robots_in_folder(tmp_path)
+    with pytest.raises(InputError, match="is no folder"):
+        robots_in_folder(tmp_path / "none")
+    touched(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="--by file"):
+        robots_in_folder(tmp_path, "folder")
+    with pytest.raises(InputError, match="no MCAP file"):
+        robots_in_folder(tmp_path, "robot")
+    with pytest.raises(InputError, match="--fleet"):
+        robots_of_files([])
 
 
 class Hands:
@@ -89,17 +203,11 @@ def task(asked: Fleet) -> Task:
 @pytest.mark.parametrize(
     ("changes", "same"),
     [
-        ({}, True),
-        ({"status": "unreadable"}, True),
-        ({"status": "failed"}, False),
-        ({"digest": "of another model"}, False),
-        ({"format": 0}, False),
-        ({"files": []}, False),
+        ({}, True), ({"status": "unreadable"}, True), ({"status": "failed"}, False),
+        ({"digest": "of another model"}, False), ({"format": 0}, False), ({"files": []}, False),
     ],
-)
-def test_a_result_is_kept_with_the_same_inputs_and_a_verdict(
-    asked: Fleet, task: Task, changes: dict[str, Any], same: bool
-) -> None:
+)  # fmt: skip
+def test_a_result_is_kept_with_the_same_inputs_and_a_verdict(asked, task, changes, same):
     document = not_diagnosed(task, "").document | {"status": "diagnosed"} | changes
     write_result(RobotResult("a", document), asked.out)
     assert kept(task, asked.out) is same
@@ -112,9 +220,7 @@ def test_a_result_that_is_missing_or_broken_is_not_kept(asked: Fleet, task: Task
     assert not kept(task, asked.out)
 
 
-def test_copies_with_another_time_or_in_another_folder_are_the_same_recordings(
-    asked: Fleet, task: Task, tmp_path: Path
-) -> None:
+def test_copies_with_another_time_or_in_another_folder_are_the_same_recordings(asked, task, tmp_path):
     os.utime(task.robot.files[0], ns=(1, 1))
     assert kept(task_of(asked), asked.out)
     moved = (tmp_path / "recordings" / "a").rename(tmp_path / "archive")
@@ -131,9 +237,7 @@ def test_changed_contents_of_the_same_size_and_fewer_recordings_are_diagnosed_ag
 
 
 @pytest.mark.parametrize("options", [{"horizon": 0.5}, {"columns": "dart_car_columns"}, {}])
-def test_another_horizon_column_map_or_model_is_diagnosed_again(
-    asked: Fleet, task: Task, options: dict[str, Any]
-) -> None:
+def test_another_horizon_column_map_or_model_is_diagnosed_again(asked, task, options):
     if not options:
         text = write_model(load_model("car")) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
         Path(asked.options.model).write_text(text, encoding="utf-8")
@@ -174,7 +278,7 @@ def test_a_model_in_the_folder_of_the_results_is_refused(asked: Fleet, tmp_path:
             continue
         with pytest.raises(InputError, match="the given model's own folder"):
             diagnose_fleet(fleet, Hands())
-        assert place.exists()
+        assert place.read_text(encoding="utf-8") == write_model(load_model("car"))
 
 
 def test_each_robot_of_a_recording_of_many_is_given_its_own_piece_split_once(tmp_path: Path) -> None:
@@ -230,8 +334,7 @@ def test_where_it_cannot_be_written_the_one_before_stays(tmp_path: Path, monkeyp
         patch.setattr(Path, "write_text", full)
         with pytest.raises(RecordingError, match="cannot be written"):
             write_result(result("r1", 2, {"a.md": "second"}), tmp_path)
-    assert held(folder / "r1") == before
-    assert [path.name for path in folder.iterdir()] == ["r1"]
+    assert (held(folder / "r1"), [path.name for path in folder.iterdir()]) == (before, ["r1"])
     assert read_result(folder / "r2") is None
 
 
@@ -274,10 +377,13 @@ def workers(work, jobs, _failed):
         yield RobotResult(job.robot.name, document, {"report.json": json.dumps(report(int(job.robot.name[1:])))})
 
 
-def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
+def fleet_of(recordings, out):
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
-    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
-    document = diagnose_fleet(fleet, workers)
+    return Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), out)
+
+
+def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
+    document = diagnose_fleet(fleet_of(recordings, tmp_path), workers)
     common = document["common"]
     assert common["model"] == "model.toml"
     (found,) = common["effects"]
@@ -290,15 +396,11 @@ def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordin
 
 def test_a_model_of_an_earlier_fleet_does_not_stay(recordings, tmp_path):
     (tmp_path / "model.toml").write_text("old", encoding="utf-8")
-    robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings[:3]))
-    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
-    assert diagnose_fleet(fleet, workers)["common"] is None  # three are no fleet
+    assert diagnose_fleet(fleet_of(recordings[:3], tmp_path), workers)["common"] is None  # three are no fleet
     assert not (tmp_path / "model.toml").exists()
 
 
 def test_a_model_that_does_not_help_is_not_written(recordings, tmp_path):
-    robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
-    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
 
     def doubtful(work, jobs, failed):
         if work is diagnosed_robot:
@@ -306,7 +408,6 @@ def test_a_model_that_does_not_help_is_not_written(recordings, tmp_path):
         else:
             yield from ((job.robot.name, 0.4) for job in jobs)
 
-    document = diagnose_fleet(fleet, doubtful)
-    assert document["common"]["model"] is None
+    assert diagnose_fleet(fleet_of(recordings, tmp_path), doubtful)["common"]["model"] is None
     assert not (tmp_path / "model.toml").exists()
     assert "does not belong to the model" in (tmp_path / "fleet.html").read_text(encoding="utf-8")

@@ -8,14 +8,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from safedpa.fleet.inputs import Options, options_digest
 from safedpa.fleet.one_robot import Task, diagnosed_robot
-from safedpa.fleet.robots import RobotLogs, robots_in_folder
+from safedpa.fleet.robots import RobotLogs
+from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 from safedpa_services.command_line.group import safedpa
 
 
@@ -25,8 +25,7 @@ def test_every_robot_is_in_its_group(small_fleet):
     assert (result["hidden"]["hits"], result["hidden"]["of"]) == (3, 3)
     assert (result["healthy"]["hits"], result["healthy"]["of"]) == (2, 2)
     assert result["groups_right"] == result["groups_hidden"] == 3
-    assert result["groups_false"] == 0
-    assert result["wrong"] == []
+    assert (result["groups_false"], result["wrong"]) == (0, [])
 
 
 @pytest.mark.long
@@ -57,8 +56,7 @@ def test_diagnosed_robots_are_not_diagnosed_again_and_the_document_is_the_same(s
     before = json.loads((small_fleet.out / "fleet.json").read_text(encoding="utf-8"))
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["diagnosed_now"] == 0
-    assert document["groups"] == before["groups"]
+    assert (document["diagnosed_now"], document["groups"]) == (0, before["groups"])
     assert document["robots"] == before["robots"]
 
 
@@ -71,22 +69,14 @@ def test_the_command_prints_which_robots_lack_what(small_fleet, capsys):
     assert "fleet.html" in told
 
 
-@pytest.fixture
-def task(small_fleet, tmp_path) -> Task:
-    """One robot with copies of its recordings, and the model next to them."""
+@pytest.mark.long
+def test_too_short_data_are_named(small_fleet, tmp_path):
     own = tmp_path / "recordings" / "car_000"
     shutil.copytree(small_fleet.folder / "recordings" / "car_000", own)
-    shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
-    options = Options(str(tmp_path / "model.toml"))
-    return Task(RobotLogs("car_000", tuple(sorted(own.glob("*.csv")))), options, options_digest(options))
-
-
-@pytest.mark.long
-def test_too_short_data_are_named(task):
-    for path in task.robot.files:
-        rows = path.read_text(encoding="utf-8").splitlines()[:40]
-        path.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    result = diagnosed_robot(task)
+    files, options = tuple(sorted(own.glob("*.csv"))), Options(str(small_fleet.folder / "model.toml"))
+    for path in files:
+        path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:40]), encoding="utf-8")
+    result = diagnosed_robot(Task(RobotLogs("car_000", files), options, options_digest(options)))
     assert result.document["status"] == "no_verdict"
     assert "too little" in result.document["reason"]
 
@@ -104,14 +94,12 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["car"], "--fleet FOLDER"),
-        (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
-        (["car", "--anew", "a.csv"], "--anew: got no fleet"),
-        (["car", "--fleet", "nowhere"], "is no folder"),
+        (["car"], "--fleet FOLDER"), (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
+        (["car", "--anew", "a.csv"], "--anew: got no fleet"), (["car", "--fleet", "nowhere"], "is no folder"),
         (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of the two out"),
         (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
     ],
-)
+)  # fmt: skip
 def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert safedpa.run(["diagnose", *arguments]) == 2
@@ -120,36 +108,13 @@ def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, told, tmp
     assert shown.count("\n") == 1
 
 
-@pytest.mark.long
-def test_the_given_model_is_not_overwritten(small_fleet, tmp_path, monkeypatch, capsys):
-    shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
-    monkeypatch.chdir(tmp_path)
-    before = Path("model.toml").read_bytes()
-    arguments = ["diagnose", "model.toml", "--fleet", str(small_fleet.folder / "recordings")]
-    assert safedpa.run([*arguments, "--out", "."]) == 2
-    assert "the given model's own folder" in capsys.readouterr().err
-    assert Path("model.toml").read_bytes() == before
-
-
-@pytest.mark.long
-def test_a_fleets_own_folder_is_no_recording(small_fleet):
-    found = robots_in_folder(small_fleet.folder / "recordings")
-    assert [robot.name for robot in found.robots] == [f"car_{i:03d}" for i in range(5)]
-    assert found.by == "folder"
-
-
 def test_the_experiment_counts_wrong_groups():
-    from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
-
     def group(kind, robots, *effects):
         found = [{"effect": effect, "indistinguishable_from": [], "parameters": {}} for effect in effects]
         return {"kind": kind, "robots": robots, "effects": found}
 
-    groups = [
-        group("missing", ["a"], "payload"),
-        group("missing", ["b", "c"], "understeer"),
-        group("nothing", ["d", "e"]),
-    ]
+    kinds = (("missing", "a", "payload"), ("missing", "bc", "understeer"), ("nothing", "de"))
+    groups = [group(kind, list(names), *effects) for kind, names, *effects in kinds]
     rows = [{"robot": name, "found": []} for name in "abcde"]
     document = {"groups": groups, "robots": rows, "common": None, "false_discovery": {}}
     truth = {"a": {}, "b": {"understeer": {}}, "c": {}, "d": {"payload": {}}, "e": {}}
@@ -161,8 +126,6 @@ def test_the_experiment_counts_wrong_groups():
 
 
 def test_an_effect_hidden_in_all_robots_counts_in_none():
-    from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
-
     found = [{"effect": "quadratic_drag", "indistinguishable_from": [], "parameters": {}}]
     groups = [
         {"kind": "missing", "robots": ["a"], "effects": found},
@@ -226,6 +189,5 @@ def test_a_link_leads_to_the_robots_report_which_draws_with_the_shared_script(br
     page, said = opened(browser, small_fleet.out / "fleet.html")
     page.click("#robot-car_002 a")
     page.wait_for_selector("#falling .main-svg")
-    assert page.inner_text("h1") == "car_002"
-    assert said == []
+    assert (page.inner_text("h1"), said) == ("car_002", [])
     page.close()

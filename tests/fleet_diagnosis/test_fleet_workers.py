@@ -94,9 +94,8 @@ print(sorted(map(str, on_cluster(operator.call, jobs, "local", lambda job, reaso
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason="no Ray; pip install 'safedpa[cluster]'")
 def test_a_local_cluster_answers_the_same():
-    process = subprocess.Popen(
-        [sys.executable, "-c", _ON_RAY], stdout=subprocess.PIPE, text=True, start_new_session=True
-    )
+    command = [sys.executable, "-c", _ON_RAY]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         told, _ = process.communicate(timeout=600)
     finally:

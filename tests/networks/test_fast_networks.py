@@ -138,12 +138,10 @@ def test_f_and_g_of_different_depth_are_refused(random_car_weights):
     weights = random_car_weights(1)
     deeper = weights.with_tensors(
         {
-            "g.2.weight": np.eye(16),
-            "g.2.bias": np.zeros(16),
-            "g.3.weight": weights["g.2.weight"],
+            "g.2.weight": np.eye(16), "g.2.bias": np.zeros(16), "g.3.weight": weights["g.2.weight"],
             "g.3.bias": weights["g.2.bias"],
         }
-    )
+    )  # fmt: skip
     with pytest.raises(InputError, match="f has 3 layers, g has 4; wanted as many"):
         LearnedNetworks(deeper)
 
