@@ -30,14 +30,16 @@ def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings",
+    "changes",
     [
-        FilterSettings(),
-        FilterSettings(enabled=False, epsilon=0.02, weights=(1.0, 4.0), backup_action=(0.0, 0.1)),
-        FilterSettings(action_low=(-1.0,), action_high=(2.5,), epsilon={"own kind": 0.1, "default": 0.0}),
+        {},
+        {"enabled": False, "epsilon": 0.02, "weights": (1.0, 4.0), "backup_action": (0.0, 0.1)},
+        {"action_low": (-1.0,), "action_high": (2.5,), "epsilon": {"own kind": 0.1, "default": 0.0}},
     ],
+    ids=str,
 )
-def test_file_comes_back_the_same(settings: FilterSettings, tmp_path: Path) -> None:
+def test_file_comes_back_the_same(changes: dict[str, Any], tmp_path: Path) -> None:
+    settings = FilterSettings(**changes)
     save_settings(settings, tmp_path / "safety.toml")
     assert load_settings(tmp_path / "safety.toml") == settings
     assert parse_settings(write_settings(settings)) == settings
