@@ -8,7 +8,7 @@ COMPILED := $(CURDIR)/build/compiled
 BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests docs environment constraints clean
+.PHONY: help demo run search quick test test-long test-compiled test-fleet lint types contracts check audit bill manifests mutation docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -109,6 +109,18 @@ manifests: environment $(SCHEMAS)  ## what deploy/kubernetes_region.py writes, h
 $(SCHEMAS):
 	@$(PYTHON) -m venv build/manifests
 	@build/manifests/bin/python -m pip install -qq --disable-pip-version-check kubernetes-validate==1.37.0
+
+# cosmic-ray in an environment of its own; the tests run in the project's.
+COSMIC_RAY := build/mutation/bin/cosmic-ray
+mutation: environment $(COSMIC_RAY)  ## mutates MODULE=shared/... and runs TESTS=tests/... for each mutant; use a clone
+	@sed -e 's#MODULE#$(MODULE)#' -e 's#TESTS#$(TESTS)#' tests/tools/mutation.toml > build/mutation/session.toml
+	@$(COSMIC_RAY) init --force build/mutation/session.toml build/mutation/session.sqlite
+	@$(COSMIC_RAY) exec build/mutation/session.toml build/mutation/session.sqlite
+	@build/mutation/bin/cr-report --surviving-only --show-diff build/mutation/session.sqlite
+
+$(COSMIC_RAY):
+	@$(PYTHON) -m venv build/mutation
+	@build/mutation/bin/python -m pip install -qq --disable-pip-version-check cosmic-ray==8.7.0
 
 bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
 	@$(PYTHON) -m venv build/bill

@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mutants import assigned
-
 from changes import (
     dropped,
     everything_used,
@@ -34,6 +32,14 @@ from changes import (
 __all__ = ["CLASSES", "Fault", "FaultClass", "faults_in", "places"]
 
 Change = Callable[[ast.AST], Iterator[ast.AST]]
+
+
+def assigned(statement: ast.AST) -> str:
+    """The name that a statement alone gives a value; empty where it is no such statement."""
+    match statement:
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name), value=ast.expr()):
+            return name
+    return ""
 
 
 @dataclass(frozen=True)

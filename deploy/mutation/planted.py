@@ -2,14 +2,14 @@
 
     python deploy/mutation/planted.py --seed S [--faults 50] [--seconds 120] [--again [--place PATH]]
 
-``run.py`` plants every small fault in the filter's modules; this one draws from classes (``fault_classes.py``: a sign
-of an error, a margin, held-out rows, units, a link's certificate, what is durable, ...) over all that they name. Each
-is planted in a copy of the working tree, where the tests that come to its place run until one fails (``copied.py``);
-they are looked for in the nearest files (``near.py``). A test that fails on the copy without the fault as well is no
-witness and left out. Writes ``planted-S.json`` (place, difference, who noticed) beside this file, and ``planted.md`` of
-all seeds, after each fault: a run that is cut keeps what it did, and goes on there. With ``--again`` what was not
-noticed is tried again on the tests as they are now, new ones first; what was so at first stays in the record. What
-cannot be noticed has the reason in its row, as ``why``. Exit code 1: some fault is noticed by nobody, and has none.
+``make mutation`` mutates one module. This script draws from classes of faults (``fault_classes.py``: a sign of an
+error, a margin, held-out rows, units, a link's certificate, what is durable, ...) over all modules that they name.
+Each is planted in a copy of the working tree, where the tests that come to its place run until one fails
+(``copied.py``); they are looked for in the nearest files (``near.py``). A test that fails on the copy without the
+fault as well is left out. Writes ``planted-S.json`` (place, difference, who noticed) and ``planted.md`` of all seeds
+into ``--out`` (default: ``build/mutation``) after each fault: a run that is cut goes on there. ``--again`` tries what
+was not noticed again, new tests first; the first result stays in the record. A fault that cannot be noticed has the
+reason in its row, as ``why``. Exit code 1: a fault was not noticed and has no reason.
 """
 
 from __future__ import annotations
@@ -68,10 +68,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--faults", type=int, default=50)
     parser.add_argument("--seconds", type=float, default=120.0, help="to find tests that come to one fault")
     parser.add_argument("--again", action="store_true", help="what was not noticed, on the tests as they are now")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutation", help="folder of the records")
     parser.add_argument("--place", default="", metavar="PATH[:LINE]", help="only of faults at such a place")
     given = parser.parse_args(arguments)
     os.nice(10)
-    record = read(HERE, given.seed)
+    given.out.mkdir(parents=True, exist_ok=True)
+    record = read(given.out, given.seed)
     nearness = Nearness(ROOT)
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
         copy, changed = Copy(ROOT, Path(folder)), changed_since(ROOT, record["commit"]) if given.again else set[str]()
@@ -86,9 +88,9 @@ def main(arguments: list[str]) -> int:
             came = {**asdict(outcome), "commit": commit()}
             row.setdefault("first", came)
             row |= {"now": came, "tests": tests[: outcome.files]}
-            write(HERE, record)
+            write(given.out, record)
             sys.stderr.write(f"{outcome.result:9} {fault.kind}: {fault.path}:{fault.line} {outcome.by}\n")
-    write(HERE, record)
+    write(given.out, record)
     return 1 if any(map(is_open, record["faults"])) else 0
 
 
@@ -166,8 +168,7 @@ The files of tests run nearest first, {NEAR} of them, more where none of these c
 come there and pass; *unreached*: none of those that ran does; *gone*: the place is not there any more. Farther tests
 were not asked: more may be noticed than stands here. What is noticed now and was not at first owes it to tests written
 for it, after it was seen, or to another choice of the near tests; only the count at first says how much the tests
-notice. Before seed 13 all faults of these classes had been gone through (`swept.py`), and tests written for those that
-were open. *cut*, in records of before 2026-11-24: the time was over before all near tests had run.
+notice.
 """
 
 
