@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus.transport.ports import free_port
-from safedpa_services.dashboard.doors import DataDoor, own_loopback
+from safedpa_services.dashboard.doors import DataDoor, Door, own_loopback
 
 OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
 
@@ -117,6 +118,21 @@ def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataDoor, int]) -
     finally:
         for link in links:
             link.close()
+
+
+@pytest.mark.long
+def test_who_says_nothing_for_ten_seconds_is_sent_away(door: tuple[DataDoor, int]) -> None:
+    """From the door of the page as from that of the data; otherwise a few silent ones would keep everybody out."""
+    page = Door("127.0.0.1", port := free_port(), door[1])
+    began = time.monotonic()
+    links = [socket.create_connection(("127.0.0.1", number), timeout=40.0) for number in (door[1], port)]
+    try:
+        assert [link.recv(1) for link in links] == [b"", b""]
+        assert 5.0 <= time.monotonic() - began <= 30.0
+    finally:
+        for link in links:
+            link.close()
+        page.close()
 
 
 @given(st.binary(max_size=300))
