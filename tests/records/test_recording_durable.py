@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport, Received, encode
+from safedpa.bus import HEALTH, SETUP, STATE, Bus, MemoryBroker, MemoryTransport, Received, encode
 from safedpa.bus.wire.setup import setup_message
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
@@ -136,6 +136,20 @@ def test_what_a_recorder_received_is_acknowledged_after_half_a_second(
     assert recorder.run(stopped) == 0
     assert sent[0] > 80
     assert max(waiting) <= 13, "half a second's, one turn's more, and the recorder's own words"
+
+
+def test_a_recorder_repeats_its_setup_every_five_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For those who join late."""
+    clock, bus = [100.0], Bus(MemoryTransport(MemoryBroker()), "f")
+    late = bus.inbox((SETUP,), keep_all=True)
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    recorder = Recorder(bus, tmp_path / "a.mcap", setup_message("recorder", {}))
+    late.take(0.0)
+    for _ in range(41):
+        recorder.sync()
+        clock[0] += 0.5
+    assert 3 <= len(late.take(0.0)) <= 5
+    assert recorder.run(lambda: True) == 0
 
 
 @pytest.mark.parametrize(
