@@ -269,9 +269,8 @@ def log(tmp_path_factory):
 
 @pytest.fixture
 def few_everywhere(monkeypatch):
-    for place in ("diagnose", "check", "rehearsal"):
-        found = f"safedpa.diagnosis.{place}.library_for"
-        monkeypatch.setattr(found, lambda _: [effect("car", name) for name in LIBRARY])
+    for module in ("safedpa.diagnosis.diagnose", "safedpa.diagnosis.check", "safedpa.diagnosis.rehearsal"):
+        monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in LIBRARY])
 
 
 @pytest.fixture

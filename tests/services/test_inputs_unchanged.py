@@ -55,9 +55,8 @@ def inputs(tmp_path_factory):
 def few(monkeypatch):
     """Which files are read and written depends on no effect of the library; many take time."""
     names = ("quadratic_drag", "rolling_resistance")
-    for place in ("diagnose", "check", "rehearsal"):
-        found = f"safedpa.diagnosis.{place}.library_for"
-        monkeypatch.setattr(found, lambda _: [effect("car", name) for name in names])
+    for module in ("safedpa.diagnosis.diagnose", "safedpa.diagnosis.check", "safedpa.diagnosis.rehearsal"):
+        monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in names])
 
 
 def sums(folder, names):
