@@ -1,7 +1,5 @@
 """What all tests share: the hypothesis profiles, the folder of real measurements, free ports."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

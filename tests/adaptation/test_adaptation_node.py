@@ -1,7 +1,5 @@
 """The adaptation's step, of either estimator: deterministic, patient with gaps, deaf to what cannot be."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

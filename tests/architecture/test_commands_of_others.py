@@ -1,7 +1,5 @@
 """Commands that another distribution brings by an entry point, the laboratory's among them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Compiled modules define no exception whose base stands in another module: its words would be memory of others."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What continuous integration could not test is said by it, in its last lines."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

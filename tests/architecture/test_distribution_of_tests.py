@@ -1,7 +1,5 @@
 """Which process of several runs which file of tests: what loads torch goes to one of them, as long as it has any."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """What a plain installation leaves out is named in one line by every command that needs it."""
 
-from __future__ import annotations
-
 import json
 import re
 import sqlite3

@@ -1,7 +1,5 @@
 """What the docs say of topics and messages is what the code says."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 And the house itself does not fall behind what it has come to.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

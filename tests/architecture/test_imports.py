@@ -1,7 +1,5 @@
 """Imports go down only, services know each other by the bus alone, and every process starts lightly."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

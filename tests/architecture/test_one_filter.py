@@ -1,7 +1,5 @@
 """One filter, one h: who decides actions, who writes slopes of barriers, and who asks for the name of a robot."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

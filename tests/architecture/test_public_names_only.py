@@ -10,8 +10,6 @@ A name is private if it starts with one underscore and the product defines it. A
 private names: what a test file defines itself is not counted.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

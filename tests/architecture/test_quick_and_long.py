@@ -1,7 +1,5 @@
 """Which tests a developer waits for: `make test` and `make test-long` run all of them together, each one once."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

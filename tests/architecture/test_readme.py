@@ -1,7 +1,5 @@
 """The README says what is true: its code runs, and links lead somewhere; its commands are tests/docs' affair."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

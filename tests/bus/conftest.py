@@ -1,7 +1,5 @@
 """One message of every kind, and a bus in memory."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A service loop over a bus in memory, with a clock that the test moves; the test speaks as the robots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Later, in order, by one thread."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

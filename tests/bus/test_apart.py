@@ -1,7 +1,5 @@
 """Untrusted work in a process of its own: its limits, how its end is reported, and which process is ended."""
 
-from __future__ import annotations
-
 import resource
 import signal
 import time

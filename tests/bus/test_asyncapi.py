@@ -1,7 +1,5 @@
 """The AsyncAPI document: current, and its schemas say of every sample of every released version that it is valid."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

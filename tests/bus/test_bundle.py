@@ -1,7 +1,5 @@
 """Messages about many robots that travel as one arrive as if each came alone, and nothing else gets in with them."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

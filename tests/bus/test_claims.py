@@ -1,7 +1,5 @@
 """Of two instances of one service that start at once, one stays."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

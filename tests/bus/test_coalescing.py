@@ -1,7 +1,5 @@
 """Batches under load: when they are made, what waits for them, and that nothing is lost on the way there and back."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Messages survive the wire unchanged, and nothing else gets through."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

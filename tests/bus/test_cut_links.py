@@ -1,7 +1,5 @@
 """Links are ended by the addresses of their far ends; what has none keeps none of the others alive."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A service asks for a robot's model before it serves the robot, and does not wait long."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar

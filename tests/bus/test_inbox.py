@@ -1,7 +1,5 @@
 """What waits in an inbox, in which order, and what is lost."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import threading

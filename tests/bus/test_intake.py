@@ -1,7 +1,5 @@
 """What an intake opens: bundles of its own topic, fleet and service that are no larger than a message may be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

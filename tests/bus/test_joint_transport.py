@@ -1,7 +1,5 @@
 """Several services of one process over one session."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A service's journal: only changes are written, with their reasons."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A change of the model step by step: the effect of each message on each state of a change."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Ports for processes about to start: free, and never handed out twice."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

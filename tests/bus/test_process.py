@@ -1,7 +1,5 @@
 """How a process of the fleet ends: seen, at once, and never half."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

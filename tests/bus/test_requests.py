@@ -1,7 +1,5 @@
 """Requests and answers: their defaults, their keys, which are answered, and what is published of them."""
 
-from __future__ import annotations
-
 import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any

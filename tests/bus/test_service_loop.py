@@ -1,7 +1,5 @@
 """The loop of every service, with a clock that the test moves."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """How a process joins the network: what its settings become in Zenoh's configuration, and which are refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The inputs of one robot's step: which are kept, which complete a tick, and which are stale."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

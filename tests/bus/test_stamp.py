@@ -1,7 +1,5 @@
 """A message that arrives under another key than it was sent under is not delivered; one without a stamp is."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

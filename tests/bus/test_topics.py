@@ -1,7 +1,5 @@
 """The table of topics agrees with itself and with the nodes."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil

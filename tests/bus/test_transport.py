@@ -1,7 +1,5 @@
 """One contract, two transports: in memory and over Zenoh."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Works for a process of its own, as ``test_apart.py`` hands them in."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

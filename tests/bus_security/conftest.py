@@ -1,7 +1,5 @@
 """A fleet's certificates, made once; a router of its own for every test, and who connects to it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The router's access control as it is generated: complete, closed, from the table of topics."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The fleet's own authority: files, modes, names, days; what it refuses."""
 
-from __future__ import annotations
-
 import datetime
 import os
 import subprocess

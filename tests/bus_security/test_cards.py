@@ -1,7 +1,5 @@
 """A process's proof of who it is: three files, or a card that it is handed by a pipe; and its memory is its own."""
 
-from __future__ import annotations
-
 import base64
 import ctypes
 import os

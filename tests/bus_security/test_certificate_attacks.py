@@ -1,7 +1,5 @@
 """Who gets onto a secured bus at all. Every refusal has a twin that gets in."""
 
-from __future__ import annotations
-
 import socket
 import ssl
 import time

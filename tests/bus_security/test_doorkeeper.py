@@ -1,7 +1,5 @@
 """Who is cut off at the door and when, which descriptors are kept back, and which sockets are looked at."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """One structured line per event, and a flood costs one line a second."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

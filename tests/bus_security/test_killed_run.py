@@ -1,7 +1,5 @@
 """``safedpa up --secure`` whose processes are killed: nothing of it drives on, no key stays, the next one starts."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

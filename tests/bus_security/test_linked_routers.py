@@ -1,7 +1,5 @@
 """Two routers, robots on one and services on the other: access control holds across the link, for what it can."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """A router whose own work stands still ends, and says so; one that was merely stopped for a while does not."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Attacks on a secured bus. Every one that is blocked has a twin that is delivered where nobody guards."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """What the router reads out of Zenoh's log: lines as Zenoh 1.10.2 writes them."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Recorded actions put back onto a bus that nobody guards: the robot's own gate refuses them, whoever sends them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable
 

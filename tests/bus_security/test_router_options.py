@@ -1,7 +1,5 @@
 """What a router's options make of it: plain text or certificates, who is denied what, and how much."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

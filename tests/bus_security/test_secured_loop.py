@@ -1,7 +1,5 @@
 """The whole closed loop as processes over mutual TLS and access control, while it is attacked."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

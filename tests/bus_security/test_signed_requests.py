@@ -1,7 +1,5 @@
 """What an authority signs for others: keys on P-256 alone, by whoever has them, under the name that the caller says."""
 
-from __future__ import annotations
-
 import base64
 import datetime
 from pathlib import Path

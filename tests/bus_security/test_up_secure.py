@@ -1,7 +1,5 @@
 """``safedpa up --secure``: the loop of one command as it would run over several machines."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

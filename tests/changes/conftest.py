@@ -1,7 +1,5 @@
 """Services without models, a coordinator and a network that loses, repeats and delays, all in one process."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

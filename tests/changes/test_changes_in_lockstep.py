@@ -1,7 +1,5 @@
 """The real services change their model while a simulated car drives, in one process and bit for bit."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any

@@ -1,7 +1,5 @@
 """Real processes over real sessions: a model is changed, and a process is killed in the middle of it."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

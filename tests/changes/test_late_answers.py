@@ -1,7 +1,5 @@
 """A command that waits for a change reports its end, also where an answer was late or lost, and not for ever."""
 
-from __future__ import annotations
-
 import time
 from contextlib import nullcontext
 from itertools import count

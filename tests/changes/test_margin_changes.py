@@ -1,7 +1,5 @@
 """A new model's margin: announced before it is used, never a reason to stop, and no tick without a decision."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """All services of a robot change their model at one tick, or none does, whatever is lost and whichever process dies."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every service checks what it is offered: what does not fit is refused with a reason, and the robot drives on."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from typing import Any

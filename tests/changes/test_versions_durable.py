@@ -1,7 +1,5 @@
 """What is kept of a model's versions is on the disk before its name is given, so that a power failure loses nothing."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

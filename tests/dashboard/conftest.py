@@ -1,7 +1,5 @@
 """What the dashboard's tests share: a marker, a look, a synthetic drive."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

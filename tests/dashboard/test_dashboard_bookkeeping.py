@@ -1,7 +1,5 @@
 """Residuals over ticks with gaps, one time line for many robots, drawing less when behind."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The web viewer in a real browser, and pictures made by the command line."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Findings and changes of the model in the live view: curves, lanes, marks."""
 
-from __future__ import annotations
-
 import math
 
 from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, Received

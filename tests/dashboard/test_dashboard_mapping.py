@@ -1,7 +1,5 @@
 """From messages to shapes: the right ones for a drive, and none raises whatever a valid message holds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from itertools import groupby, pairwise

@@ -1,7 +1,5 @@
 """The pendulum's own view: sector, wind as it is estimated, phase plane."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

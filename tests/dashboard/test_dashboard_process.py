@@ -1,7 +1,5 @@
 """The process: one line with the address, ports that are taken, an end within two seconds."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import subprocess

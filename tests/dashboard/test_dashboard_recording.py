@@ -1,7 +1,5 @@
 """From the bus to a file that Rerun reads again."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa.bus import HEALTH, Bus, MemoryBroker, MemoryTransport, encode

@@ -1,7 +1,5 @@
 """What sensors see is drawn where it is told, with what holds the action back; an odd message draws nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

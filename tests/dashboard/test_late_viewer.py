@@ -1,7 +1,5 @@
 """A late viewer gets the whole present first, of every robot, also when the memory for viewers is full."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The page of sentences: what is awaited and from which service, a stand with its reason, the keyframes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Health of services: silence after a second, step times in milliseconds, and the dashboard's own heartbeat."""
 
-from __future__ import annotations
-
 import threading
 import time
 from types import SimpleNamespace

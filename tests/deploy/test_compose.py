@@ -1,7 +1,5 @@
 """docker-compose.yml keeps the bus inside, its commands make a loop that drives, and so do its containers."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What stands beside the images: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

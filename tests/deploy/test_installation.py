@@ -1,7 +1,5 @@
 """Wheel and source distribution are built, and what a plain installation promises holds in an empty environment."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

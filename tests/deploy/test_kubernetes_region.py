@@ -1,7 +1,5 @@
 """A region on Kubernetes is what the compose file starts: the same commands, keys, limits, rights, and one filter."""
 
-from __future__ import annotations
-
 import base64
 import socket
 import subprocess

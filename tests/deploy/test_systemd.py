@@ -1,7 +1,5 @@
 """The systemd units are sound, and each service understands the options that its file of options gives."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Runs that a model itself drove: what holds for them is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands as a person runs them: odd and few data, results that replace nothing that was read."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

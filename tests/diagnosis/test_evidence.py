@@ -1,7 +1,5 @@
 """Whether recordings allow a verdict and over how many seconds; which part of each range was driven."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path

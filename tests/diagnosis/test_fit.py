@@ -1,7 +1,5 @@
 """Fits and their deviations: lost filters, bounds, free numbers, quick ways, and the filter along recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

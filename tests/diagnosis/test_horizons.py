@@ -1,7 +1,5 @@
 """What was hidden is found, one verdict whatever is shown, and what the data could have shown, also rehearsed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Logs that are long, thinned or at other rates."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Systems of the user, effects that every system has, the point robot, and models that are learned."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

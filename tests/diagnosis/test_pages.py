@@ -1,7 +1,5 @@
 """The pages of a comparison and of a diagnosis, and the sentences that stand on them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Real logs: what comparisons and diagnoses say of the car, the pendulum and the balls."""
 
-from __future__ import annotations
-
 import json
 import time
 from types import SimpleNamespace

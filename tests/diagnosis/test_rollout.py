@@ -1,7 +1,5 @@
 """Windows, what is predicted over them, side by side and at rest, and its error worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

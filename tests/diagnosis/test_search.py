@@ -1,7 +1,5 @@
 """Which effects a search adds, judges twice, replaces by smaller ones, and looks ahead for."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What no effect of the library explains is a place or a formula near the truth; laws, from logs to the filter."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

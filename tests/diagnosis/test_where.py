@@ -1,7 +1,5 @@
 """Where errors are: factors, bins, places, runs and states; and which rows a comparison looks at."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Files and modules that pages and docstrings name are there: what is renamed or joined takes its name along."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

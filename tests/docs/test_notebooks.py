@@ -1,7 +1,5 @@
 """The notebooks run, and print what stands in them."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Commands in pages are understood by the command line; the README is short; the glossary has its pictures."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

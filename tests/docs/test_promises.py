@@ -1,7 +1,5 @@
 """Every promise of the pages that were gone through names what holds it, and that is there."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

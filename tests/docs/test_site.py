@@ -1,7 +1,5 @@
 """The site is built without a complaint, every link in it leads somewhere, and nothing of it is fetched."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Composition of base and effects: integration, tangents, batches, latents, actuators, tracked points."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Model files, what is written and read back and every mistake in one line, and models that are learned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

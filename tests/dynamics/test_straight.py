@@ -1,7 +1,5 @@
 """The straight-line road of a model against the road of dictionaries, its slopes, and the steps that are written."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

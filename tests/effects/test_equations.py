@@ -1,7 +1,5 @@
 """Effects against equations worked out by hand, closed forms and conservation laws; and effects with a law."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

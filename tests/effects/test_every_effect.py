@@ -1,7 +1,5 @@
 """Laws that hold for every effect of the library."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from typing import Any
 

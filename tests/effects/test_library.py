@@ -1,7 +1,5 @@
 """The library and its names and units, effects from a user's own file, and the command that lists them all."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

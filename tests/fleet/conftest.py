@@ -1,7 +1,5 @@
 """A running fleet for the tests of this folder, which run only when they are asked for: ``make test-fleet``."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

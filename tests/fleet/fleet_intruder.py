@@ -5,8 +5,6 @@ full speed, or HOW. ``replay``: sends what was captured, again. ``large``, ``mal
 that are no command. ``enrol``: asks the authority for a robot's certificate.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import json

@@ -4,8 +4,6 @@
 and its verdict on it was no fallback. ``foreign`` counts actions that a robot applied and the filter never chose.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """Four robots with different loads drive for a minute: no collision, every one reaches goals, none stands still."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Containers die, stand still and lose the network: no robot collides, and all drive again by themselves."""
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Those who do not belong there: none of them moves a robot, and each attempt stands in a log."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The loop in containers has its own time from sense to act, compared with a bare chain of containers."""
 
-from __future__ import annotations
-
 import json
 import sys
 

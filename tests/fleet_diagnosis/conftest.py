@@ -1,7 +1,5 @@
 """Outcomes of robots made up, and one small fleet that was really diagnosed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which recordings are whose, which robots are diagnosed again, how results are replaced, what all robots have."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

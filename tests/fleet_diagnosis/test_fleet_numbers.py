@@ -1,7 +1,5 @@
 """Numbers of a fleet: outcomes, false discoveries, pooled means and spreads, and which robots are alike."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

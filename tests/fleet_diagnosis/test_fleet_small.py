@@ -3,8 +3,6 @@
 All tests that need it are in this file, so that one process diagnoses it once.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Processes and a cluster: what goes wrong with one robot stays with that robot."""
 
-from __future__ import annotations
-
 import operator
 import os
 import signal

@@ -1,7 +1,5 @@
 """Cars and the three services over a bus in memory, in real time by a clock that the test moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The cycle collector sleeps through the turns of a fleet, and finds cycles that should not be made."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections import deque

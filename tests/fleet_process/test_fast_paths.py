@@ -1,7 +1,5 @@
 """Fast implementations give the same numbers as the simple ones that they replace."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from math import inf, isfinite

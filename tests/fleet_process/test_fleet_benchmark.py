@@ -1,7 +1,5 @@
 """The benchmark of many robots: with processes in small, and the search for the largest fleet without."""
 
-from __future__ import annotations
-
 import json
 import os
 from typing import Any

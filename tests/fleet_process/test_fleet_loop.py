@@ -1,7 +1,5 @@
 """Many cars turned by one process: which ticks are late, and whether the simulation is the cause."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise

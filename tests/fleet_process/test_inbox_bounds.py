@@ -1,7 +1,5 @@
 """An inbox holds so much and no more, and a sender that floods it loses its own messages."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 from collections import defaultdict

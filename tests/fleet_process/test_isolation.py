@@ -1,7 +1,5 @@
 """One robot is broken, hostile or in a hurry: the three others drive on, bit for bit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Robots come and go: what they needed is given back, and there is room for a thousand of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The three services of a fleet in one process: the same decisions, the robots shared, the whole thing for real."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Offers of models by a process that has the key of a diagnosis."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

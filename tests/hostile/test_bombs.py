@@ -1,7 +1,5 @@
 """Small inputs that ask for much are refused within a second and 200 MB, with one line that says why."""
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

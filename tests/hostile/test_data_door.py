@@ -1,7 +1,5 @@
 """The viewer's data are given under the names of this machine, to pages of this machine, one request a connection."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Who floods with a valid key gets no more through than the fastest robot would send, and others are not held up."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

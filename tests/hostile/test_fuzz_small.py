@@ -1,7 +1,5 @@
 """A few seconds of the fuzzing command: mutated input opens no hole."""
 
-from __future__ import annotations
-
 import json
 import random
 import subprocess

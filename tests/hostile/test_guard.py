@@ -1,7 +1,5 @@
 """Which requests the page's guard lets through, answers itself or refuses, without a network."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

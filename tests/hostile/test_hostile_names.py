@@ -1,7 +1,5 @@
 """Names and sentences that others chose: on terminal, pages, in reports and logs they are text and nothing else."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

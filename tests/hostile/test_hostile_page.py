@@ -1,7 +1,5 @@
 """The command's drives: what counts as holding, and the page that is written."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

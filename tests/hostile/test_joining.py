@@ -1,7 +1,5 @@
 """Silent connections keep no member out, and an observer that cannot join does not end a drive."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

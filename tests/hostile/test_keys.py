@@ -1,7 +1,5 @@
 """Keys of a run are gone when it is, whichever way it ended; a copy of one and a revoked one are cut off."""
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """Without options nothing listens for other machines, and no other user of this one gets to the bus."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """Offered models cost the loop nothing, whatever they hold: they are tried in a process of their own."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

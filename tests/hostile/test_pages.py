@@ -1,7 +1,5 @@
 """Pages answer to their own name, to who has the token, and from the folders that were named; in a real browser too."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import re

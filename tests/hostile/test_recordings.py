@@ -1,7 +1,5 @@
 """A recording may hold anything: replaying it ends in figures or one line, soon, and touches no file."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

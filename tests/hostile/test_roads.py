@@ -1,7 +1,5 @@
 """Bombs on every road that a file takes into the product: one line, exit code 2, little memory, nothing written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

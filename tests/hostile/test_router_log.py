@@ -1,7 +1,5 @@
 """The router's log never makes the router wait, however little of it is read."""
 
-from __future__ import annotations
-
 import os
 import stat
 

@@ -1,7 +1,5 @@
 """What the tests of live diagnosis share: a car that is its own model, plus noise, plus what changes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from math import sin
 

@@ -1,7 +1,5 @@
 """The band that a model's error usually stays in, and the sentence about an error that left it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

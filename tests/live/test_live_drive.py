@@ -1,7 +1,5 @@
 """A whole live drive in small: the car in its world, the real services, the real search."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The sequential test keeps its promise however seconds depend on each other, and is quick when it matters."""
 
-from __future__ import annotations
-
 from math import exp, log
 
 import numpy as np

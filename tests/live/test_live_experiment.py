@@ -1,7 +1,5 @@
 """The experiment of live diagnosis, on drives that are scripted: which drives it makes, and what it accepts when."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

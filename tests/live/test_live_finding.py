@@ -1,7 +1,5 @@
 """A finding from its first sign to its end: stages, data for the search, and the messages about it."""
 
-from __future__ import annotations
-
 import copy
 import json
 from dataclasses import replace

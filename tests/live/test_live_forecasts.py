@@ -1,7 +1,5 @@
 """Forecasts of a running robot are those of a recording of it, and gaps break them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The history of a robot: bounded, and cut where ticks are missing or cannot be believed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Killing the diagnosis changes nothing for the car: the same drive, bit for bit."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The diagnosis as a node: what is proposed, accepted, rejected, prepared, and forgotten."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The watch over a model: silent while the model is right, quick and precise when it is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

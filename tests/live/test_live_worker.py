@@ -1,7 +1,5 @@
 """The search in a process of its own: it is restarted when it is killed, and ends when it is cancelled."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

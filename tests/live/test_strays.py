@@ -1,7 +1,5 @@
 """Services that report another model than the one in force: when they are believed, and how long a repair waits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

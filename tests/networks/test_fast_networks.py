@@ -4,8 +4,6 @@ The fast roads compute in single precision, of which one unit in the last place 
 largest number that comes out, not to the last bit.
 """
 
-from __future__ import annotations
-
 import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Weights files and inference in numpy: against torch, and against the geometry that it promises."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A fleet that only talks: messages as its processes would send them, on a bus in memory, at times of our choice."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field
 from typing import Any

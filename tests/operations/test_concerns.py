@@ -1,7 +1,5 @@
 """What may be wrong with a robot or a process: when it is reported, at which level, and from which moment on."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

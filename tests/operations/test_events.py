@@ -1,7 +1,5 @@
 """Events: one catalogue, told once when something changes, readable and never a flood."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a listener makes of a fleet: counts, shares, concerns, and how they are told."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

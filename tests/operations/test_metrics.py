@@ -1,7 +1,5 @@
 """Metrics: names by the conventions, numbers as they were said, rules and dashboard that ask for what there is."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What a listener counts of a fleet: the last seconds, heartbeats, replaced processes and robots that left."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Ending a loop brakes the robot first; an order to stop holds over the filter's death. With real processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

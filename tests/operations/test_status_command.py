@@ -1,7 +1,5 @@
 """``safedpa status``, ``stop`` and ``go`` as a script calls them where there is nothing to be heard."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """An order to stop: kept, answered, obeyed by the filter whatever the policy wishes, and lifted again."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The stopping manoeuvre keeps what its barrier says, for one robot, for many at once, and on the bus."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

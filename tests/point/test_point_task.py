@@ -1,7 +1,5 @@
 """The batched point robot is MuJoCo's; layouts, rewards and observations; the way that its policy is taught."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

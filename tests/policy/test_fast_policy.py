@@ -1,7 +1,5 @@
 """What a service computes for one robot agrees with the arrays of many, and the policy with the one in torch."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

@@ -1,7 +1,5 @@
 """The goal seeker gets there, within its limits, the same every time and the same on both sides."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """A learned policy at work: what it sees, what it wishes, and what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

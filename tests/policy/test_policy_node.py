@@ -1,7 +1,5 @@
 """The policy's step: stamped wishes, wishes at random, and the planner, alone and as a controller."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The controller that looks where it goes; whoever is held back tries another way."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from math import cos, hypot, pi, sin, tan

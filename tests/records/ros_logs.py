@@ -1,7 +1,5 @@
 """Bags written by another program (rosbags): a car's odometry and commands, as ROS 1 and ROS 2 store them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Bags and flight logs, read as they are: against independent readers, damaged, packed, of wrong kinds."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

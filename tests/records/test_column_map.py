@@ -1,7 +1,5 @@
 """Column maps: every key does what it says, every mistake is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The worked example of docs/column-maps.md does what the page says."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever happens to a file, reading it gives a run without bad numbers, or one sentence; never another error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``safedpa export``: what a person sees, and the table that comes out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

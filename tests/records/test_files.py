@@ -1,7 +1,5 @@
 """Files that cannot be used, and what is said about them: one line each."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

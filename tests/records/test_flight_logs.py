@@ -3,8 +3,6 @@
 Source: the PX4 guide, ULog file format: a head of 16 bytes, then messages of a length, a kind and a content.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from pathlib import Path

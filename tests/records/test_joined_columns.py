@@ -1,7 +1,5 @@
 """Several columns as one, and the slope of any state: columns of logs that an own system needs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

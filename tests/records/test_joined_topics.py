@@ -1,7 +1,5 @@
 """Topics of different rates, clocks and frames become one table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

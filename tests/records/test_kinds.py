@@ -1,7 +1,5 @@
 """The kind of a file by its first bytes and its name; files that are no recordings are refused with advice."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

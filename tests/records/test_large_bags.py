@@ -1,7 +1,5 @@
 """What a bag costs: definitions by what is looked at, messages by what is asked for."""
 
-from __future__ import annotations
-
 import sqlite3
 import time
 import tracemalloc

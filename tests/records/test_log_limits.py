@@ -1,7 +1,5 @@
 """What is exactly as large as the limit is read, and one more is refused, with the limit's name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A table with thousands of columns: what is wrong with it is still one sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

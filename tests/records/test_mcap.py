@@ -1,7 +1,5 @@
 """Recordings of the bus: round trip, several robots, kill, full disk, damage."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

@@ -4,8 +4,6 @@ Source: mcap.dev, the specification: a checksum is CRC-32, and 0 means that ther
 section covers the file from its first byte to the record that holds it.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

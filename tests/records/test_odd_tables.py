@@ -1,7 +1,5 @@
 """Tables as people bring them: stray quotation marks, other encodings, decimal commas, blank lines, nanoseconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every defect that is planted is found, said and cut; nothing is found where nothing is planted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The real logs of the RC car and of the pendulum, where they are present."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

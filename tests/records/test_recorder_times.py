@@ -1,7 +1,5 @@
 """When a message was said and when it came, as the recording has it: nanoseconds, by this machine's clock."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from pathlib import Path

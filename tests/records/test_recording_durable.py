@@ -1,7 +1,5 @@
 """What is said to be on the disk is: the file's name at once, its messages when they are acknowledged."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -3,8 +3,6 @@
 Source: wiki.ros.org/Bags/Format/2.0: a record is a header and data, each behind its length of four bytes.
 """
 
-from __future__ import annotations
-
 import bz2
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """rosbag2 in SQLite, row by row: which rows are messages, what is refused, the limits; also packed and in folders."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """CSV and Parquet tables: headers, separators, cells that are no numbers, and the limits."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

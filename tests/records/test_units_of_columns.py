@@ -1,7 +1,5 @@
 """Factors of units compared with SciPy's table, and mistakes of units and signs that the columns give away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Values beyond their bounds or in another unit, and the ones that only look like it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A car with its services in one process, by a clock of the test's own: services stall, die and come back."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the recorder acknowledged can be read, whatever happens to it afterwards."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import os

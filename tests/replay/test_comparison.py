@@ -1,7 +1,5 @@
 """Which fields of two messages differ, and which of them only in a last digit."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

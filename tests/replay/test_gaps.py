@@ -1,7 +1,5 @@
 """Which states and outputs a recording lacks: by ticks, by counted steps, and by what other services used."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -3,8 +3,6 @@
 On purpose: ``python tests/replay/golden/record.py --why "..."``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import runpy

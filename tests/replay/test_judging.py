@@ -1,7 +1,5 @@
 """What a replay counts step by step: what is missing, what was rounded, what a gap leaves open."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path

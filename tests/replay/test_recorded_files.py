@@ -1,7 +1,5 @@
 """A recording explains itself to tools that know MCAP alone; who asked the diagnosis for what is in it."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

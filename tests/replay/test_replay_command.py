@@ -1,7 +1,5 @@
 """``safedpa replay`` as a person runs it: sentences, exit codes, files."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """The documents of ``safedpa replay --json``, key by key, against the recording."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

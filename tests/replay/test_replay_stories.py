@@ -1,7 +1,5 @@
 """Whatever befalls the services while they drive, the recording replays bit for bit."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What perception made of the scans comes out again, by the orders that held then; what it had not heard is said."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Lines and documents of a replay and of a what-if, for services and decisions that are made up."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Which fields a recording has, and whose outputs a tape keeps."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

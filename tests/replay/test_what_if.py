@@ -1,7 +1,5 @@
 """The same recorded states under another model, eta or margin; and driven again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

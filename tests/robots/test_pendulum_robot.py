@@ -1,7 +1,5 @@
 """The simulated pendulum, alone and behind the real nodes, of which one dies amid a swing."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The robot without a bus: determinism, watchdog, goals, collisions, late commands, the last gate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import hypot, inf, nan, pi, sin
 

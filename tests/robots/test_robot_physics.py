@@ -1,7 +1,5 @@
 """The pymunk car obeys mechanics: friction limit, momentum, rest, mirror symmetry, drag of loads, stopping."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from math import atan, cos, hypot, sin, sqrt, tan, tanh

@@ -1,7 +1,5 @@
 """The robot as a person starts it: a real process on a real bus."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

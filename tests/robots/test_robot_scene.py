@@ -1,7 +1,5 @@
 """Scenes, the footprint, changes while a car drives, and where a load is that was pushed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 from math import atan2, cos, hypot, sin, tan

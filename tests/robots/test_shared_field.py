@@ -1,7 +1,5 @@
 """Several cars on one field, and how fast a car drove into what it touched."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import cos, hypot, pi, sin
 from typing import final

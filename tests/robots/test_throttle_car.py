@@ -1,7 +1,5 @@
 """The car with a throttle and the differential drive: what their worlds do, and how they stop."""
 
-from __future__ import annotations
-
 import json
 from math import copysign, cos, sin
 from pathlib import Path

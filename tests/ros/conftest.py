@@ -1,7 +1,5 @@
 """A robot's side: its router and its processes, by another implementation of the wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A gateway without a network: the test sets its clock, its senses and the answers of the filter."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

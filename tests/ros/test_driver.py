@@ -1,7 +1,5 @@
 """Which driver the gateway writes to: what is refused before the first command."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A model as a file of other simulators: MuJoCo moves as the model does, and what it cannot express is reported."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree

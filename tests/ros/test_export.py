@@ -1,7 +1,5 @@
 """A recorded drive as a rosbag2: read by others, and by us again, to the last digit."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The gateway against another implementation of ROS 2 over Zenoh: odometry in, filtered commands out, and faults."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

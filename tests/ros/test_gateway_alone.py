@@ -1,7 +1,5 @@
 """The gateway without a network: which actions it sends on, and when it brakes by itself."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """Inputs of the gateway besides odometry and wish: scans, goals, a localisation, and other publishers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

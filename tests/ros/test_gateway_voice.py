@@ -1,7 +1,5 @@
 """What the gateway publishes for people: which verdicts come with a path, how often, and when nothing does."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """JavaScript reads what is encoded here, and drives a robot of its own over the bus."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The experiment with a ROS 2 car: its page is generated from its figures, and its options are checked."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

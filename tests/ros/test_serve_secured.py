@@ -1,7 +1,5 @@
 """``safedpa serve`` over mutual TLS: with certificates of its own, or with a person's, and strangers stay outside."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

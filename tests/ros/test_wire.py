@@ -1,7 +1,5 @@
 """What goes over the wire, byte for byte: published hashes, attachments, tokens, messages that others read."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess

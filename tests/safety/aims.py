@@ -1,7 +1,5 @@
 """One question to the search for the least unsafe action: h as a plain function of the action."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

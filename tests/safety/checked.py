@@ -1,7 +1,5 @@
 """A filter to be checked, and states as the check knows them, on a point that moves by a tenth of its action a tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the tests of the safety filter share: the car, scenes around it, random states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

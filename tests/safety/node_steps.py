@@ -1,7 +1,5 @@
 """One robot's messages to the filter's service, tick by tick, and its answers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from safedpa.bus import LATENT, VERDICT, WISH, LatentMessage, Stale, StateMessage, VerdictMessage, WishMessage

@@ -1,7 +1,5 @@
 """Barriers against finite differences, plain geometry, and the braking argument."""
 
-from __future__ import annotations
-
 import math
 from math import inf, nan, nextafter
 from typing import Any

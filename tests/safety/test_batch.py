@@ -1,7 +1,5 @@
 """The filter for many robots beside the filter for one, which is the reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The filter for many robots beside the filter of each alone, with random motions and barriers of no robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from typing import Any

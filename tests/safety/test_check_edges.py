@@ -1,7 +1,5 @@
 """Edges of a filter's check: several actions, several barriers, and which of several cases is told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The check of a filter finds each planted fault, says what to do, and is silent where all is well."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from collections.abc import Callable

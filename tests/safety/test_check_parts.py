@@ -1,7 +1,5 @@
 """The parts of a filter's check one by one, on a point that moves by a tenth of its action in a tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Barriers that are equations, beside the equation run on plain numbers, and the slope of every operation."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Conditions at one state: saturated actuators, chords, shapes, numbers by whichever road."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

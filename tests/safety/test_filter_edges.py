@@ -1,7 +1,5 @@
 """Verdicts at the edges: exact tolerances, limited rounds, rarer ways to an action, what could not be computed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Theorems about the closed loop, and decisions as they were recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

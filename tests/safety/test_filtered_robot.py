@@ -1,7 +1,5 @@
 """How the filter's service answers one robot, tick by tick, and what it remembers in between."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A delay that nobody told of is found from what the robot did; none is found where there is none."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What people write who bring functions and classes of their own: arrays written again, wrong shapes, no numbers."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

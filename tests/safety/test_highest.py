@@ -1,7 +1,5 @@
 """The linear program behind the least unsafe action, and that action against what scipy and fine grids know."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from math import inf, nan
 from typing import Any

@@ -1,8 +1,6 @@
 """What one function does to its arguments the next never sees; what only looks like numbers is not believed; and a
 decision that another one would disturb is none."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

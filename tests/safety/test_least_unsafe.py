@@ -1,7 +1,5 @@
 """The least unsafe action, aim by aim: the highest, then the conditions, then the wish."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Margins of logs, over drives, and kept from the last decision: never beyond what they were made for."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A margin is of steps of one length: over longer ones it is taken wider, promises nothing, and says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

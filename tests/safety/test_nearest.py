@@ -1,7 +1,5 @@
 """The closed forms of the nearest point, with slack and for many robots, and where they must not answer."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import permutations
 from math import inf, nan

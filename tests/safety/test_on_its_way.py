@@ -1,7 +1,5 @@
 """Where an action begins to act, against the model stepped by hand, and what the filter makes of it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

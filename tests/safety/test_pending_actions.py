@@ -1,7 +1,5 @@
 """Actions on their way: the barrier is judged where the new one begins to act."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import cos, hypot, sin, tau
 from typing import Any

@@ -1,7 +1,5 @@
 """What the filter is told of a model: affine functions, slopes by differences, what actions change in h."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

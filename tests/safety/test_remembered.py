@@ -1,7 +1,5 @@
 """What is remembered of barriers and of what is on its way, and rehearsed before a drive."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

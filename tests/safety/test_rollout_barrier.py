@@ -1,7 +1,5 @@
 """A barrier from a backup: relative degree two and four, thin obstacles, any unit, and its gradient."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Margins from runs: which steps teach them, and that they are kept with the model."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pages on safety and on theory do what they say."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

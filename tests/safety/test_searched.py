@@ -1,7 +1,5 @@
 """A robot of a short period looks for the least unsafe action twenty times a second, and holds it in between."""
 
-from __future__ import annotations
-
 from math import inf
 from typing import Any
 

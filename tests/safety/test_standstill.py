@@ -1,7 +1,5 @@
 """A robot that stands though something is wished is noticed, with a reason, whatever robot it is."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa.bus import VerdictMessage

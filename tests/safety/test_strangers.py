@@ -1,7 +1,5 @@
 """Who is not the robot of these settings and barriers is refused, by every road, before anything is driven."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The least h along a path, between its states too, and where a rollout barrier takes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The conditions linearised about one outcome, and the way back from it towards the wish."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The bound of the theory is never exceeded, is enough as a margin, and no part of it can be left out."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``safedpa calibrate`` on a recorded drive, and the theory's constants from the training simulator."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Constants and margins measured on transitions, and what they promise on fresh states."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

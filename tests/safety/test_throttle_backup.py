@@ -1,7 +1,5 @@
 """Backups: how a throttle brakes, which functions a loop is driven by, and which are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """What the filter makes of a state message: corridors, what is towed and how far it reaches, the car's body."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from math import hypot

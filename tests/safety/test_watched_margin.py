@@ -1,7 +1,5 @@
 """What the watch over the margin counts as an error, and that invariance follows from the errors that it counts."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from math import nan

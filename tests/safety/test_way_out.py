@@ -1,7 +1,5 @@
 """Who stands in the margin's layer is led out by an action that is held, where the predictions say so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 

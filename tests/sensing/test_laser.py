@@ -1,7 +1,5 @@
 """The simulated laser measures the objects around it, and where its rays end nobody hides."""
 
-from __future__ import annotations
-
 from math import cos, hypot, pi, sin
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Maps as ROS keeps them: what is occupied is covered, all of it and little more; what is no map is refused."""
 
-from __future__ import annotations
-
 import math
 import os
 import tracemalloc

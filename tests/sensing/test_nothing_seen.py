@@ -1,7 +1,5 @@
 """An empty world is believed only where a sensor looked, whatever clocks, restarts and sources do."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace

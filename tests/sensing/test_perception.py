@@ -1,7 +1,5 @@
 """Perception finds what is at rest, what moves and what is hidden, and reports faults of a source."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import hypot

@@ -1,7 +1,5 @@
 """The file of perception: its keys, its refusals, the orders that change it, and which are kept."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a car's sensors see, chosen in one pass; its load among what moves, and how it creeps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf, nan
 

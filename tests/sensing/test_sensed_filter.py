@@ -1,7 +1,5 @@
 """The filter on what sensors see: passive safety, what it does when a source fails, and what it leaves as it was."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from math import hypot

@@ -1,7 +1,5 @@
 """The experiment of a laser among people: its drives repeat, its curves show every value, its margins cover."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import pi

@@ -1,7 +1,5 @@
 """Cars among people and each other: who comes near is not forgotten, and nobody shoves anybody."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from math import hypot, pi

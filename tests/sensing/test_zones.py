@@ -1,7 +1,5 @@
 """Zones, sources and lone rays: an order of a person is followed, and removes no more than it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, hypot, pi, sin
 

@@ -1,7 +1,5 @@
 """A clock that tests move, in place of the one of the standard library."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """Drives in real processes, by the command line in this process, which has imported what it needs."""
 
-from __future__ import annotations
-
 import io
 import json
 from contextlib import redirect_stdout

@@ -1,7 +1,5 @@
 """Messages of a robot's loop with fields that tests leave alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from safedpa.bus import FindingMessage, HealthMessage, StateMessage, VerdictMessage

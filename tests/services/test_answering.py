@@ -1,7 +1,5 @@
 """``--json``: every command that does one thing has it, and what it prints then is one document."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What other commands ask of a drive is all that ``safedpa up`` asks: no option of it is forgotten."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The demonstration: its story is told, accepted when sure, and measured; each way to fail has its sentence."""
 
-from __future__ import annotations
-
 import json
 import threading
 from dataclasses import dataclass, field

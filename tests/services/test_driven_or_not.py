@@ -1,7 +1,5 @@
 """Which models ``safedpa up`` drives, and by which command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

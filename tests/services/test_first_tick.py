@@ -1,7 +1,5 @@
 """The first tick of a robot is as quick as any other: all that a filter needs is loaded before it says it is ready."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Whatever a command reads is the same afterwards, byte for byte, and nothing but its own new files is there."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys

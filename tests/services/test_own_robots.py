@@ -1,7 +1,5 @@
 """Robots of one's own, each a folder outside the package: checked, driven by nodes and processes, diagnosed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

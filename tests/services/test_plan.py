@@ -1,7 +1,5 @@
 """Which processes a loop consists of, which of them it cannot do without, and what a drive ends with."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

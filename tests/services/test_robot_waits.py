@@ -1,7 +1,5 @@
 """A robot gets ready while its services start, and does nothing before it is asked to begin."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What a person sees of a running loop: the view on a terminal, lines in a pipe, warnings."""
 
-from __future__ import annotations
-
 import io
 import json
 import socket

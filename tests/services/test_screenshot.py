@@ -1,7 +1,5 @@
 """Pictures without a screen: why one could not be made is a sentence that says what to do."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

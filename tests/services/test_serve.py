@@ -1,7 +1,5 @@
 """``safedpa serve`` says when the robot begins to drive and when it brakes by itself: once each time."""
 
-from __future__ import annotations
-
 import signal
 
 import pytest

@@ -1,7 +1,5 @@
 """What ships fits together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How the supervisor starts, watches and ends the processes of a loop; processes and clock are simulated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any

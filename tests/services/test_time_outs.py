@@ -1,7 +1,5 @@
 """How long a user, an operator or a service waits before something is given up; by a clock that the tests move."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Trouble from outside while the loop runs: the car stays safe, and a person is told in one line."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

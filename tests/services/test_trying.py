@@ -1,7 +1,5 @@
 """What a service is asked before it gets an offered model: an answer, and a tick that fits into the period."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """The whole loop as a person starts it: real processes, real Zenoh sessions."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The pendulum's loop as a person starts it, and what compare and diagnose make of its recording."""
 
-from __future__ import annotations
-
 import pytest
 from tests.services.drives import drive, run
 

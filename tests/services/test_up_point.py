@@ -1,7 +1,5 @@
 """The point robot's loop as a person starts it: goals among hazards in a force that no model knows."""
 
-from __future__ import annotations
-
 import pytest
 from tests.services.drives import drive
 

@@ -1,7 +1,5 @@
 """A model whose action is a throttle, driven: the whole loop, in real processes, by the command that a person types."""
 
-from __future__ import annotations
-
 import shlex
 
 import pytest

@@ -1,7 +1,5 @@
 """How long a page waits for the files of Rerun's viewer; network, process and clock are simulated."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import urllib.error

@@ -1,7 +1,5 @@
 """What the supervisor hears on the bus, and the order to stop that it gives there."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 

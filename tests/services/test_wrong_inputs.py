@@ -1,7 +1,5 @@
 """Wrong inputs at the command line: one line each, the cure in it, exit code 2; nothing that was given changes."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from pathlib import Path

@@ -4,8 +4,6 @@ The distance of a test file is the number of imports between it and the changed 
 changed file in a string is as near as one that imports it. Imports inside functions and annotations count.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from functools import cached_property

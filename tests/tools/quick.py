@@ -7,8 +7,6 @@ processes, slow and long tests are left to ``make test`` and ``make test-long``;
 for, and the summary says how much that was.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

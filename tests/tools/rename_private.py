@@ -8,8 +8,6 @@ most ``--files`` of them. A test that fails with the old name as well does not c
 function breaks a test outside ``tests/internals``.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os

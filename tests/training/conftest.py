@@ -1,7 +1,5 @@
 """What tests of the training share: networks that were never trained."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Many driving cars: scenes that can be driven, solid things that stop, rewards that lead to the goal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

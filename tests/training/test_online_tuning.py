@@ -1,7 +1,5 @@
 """Tuning on a robot's own drives, networks about another point, and residual networks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The exported networks compute what those in numpy and in torch do."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

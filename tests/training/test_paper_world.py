@@ -1,7 +1,5 @@
 """The car in the paper's world: no load in what is randomised, no footprint in what is seen, no filter before it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

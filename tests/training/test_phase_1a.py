@@ -1,7 +1,5 @@
 """Phase 1a in small: it explains the motion, repeats bit for bit, and goes on where it was interrupted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Phase 1b in small: it tells how far it is, goes on where it was interrupted, and needs mu."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace

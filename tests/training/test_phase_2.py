@@ -1,7 +1,5 @@
 """The history encoder learns to tell what mu tells, from drives in the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tuning on circles of the pymunk car predicts unseen runs better, or says not; all four phases from nothing."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The batched simulator is the model that people read; its configurations, also of what was diagnosed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

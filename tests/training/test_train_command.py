@@ -1,7 +1,5 @@
 """``safedpa train``: phases in order, what is there is not made again, own robots, one line for a mistake."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Circles without load show what tuning needs; runs that cannot tune a model are refused with the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A car with a throttle whose drag its model lacks, as a recording on disk."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import os

@@ -1,7 +1,5 @@
 """A tab of the page without a browser: its elements, clicks on its buttons, and what pops up."""
 
-from __future__ import annotations
-
 import asyncio
 from html import unescape
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Column maps made by a form: guesses, the text that is written, and what the preview says."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What speaks for a candidate and against it: gain, error, how well its parameters are known."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa.diagnosis.document import Candidate, Value

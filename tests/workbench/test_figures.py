@@ -1,7 +1,5 @@
 """What the workbench's figures and bars show: spans, marks, axes, directions."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What a page reports when the disk is full."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The live page's book of what was heard, its questions, and the page itself with a diagnosis that is played."""
 
-from __future__ import annotations
-
 import json
 import signal
 

@@ -1,7 +1,5 @@
 """The live page without a browser: answers, consequences, decisions, and what pops up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

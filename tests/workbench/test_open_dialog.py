@@ -1,7 +1,5 @@
 """The dialog that opens recordings: which column map it begins with, uploads, names out of files; without a browser."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Nothing is wider than the screen, cut off, or over another text. Who wants to lo
 pictures in SAFEDPA_SCREENS. And axe-core finds nothing serious. All look at the same servers: nothing is decided here.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

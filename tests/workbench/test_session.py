@@ -1,7 +1,5 @@
 """The workbench without its page: versions, decisions, selections, sentences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

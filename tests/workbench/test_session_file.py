@@ -1,7 +1,5 @@
 """What is decided is kept as a file, and comes back from it."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from dataclasses import replace

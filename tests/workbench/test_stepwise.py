@@ -1,7 +1,5 @@
 """One effect at a time: the same steps as the whole diagnosis, with a person's choice between them."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

@@ -1,7 +1,5 @@
 """Tabs that come and go: what happens in one does not disturb the others."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

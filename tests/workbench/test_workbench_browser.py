@@ -1,7 +1,5 @@
 """The workbench in a real browser: see where the model fails, add what it lacks, undo; drop files on it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

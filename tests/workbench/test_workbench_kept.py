@@ -1,7 +1,5 @@
 """Nothing is lost: F5, a closed tab, two tabs, Save during a search, a killed server. And nothing on the terminal."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The background process: results, progress, errors, and an end at any moment."""
 
-from __future__ import annotations
-
 import asyncio
 import importlib
 import os

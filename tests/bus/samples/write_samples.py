@@ -3,8 +3,6 @@
 Files that exist are never written again; a new version gets new files beside them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from safedpa.bus import (

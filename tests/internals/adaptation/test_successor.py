@@ -1,7 +1,5 @@
 """While a model is offered the adaptation learns for it as well, and no longer when the offer is dropped."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from safedpa.adaptation import AdaptationNode

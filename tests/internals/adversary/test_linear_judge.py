@@ -1,7 +1,5 @@
 """The reference's linear program survives a solver that gives up."""
 
-from __future__ import annotations
-
 import pytest
 import scipy.optimize
 from tests.lab.adversary.problems import plane

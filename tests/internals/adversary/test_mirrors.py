@@ -1,7 +1,5 @@
 """How two answers to one problem are compared: only the comparison itself takes two verdicts."""
 
-from __future__ import annotations
-
 import pytest
 from tests.lab.adversary.problems import plane, verdict
 

@@ -1,7 +1,5 @@
 """How peers' problems are packed: the peers that read them are not installed here."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from safedpa_lab.experiments.adversary.peer_filters import _Parts

@@ -1,7 +1,5 @@
 """The row of the start, from what its processes are said to take; ``tests/lab/benchmarks`` measures them."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa_lab.benchmarks.results import Effort, Floor

@@ -1,7 +1,5 @@
 """How the router's reader of Zenoh's log reports that lines were passed over."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

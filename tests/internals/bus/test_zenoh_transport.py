@@ -1,7 +1,5 @@
 """A transport over Zenoh without a network: which ports it guards, and how it reads Zenoh's list of links."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a robot does after an order to stop or to go: the whole command waits six seconds for one that does not obey."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

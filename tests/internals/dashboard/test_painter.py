@@ -1,7 +1,5 @@
 """The end of a recording: what is pending is written for a second at most, whatever viewers do."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa.dynamics import load_model

@@ -1,7 +1,5 @@
 """Roots, divisors and degrees of freedom of what a diagnosis states, compared with values worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Held-out errors: a window is predicted by numbers that were fitted without it; errors by run, state and fold."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

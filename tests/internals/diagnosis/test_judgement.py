@@ -1,7 +1,5 @@
 """When a trial is added, which others the data cannot tell from it, and the verdict on it: every limit with numbers."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Second thoughts of the search: which effects give way to others, which are taken out, and what is reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

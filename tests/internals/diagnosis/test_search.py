@@ -1,7 +1,5 @@
 """The course of a search and of what follows it: steps, laws, places, formulas, and which numbers a report gets."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Single panels of large figures, whose whole results take an experiment to make."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

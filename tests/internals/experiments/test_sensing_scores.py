@@ -1,7 +1,5 @@
 """The geometry of what a laser hits: scores of whole drives reach each branch by chance alone."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

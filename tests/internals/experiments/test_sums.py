@@ -1,7 +1,5 @@
 """Sums whose public experiment takes minutes to reach them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What services remember of robots: nothing once they have left, in whatever order they come and go."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

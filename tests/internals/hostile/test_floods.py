@@ -1,7 +1,5 @@
 """The account of a flood."""
 
-from __future__ import annotations
-
 from safedpa_lab.benchmarks.hostile.floods import _longest
 
 

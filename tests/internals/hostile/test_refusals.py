@@ -1,7 +1,5 @@
 """The thread that reads the router's log."""
 
-from __future__ import annotations
-
 import os
 from itertools import pairwise
 from types import SimpleNamespace

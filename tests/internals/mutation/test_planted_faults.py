@@ -1,7 +1,5 @@
 """The command that plants faults finds their places, plants one at a time, and tells who noticed from who did not."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

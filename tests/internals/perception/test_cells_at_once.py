@@ -1,7 +1,5 @@
 """Parts of perception that treat many cells at once, compared with the same for each cell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import hypot, inf, pi
 

@@ -1,7 +1,5 @@
 """What another filter is shown of a recorded drive."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

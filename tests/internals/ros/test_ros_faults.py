@@ -1,7 +1,5 @@
 """How a drive with a fault is judged; the drive itself takes a minute."""
 
-from __future__ import annotations
-
 import pytest
 
 from safedpa_lab.experiments.ros_faults import _judged

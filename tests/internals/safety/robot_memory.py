@@ -1,7 +1,5 @@
 """What the filter's service remembers of one robot, after some ticks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

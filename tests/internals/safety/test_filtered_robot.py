@@ -1,7 +1,5 @@
 """What the filter keeps of one robot between two ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace

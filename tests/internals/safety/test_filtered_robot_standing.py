@@ -1,7 +1,5 @@
 """What the filter keeps of a robot that stands, of its escape, of another model, and of dead times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Which transitions of a run are predicted, from which memory, latent and time."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The solvers behind the filter's programs: their workspaces, and when they are believed."""
 
-from __future__ import annotations
-
 from math import nan
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The background process of a page ends when the page's process is gone, whatever it computes then."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small problems whose answer is known without a solver, and readers of what an attack reports."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

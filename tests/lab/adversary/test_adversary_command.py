@@ -1,7 +1,5 @@
 """``safedpa experiment adversary``: it tells what it finds, repeats by its seed, and says what it ran."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The attacks count what is wrong with a filter, whatever it is: planted faults make their counts rise."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

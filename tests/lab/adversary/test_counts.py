@@ -1,7 +1,5 @@
 """The figures of each attack, counted from answers whose faults are known, and from whole hostile drives."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The problems that the attacks pose, and the reference that judges answers to them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the attacks say about one answer to a problem whose truth is known."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

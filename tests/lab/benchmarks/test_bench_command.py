@@ -1,7 +1,5 @@
 """How the benchmark measures, compares and keeps what it found; its command; two checkouts side by side."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

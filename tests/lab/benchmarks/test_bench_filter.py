@@ -1,7 +1,5 @@
 """The filter's row: problems that peers get too, floors under a decision, targets from the same run."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows of the benchmark: what they ask for, their targets, and what is reported where something is missing."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import subprocess

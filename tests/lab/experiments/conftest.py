@@ -1,7 +1,5 @@
 """Tiny learned models of the car, written by hand: exact in what they say, crude in what they know."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Drives that follow a script, and a pool that works here: what experiments count is known then."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from types import ModuleType, SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The car made harder: what a condition changes, what a sweep asks for, and the command from end to end."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The car experiment: its scenes, a small one through the command line, tables and pictures."""
 
-from __future__ import annotations
-
 import json
 from math import hypot, pi
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The car experiment with learned models: families of methods, predictions with the history encoder, latents."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,5 @@
 """The tables and figures of experiments: cells, curves, prediction errors, latents, coverage, progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

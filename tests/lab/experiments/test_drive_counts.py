@@ -1,7 +1,5 @@
 """What is counted in one drive, on drives that follow a script."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """All experiments by one command, what each refuses before hours of work, and how a figure was made."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

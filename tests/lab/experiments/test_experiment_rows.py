@@ -1,7 +1,5 @@
 """The rows of experiments' tables, from drives and judgements whose outcomes are given."""
 
-from __future__ import annotations
-
 import dataclasses
 from contextlib import nullcontext
 from types import SimpleNamespace

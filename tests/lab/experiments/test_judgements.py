@@ -1,7 +1,5 @@
 """What diagnoses of hidden effects, of fleets and of recordings come to, from judgements that are given."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

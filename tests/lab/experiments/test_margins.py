@@ -1,7 +1,5 @@
 """Margins: from drives whose heights are given, and by the command that makes those that ship, in small."""
 
-from __future__ import annotations
-
 import json
 import time
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The experiment of several cars on one field: it repeats, and counts who touches and blocks whom."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Small versions of drives in reverse, of long drives, of late commands, and of changed wishes."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

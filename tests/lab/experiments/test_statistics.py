@@ -1,7 +1,5 @@
 """Intervals and paired tests, compared with their definitions, with what is counted by hand, and with SciPy."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Which faults there are, what is read of recordings, and what a long run reports about its processes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """Zenoh's byte stream in batches, and the proxy between a process and its router."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

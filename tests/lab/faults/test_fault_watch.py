@@ -1,7 +1,5 @@
 """Who watches: the observer of a campaign, the supervisor, and the robot's own trace."""
 
-from __future__ import annotations
-
 import signal
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Each of twenty bad files is noticed with the right sentence, and nothing is named because of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Small experiments with hidden effects, and the commands of all experiments."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

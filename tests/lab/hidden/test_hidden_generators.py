@@ -1,7 +1,5 @@
 """The simulators of hidden effects: right by themselves, and by the models that they share no code with."""
 
-from __future__ import annotations
-
 import ast
 import json
 import tomllib

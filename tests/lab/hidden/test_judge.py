@@ -1,7 +1,5 @@
 """The judge of a diagnosis, the figures made of its judgements, their record and their page."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

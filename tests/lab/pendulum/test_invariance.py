@@ -1,7 +1,5 @@
 """The barrier for 45 degrees can always be kept, what histories tell of the wind, what training is sheltered by."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pendulum's experiments in small, with the models that ship, and what the pages say of the recorded one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

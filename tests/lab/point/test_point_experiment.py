@@ -1,7 +1,5 @@
 """The point robot's experiment: its environment, its margins, what is counted, and the whole in small."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

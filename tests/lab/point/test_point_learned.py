@@ -1,7 +1,5 @@
 """The learned point robot, of its own state and of 15 sensed numbers; its training in small; a hidden effect."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

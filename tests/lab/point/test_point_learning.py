@@ -1,7 +1,5 @@
 """A policy that goes on learning: counts by hand, who is told what, the same beginning without the filter, going on."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Networks that are not affine in the action: their slope, what a filter makes of them, and the experiment in small."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

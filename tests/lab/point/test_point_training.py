@@ -1,7 +1,5 @@
 """Baselines' training: what policies are told, the constrained step, the multiplier, files that are left alone."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from time import process_time

@@ -1,7 +1,5 @@
 """The table of tunings: its metrics and ratios by hand, errors over drives and logs, and a run in small."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -5,8 +5,6 @@ the program as it is now, and what differs, field by field, is written with the 
 a recording whose sum does not stand there as the newest fails its test.
 """
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import hashlib
