@@ -82,7 +82,7 @@ def test_the_page_names_every_unit_and_every_finding() -> None:
         assert re.search(rf"[` ]{re.escape(unit)}[` ]", PAGE), unit
     source = Path(__file__).parents[2] / "shared" / "safedpa" / "records"
     kinds = set()
-    for path in source.glob("*.py"):
+    for path in source.rglob("*.py"):
         kinds |= set(re.findall(r'(?:finding|Finding)\(\s*"([a-z_]+)"', path.read_text(encoding="utf-8")))
     assert len(kinds) > 15
     for kind in kinds:
