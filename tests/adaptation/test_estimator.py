@@ -1,5 +1,7 @@
 """The estimator finds what was planted, follows a change, believes nothing absurd, and agrees with matrices."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from itertools import product
 

@@ -1,5 +1,7 @@
 """Who turns the loops of a process: the thread that brings the message, and the main thread for everything else."""
 
+from __future__ import annotations
+
 import math
 import threading
 import time

@@ -1,5 +1,7 @@
 """Gains on unseen blocks, the closest explanations, stages of a report, and pushes that are cut."""
 
+from __future__ import annotations
+
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,5 +1,7 @@
 """A fleet of containers for tests: starting it, what can be done to its containers from outside, and what is seen."""
 
+from __future__ import annotations
+
 import json
 import os
 import shutil

@@ -1,5 +1,7 @@
 """The robot on an in-memory bus: lockstep, real time, refusals, heartbeats, braking at the end."""
 
+from __future__ import annotations
+
 import itertools
 import time
 from collections.abc import Callable

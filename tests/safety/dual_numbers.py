@@ -1,5 +1,7 @@
 """Numbers that carry one slope: what slopes of equations are held against, without anything of the recorder."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

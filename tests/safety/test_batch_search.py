@@ -1,5 +1,7 @@
 """The search of many robots, part by part: what it calls kept, near and silent, beside the conditions of one robot."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 

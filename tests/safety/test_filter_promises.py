@@ -1,5 +1,7 @@
 """What each status promises, at a scale of its own for every barrier and action, and in any unit."""
 
+from __future__ import annotations
+
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any

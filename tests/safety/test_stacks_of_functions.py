@@ -1,5 +1,7 @@
 """Barriers side by side and motions are those alone: margins of each kind, recorded equations."""
 
+from __future__ import annotations
+
 from functools import cache
 from math import isfinite
 from types import MappingProxyType

@@ -1,5 +1,7 @@
 """One supervised process: how it is started, told to begin, restarted and ended."""
 
+from __future__ import annotations
+
 import os
 import signal
 import subprocess

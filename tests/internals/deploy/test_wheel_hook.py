@@ -1,5 +1,7 @@
 """What the wheel's build hook decides; that compiled modules decide alike is what ``make test-compiled`` shows."""
 
+from __future__ import annotations
+
 import importlib.util
 import sys
 import types

@@ -1,5 +1,7 @@
 """The search of many robots beside the search of one, which is watched: same answers, and certain of the same."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,5 +1,7 @@
 """Campaigns of faults: what is counted of one, what is required, the page, and a few faults on a real fleet."""
 
+from __future__ import annotations
+
 import itertools
 import json
 import time
