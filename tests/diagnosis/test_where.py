@@ -487,6 +487,11 @@ def test_the_error_of_each_run_and_state_is_reported(plain, runs):
     assert set(errors["drive_0"]) == {"x", "y", "yaw", "speed"}
     assert "far worse in drive_2" in run_sentence(comparison)
     assert run_sentence(comparison) in document["summary"]
+    assert [row["seconds"] for row in document["horizons"]] == [item.seconds for item in comparison.horizons]
+    for row, item in zip(document["horizons"], comparison.horizons, strict=True):
+        assert {name: row[name]["error"] for name in item.errors} == pytest.approx(
+            {name: error.value for name, error in item.errors.items()}
+        )
 
 
 def test_a_state_that_gets_worse_in_one_run_is_named(plain, runs, with_effect):
