@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from safedpa.bus import STATE, HealthMessage, key_of
@@ -69,6 +69,7 @@ def test_no_name_is_longer_than_a_screen() -> None:
 
 
 @given(st.text(max_size=300))
+@example("a\xa0b")
 def test_what_is_readable_is_printable_and_short(text: str) -> None:
     assert readable(text, 100).isprintable()
     assert len(readable(text, 100)) < 100 * 10 + 30

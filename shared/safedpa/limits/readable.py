@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import unicodedata
-
 from safedpa.limits.table import limit
 
 __all__ = ["printable", "readable"]
 
-_KINDS = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
-"""Unicode's control, format (with those that turn the direction), surrogate, private, unassigned; ends of lines."""
-
-
 def readable(text: str, longest: int | None = None) -> str:
-    r"""The text with every character that moves, colours, hides or reorders others written as ``\xNN`` or ``\uNNNN``.
+    r"""The text with every character that is not printable written as ``\xNN`` or ``\uNNNN``.
+
+    Such are control and format characters, unassigned ones, and all spaces but the ordinary one: they move, colour,
+    hide or reorder others, or look like what they are not.
 
     Cut at ``longest`` letters (else the table's ``name_letters``), and it says so.
     """
     most = limit("name_letters") if longest is None else longest
     shown = text[:most]
-    if not (shown.isascii() and shown.isprintable()):
-        shown = "".join(_visible(sign) if unicodedata.category(sign) in _KINDS else sign for sign in shown)
+    if not shown.isprintable():
+        shown = "".join(sign if sign.isprintable() else _visible(sign) for sign in shown)
     return shown if len(text) <= most else f"{shown}... ({len(text)} letters)"
 
 
