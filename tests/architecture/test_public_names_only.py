@@ -196,6 +196,7 @@ def scripts() -> frozenset[str]:
     return frozenset(path.stem for folder in ("deploy", "docs", "tests") for path in (ROOT / folder).rglob("*.py"))
 
 
+@cache
 def all_places(root: Path = ROOT, *, internals: bool = False) -> list[Place]:
     """Every place in the tests of a tree.
 
