@@ -18,9 +18,9 @@ from pathlib import Path
 
 from container_name import container_at, number_in
 
-from safedpa.bus.log import log_event
-from safedpa.bus.security.access import ROUTER, check_names, roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.logging import log_event
+from safedpa.bus.security.access_control import ROUTER, check_names, roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.errors import SafedpaError
 
 PORT = 7448

@@ -37,7 +37,7 @@ EDGE = 0.05
 def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Values, Values, Values, Any]]:
     """State, wish, latent and barriers of each decision."""
     try:
-        from safedpa.robots.car.barriers import car_barriers
+        from safedpa.robots.car.barriers.obstacles import car_barriers
     except ImportError:  # a tree of before robots had folders of their own
         car_barriers = importlib.import_module("safedpa.safety.car_barriers").car_barriers
 
@@ -86,9 +86,9 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
 @contextmanager
 def looked_at(counts: bool) -> Iterator[list[None]]:
     """Grows by one with each action whose outcome is predicted; a compiled class lets nobody count."""
-    from safedpa.safety.conditions import Conditions
+    from safedpa.safety.solver.constraints import Constraints
 
-    outcome: Any = Conditions.outcome
+    outcome: Any = Constraints.outcome
     looks: list[None] = []
 
     def counted(*arguments: Any) -> Any:
@@ -96,10 +96,10 @@ def looked_at(counts: bool) -> Iterator[list[None]]:
         return outcome(*arguments)
 
     if counts:
-        setattr(Conditions, "outcome", counted)  # noqa: B010 - assigned by name it is a change of type
+        setattr(Constraints, "outcome", counted)  # noqa: B010 - assigned by name it is a change of type
     yield looks
     if counts:
-        setattr(Conditions, "outcome", outcome)  # noqa: B010
+        setattr(Constraints, "outcome", outcome)  # noqa: B010
 
 
 class Tree:

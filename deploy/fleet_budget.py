@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safedpa.bus import STATE, TOPICS, StateMessage
-from safedpa.bus.security.access import ROLES, ROUTER
-from safedpa.bus.wire.codec import decode
-from safedpa.records.mcap_messages import read_payloads
+from safedpa.bus.messages.codec import decode
+from safedpa.bus.security.access_control import ROLES, ROUTER
+from safedpa.records.readers.mcap import read_payloads
 
 REGION = ("robot", "adaptation", "policy", "safety_filter", "diagnosis")
 """Roles that stand beside the robots; recorder and dashboard stand in the centre."""

@@ -198,8 +198,8 @@ def decision_files() -> list[tuple[str, str, int, int]]:
 
     Asked are ``SafetyFilter.decide`` alone and the whole step of the filter's service, each in a drive of its own.
     """
-    from safedpa.safety.node import SafetyFilterNode
-    from safedpa.safety.safety_filter import SafetyFilter
+    from safedpa.runtime.node import SafetyFilterNode
+    from safedpa.safety.filter import SafetyFilter
 
     rows = []
     for kind, method in ((SafetyFilter, "decide"), (SafetyFilterNode, "step")):
@@ -217,8 +217,8 @@ def _driven(kind: type, method: str) -> list[tuple[str, Counter[str]]]:
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
     from safedpa.policy import PolicyNode
-    from safedpa.safety.node import SafetyFilterNode
-    from safedpa.safety.shipped import settings_named
+    from safedpa.runtime.node import SafetyFilterNode
+    from safedpa.safety.defaults import settings_named
     from safedpa_sim.closed_loop import drive
     from safedpa_sim.robots.core import CarRobot
     from safedpa_sim.robots.scene import Scene

@@ -21,7 +21,7 @@ from typing import Any
 
 from safedpa.bus import ZenohSettings
 from safedpa.bus.transport import ports
-from safedpa.bus.transport.session import configuration_of, open_session
+from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuration
 
 
 def settings_of(port: int, number: int, both_connect: bool) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def visit(settings: dict[str, Any]) -> float:
     """Opens a session, speaks, closes it; how long the closing took [s]. Raises zenoh.ZError where it does not."""
     import zenoh
 
-    session = open_session(configuration_of(settings))
+    session = open_session(zenoh_session_configuration(settings))
     silent = zenoh.handlers.Callback(lambda sample: None, indirect=False)
     held: list[Any] = [session.declare_subscriber(f"churn/{number}", silent) for number in range(5)]
     held.append(session.liveliness().declare_token(f"churn/alive/{os.getpid()}"))
@@ -54,7 +54,7 @@ def be_a_peer(port: int, number: int, seconds: float, both_connect: bool) -> Non
 
     end, took, failed = time.monotonic() + seconds, [], ""
     settings = settings_of(port, number, both_connect)
-    resident = open_session(configuration_of(settings)) if number == 0 else None
+    resident = open_session(zenoh_session_configuration(settings)) if number == 0 else None
     while time.monotonic() < end and not failed:
         if resident is not None:
             time.sleep(0.05)

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.security.access import ROUTER, access_control, size_limits
+from safedpa.bus.security.access_control import ROUTER, access_control, size_limits
 from safedpa.bus.security.certificates import Certificates
 
 

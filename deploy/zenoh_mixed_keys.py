@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
 from safedpa.bus.transport import ports
 

@@ -27,14 +27,14 @@ from safedpa.bus import (
     Request,
     Topic,
 )
-from safedpa.bus.events import KINDS
-from safedpa.bus.security.access import ROLES, may_write
-from safedpa.bus.wire import messages, requests
+from safedpa.bus.logging import KINDS
+from safedpa.bus.security.access_control import ROLES, may_write
+from safedpa.bus.messages import messages, requests
 from safedpa.limits import TABLE
 from safedpa.live.node import DiagnosisNode
 from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_lab.experiments import (
     pendulum_report,

@@ -20,7 +20,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from safedpa import robot as declared
-from safedpa.bus import log
+from safedpa.bus import logging
 from safedpa.bus.transport import ports
 from safedpa.dynamics import bases
 from safedpa.effects import library
@@ -173,7 +173,7 @@ def _process_as_it_was_found() -> Iterator[None]:
 def _events_of_one_test_alone() -> Iterator[None]:
     """Of events that come together the later ones are told a second after the first: not to the test that is next."""
     yield
-    log.EVENT_LOG.reset_rate_limits()
+    logging.EVENT_LOG.reset_rate_limits()
 
 
 @pytest.fixture(autouse=True)

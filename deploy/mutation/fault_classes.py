@@ -58,12 +58,14 @@ class FaultClass:
     changes: tuple[Change, ...]
 
 
-SAFETY, DIAGNOSIS = "shared/safedpa/safety/*.py", "shared/safedpa/diagnosis/**/*.py"
+SAFETY, DIAGNOSIS = "shared/safedpa/safety/**/*.py", "shared/safedpa/diagnosis/**/*.py"
 BUS, SERVICES = "shared/safedpa/bus/**/*.py", "services/safedpa_services/**/*.py"
 LABORATORY, SIMULATION = "sim/safedpa_lab/experiments/**/*.py", "sim/safedpa_sim/**/*.py"
-MARGINS = tuple(f"shared/safedpa/safety/*{part}*.py" for part in ("margin", "calibration", "drive_", "prediction"))
+MARGINS = tuple(
+    f"shared/safedpa/{part}/*.py" for part in ("safety/margins", "calibration", "safety/prediction", "runtime")
+)
 RECORDS, LIVE = "shared/safedpa/records/**/*.py", "shared/safedpa/live/*.py"
-COMPARE, FLEET, REPLAY = "shared/safedpa/compare/*.py", "shared/safedpa/fleet/*.py", "shared/safedpa/replay/*.py"
+COMPARE, FLEET, REPLAY = "shared/safedpa/comparison/*.py", "shared/safedpa/fleet/*.py", "shared/safedpa/replay/*.py"
 ADAPTATION = "shared/safedpa/adaptation/*.py"
 
 CLASSES: tuple[FaultClass, ...] = (
@@ -117,7 +119,7 @@ CLASSES: tuple[FaultClass, ...] = (
     ),
     FaultClass(
         "a message for another service",
-        (BUS, "shared/safedpa/safety/node.py", "shared/safedpa/adaptation/node.py", "shared/safedpa/policy/node.py"),
+        (BUS, "shared/safedpa/runtime/node.py", "shared/safedpa/adaptation/node.py", "shared/safedpa/policy/node.py"),
         r"sender|writer|source|robot|name|role|identity|fleet|foreign|subject",
         (guard_gone,),
     ),
@@ -137,7 +139,7 @@ CLASSES: tuple[FaultClass, ...] = (
         "a hung service is never killed",
         (
             "services/safedpa_services/supervisor/*.py",
-            "shared/safedpa/bus/loop/*.py",
+            "shared/safedpa/bus/service/*.py",
             "services/safedpa_services/driving.py",
         ),
         r"kill|terminat|hung|hang|silent|heartbeat|restart|stop|dead|wait|beat|end",

@@ -17,7 +17,7 @@ from safedpa.records.run import Run
 from safedpa.robot import DEFAULT_ROBOT, own_robots, robot_like, robot_named
 from safedpa.systems.driven import why_not_driven
 
-__all__ = ["RATES", "MarginBeside", "drive_command", "margin_beside", "why_refused"]
+__all__ = ["RATES", "CalibratedMargin", "calibrate_margin_file", "drive_command", "refusal_reason"]
 
 RATES = (1.0, 500.0)
 """Ticks per second, at least and at most, that ``safedpa up`` drives at."""
@@ -28,10 +28,10 @@ _COVERAGE = 0.99
 """Share of steps that a margin covers."""
 
 
-def why_refused(model: PhysicsModel) -> str:
+def refusal_reason(model: PhysicsModel) -> str:
     """Why ``safedpa up`` would refuse to drive this model with its robot's own settings; empty where it would not."""
     from safedpa.policy.controller import controller_for
-    from safedpa.safety.scenes import scene_of
+    from safedpa.runtime.scene import scene_of
 
     name = model.system.name
     refusal = why_not_driven(model.system, name)
@@ -74,7 +74,7 @@ def drive_command(
 
 @final
 @dataclass(frozen=True)
-class MarginBeside:
+class CalibratedMargin:
     """Where the margin lies, of which steps it is, and what a person has to know of it."""
 
     path: Path | None = None
@@ -85,24 +85,24 @@ class MarginBeside:
     """Sentences; empty where all is as usual."""
 
 
-def margin_beside(
+def calibrate_margin_file(
     model: PhysicsModel,
     runs: Sequence[Run],
     path: Path,
     fewer: Callable[[Sequence[Run]], Sequence[Run]] = lambda runs: runs,
-) -> MarginBeside:
+) -> CalibratedMargin:
     """Calibrates the margin of ``model`` on ``runs`` and writes it to ``path``, in place of one of an earlier model.
 
     Of the model's own steps, or of those that the runs have; where they tell none, why. Nothing is written or said for
     a robot that does not say which barriers may be drawn around a state. ``fewer`` thins long runs out.
     """
     from safedpa.adaptation import HistoryEstimator
-    from safedpa.safety.run_calibration import log_margin, log_margin_told
+    from safedpa.calibration.from_runs import log_margin, log_margin_message
 
     path.unlink(missing_ok=True)
     robot = robot_like(model.system)
     if robot is None or not robot.calibrates_from_logs:
-        return MarginBeside()
+        return CalibratedMargin()
     # phi tells a learned latent tick by tick, in the filter as here
     learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
     estimator = (lambda: HistoryEstimator(model)) if learned else None
@@ -111,6 +111,6 @@ def margin_beside(
         found = log_margin(model, robot.settings(), runs, _COVERAGE, today, estimator=estimator, fewer=fewer)
     except InputError as error:
         why = str(error).removeprefix("margin: ")
-        return MarginBeside(said=f"No margin was calibrated: {why}; the filter's settings stand in for it")
+        return CalibratedMargin(said=f"No margin was calibrated: {why}; the filter's settings stand in for it")
     found.calibration.save(path)
-    return MarginBeside(path, found.period, log_margin_told(model, found))
+    return CalibratedMargin(path, found.period, log_margin_message(model, found))

@@ -6,11 +6,11 @@ import click
 
 from safedpa.limits import readable
 
-__all__ = ["say"]
+__all__ = ["print_plain"]
 
 _LONGEST_LINE = 4000
 
 
-def say(text: str, *, err: bool = False) -> None:
+def print_plain(text: str, *, err: bool = False) -> None:
     """Prints lines that others had a part in."""
     click.echo("\n".join(readable(line, _LONGEST_LINE) for line in text.split("\n")), err=err)

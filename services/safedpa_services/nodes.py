@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
-from safedpa.bus.log import log_event
-from safedpa.bus.wire.requests import ORDER, SENSE
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.logging import log_event
+from safedpa.bus.messages.requests import ORDER, SENSE
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.robot import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
-    from safedpa.perception.switches import Switches
-    from safedpa.safety.orders import Orders
+    from safedpa.perception.overrides import SensorOverrides
+    from safedpa.runtime.stop_orders import StopOrders
 
 __all__ = [
-    "Made",
+    "PreparedService",
     "adaptation",
     "add_filter_options",
     "add_perception_options",
@@ -42,7 +42,7 @@ def _nothing(_bus: Bus) -> None:
 
 
 @dataclass(frozen=True)
-class Made:
+class PreparedService:
     """One service, ready to join the bus."""
 
     node: AbstractNode
@@ -51,7 +51,7 @@ class Made:
     """Called once, before the first tick."""
 
 
-def adaptation(options: argparse.Namespace) -> Made:
+def adaptation(options: argparse.Namespace) -> PreparedService:
     """Raises InputError when the model cannot be had, or does not fit."""
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
@@ -59,7 +59,7 @@ def adaptation(options: argparse.Namespace) -> Made:
 
     model = load_model(options.model)
     node = AdaptationNode(model)
-    return Made(node, model_setup(setup_message(node.name, vars(options)), model))
+    return PreparedService(node, model_setup(setup_message(node.name, vars(options)), model))
 
 
 def add_perception_options(parser: argparse.ArgumentParser) -> None:
@@ -68,17 +68,17 @@ def add_perception_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--orders", default="", metavar="FILE", help="keeps what was switched over a restart")
 
 
-def perception(options: argparse.Namespace) -> Made:
+def perception(options: argparse.Namespace) -> PreparedService:
     """Knows no model: where things are follows from scans and the robot's own way. Raises InputError for its file."""
     from safedpa.perception import PerceptionNode, PerceptionSettings, load_perception
 
     settings, text = load_perception(Path(options.perception)) if options.perception else (PerceptionSettings(), "")
     node = PerceptionNode(settings, Path(options.orders) if options.orders else None)
     setup = dataclasses.replace(setup_message(node.name, vars(options)), settings=text)
-    return Made(node, setup, lambda bus: _take_switches(bus, options.robot, node.switches))
+    return PreparedService(node, setup, lambda bus: _take_switches(bus, options.robot, node.switches))
 
 
-def _take_switches(bus: Bus, robot: str, switches: Switches) -> None:
+def _take_switches(bus: Bus, robot: str, switches: SensorOverrides) -> None:
     bus.answer_requests(switches.answer, robot, partial(_log_order, "perception"), (SENSE,))
     if switches.lost:
         log_event("order.lost", f"{switches.lost}: no source counts until 'sense' says so", level="error")
@@ -91,7 +91,7 @@ def add_policy_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", default="", help="one of the robot's; default: as the model allows")
 
 
-def policy(options: argparse.Namespace) -> Made:
+def policy(options: argparse.Namespace) -> PreparedService:
     """Raises InputError when the model or the controller cannot be had, or do not fit."""
     from safedpa.dynamics import load_model
     from safedpa.dynamics.model_setup import model_setup
@@ -100,7 +100,7 @@ def policy(options: argparse.Namespace) -> Made:
     model = load_model(options.model)
     node = PolicyNode(model, controller=options.controller or None)
     setup = model_setup(setup_message(node.name, vars(options)), model)
-    return Made(node, dataclasses.replace(setup, controller=options.controller))
+    return PreparedService(node, dataclasses.replace(setup, controller=options.controller))
 
 
 def add_filter_options(parser: argparse.ArgumentParser) -> None:
@@ -113,15 +113,15 @@ def add_filter_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--off", action="store_true", help="hand wishes on unchecked; every verdict says so")
 
 
-def safety_filter(options: argparse.Namespace) -> Made:
+def safety_filter(options: argparse.Namespace) -> PreparedService:
     """Raises InputError when model, settings or margin cannot be had, or do not fit."""
     from safedpa.dynamics import load_model
     from safedpa.dynamics.model_setup import model_setup
-    from safedpa.safety.margin_text import margin_text
-    from safedpa.safety.node import SafetyFilterNode
-    from safedpa.safety.orders import Orders
+    from safedpa.runtime.node import SafetyFilterNode
+    from safedpa.runtime.stop_orders import StopOrders
+    from safedpa.safety.defaults import margin_for, settings_named
+    from safedpa.safety.margins.calibration import margin_text
     from safedpa.safety.settings import write_settings
-    from safedpa.safety.shipped import margin_for, settings_named
 
     settings = settings_named(options.settings)
     settings = dataclasses.replace(settings, enabled=settings.enabled and not options.off)
@@ -134,11 +134,13 @@ def safety_filter(options: argparse.Namespace) -> Made:
         settings=write_settings(settings),
         margin="" if margin is None else margin_text(margin),
     )
-    orders = Orders(Path(options.orders) if options.orders else None)
-    return Made(SafetyFilterNode(model, settings, margin, orders), setup, lambda bus: _take_orders(bus, orders))
+    orders = StopOrders(Path(options.orders) if options.orders else None)
+    return PreparedService(
+        SafetyFilterNode(model, settings, margin, orders), setup, lambda bus: _take_orders(bus, orders)
+    )
 
 
-def _take_orders(bus: Bus, orders: Orders) -> None:
+def _take_orders(bus: Bus, orders: StopOrders) -> None:
     """An order about any robot is kept, be it heard of or not: one that was not there yet may come."""
     bus.answer_requests(orders.answer, tell=partial(_log_order, "safety_filter"), kinds=(ORDER,))
     for robot, reason in orders.kept.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["narrated", "progress"]
+__all__ = ["progress", "progress_with_notes"]
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def narrated(title: str) -> Iterator[Callable[[int, int, str], None]]:
+def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]:
     """Yields ``tell(done, all, said)`` for work of which nobody knows how much is left: the seconds that passed are
     shown, none that are to come, and what is ``said`` stands above the bar whenever it changes. Only on a terminal."""
     from rich.console import Console

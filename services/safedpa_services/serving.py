@@ -9,14 +9,19 @@ from contextlib import ExitStack
 from functools import partial
 
 from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
-from safedpa.bus.loop.apart import AbstractTicket, Apart
-from safedpa.bus.loop.collector import settle_collector
-from safedpa.bus.loop.journal import Journal
-from safedpa.bus.loop.process import Stop, add_bus_options, lifetime, settings_from
-from safedpa.bus.loop.turning import Turning
-from safedpa.bus.transport.in_process import JointTransport
+from safedpa.bus.service.journal import ServiceLog
+from safedpa.bus.service.process import (
+    StopSignal,
+    add_bus_options,
+    freeze_garbage_collector,
+    log_lifetime,
+    transport_settings_from_options,
+)
+from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
+from safedpa.bus.service.scheduler import Scheduler
+from safedpa.bus.transport.memory import JointTransport
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.nodes import Made
+from safedpa_services.nodes import PreparedService
 
 __all__ = ["serve", "service_parser"]
 
@@ -34,9 +39,9 @@ def service_parser(program: str) -> argparse.ArgumentParser:
 
 
 def serve(
-    services: Sequence[Made],
+    services: Sequence[PreparedService],
     options: argparse.Namespace,
-    stop: Stop,
+    stop: StopSignal,
     serves: Callable[[str], bool] | None = None,
 ) -> int:
     """Runs one service on the bus, or several in the direction of their data, until ``stop``; returns exit code 0.
@@ -45,7 +50,7 @@ def serve(
     """
     sys.setswitchinterval(_SWITCH_SECONDS)
     _try_offers_apart(services, options)
-    transport: AbstractTransport = ZenohTransport(settings_from(options))
+    transport: AbstractTransport = ZenohTransport(transport_settings_from_options(options))
     if len(services) > 1:
         inside = frozenset(topic.name for made in services for topic in made.node.outputs) & frozenset(
             topic.name for made in services for topic in made.node.inputs
@@ -54,32 +59,32 @@ def serve(
     with Bus(transport, options.fleet) as bus, ExitStack() as lifetimes:
         for made in services:
             made.joined(bus)
-        settle_collector()
+        freeze_garbage_collector()
         for made in services:
             bus.announce(NO_ROBOT, made.node.name, made.setup.instance)
-            lifetimes.enter_context(lifetime(made.node.name, stop))
-        Turning([_loop(made, Bus(transport, options.fleet, serves=serves), options) for made in services]).run(stop)
+            lifetimes.enter_context(log_lifetime(made.node.name, stop))
+        Scheduler([_loop(made, Bus(transport, options.fleet, serves=serves), options) for made in services]).run(stop)
     return 0
 
 
-def _try_offers_apart(services: Sequence[Made], options: argparse.Namespace) -> None:
+def _try_offers_apart(services: Sequence[PreparedService], options: argparse.Namespace) -> None:
     """What is offered over the bus is tried in one process beside this one before anybody here looks into it.
 
     Started before there is any link, and any thread of the network's.
     """
     nodes = [made.node for made in services if MODEL in made.node.listens]
     if nodes:
-        apart = Apart("safedpa_services.trying:tried")
+        apart = JobProcess("safedpa_services.trying:tried")
         for node in nodes:
             node.try_apart(partial(_hand_in, apart, node, options))
 
 
 def _hand_in(
-    apart: Apart, node: AbstractNode, options: argparse.Namespace, robot: str, offer: ModelMessage
-) -> AbstractTicket:
+    apart: JobProcess, node: AbstractNode, options: argparse.Namespace, robot: str, offer: ModelMessage
+) -> AbstractJobHandle:
     return apart.hand_in((node.name, options, robot, offer, node.newest(robot), node.agreed(robot)))
 
 
-def _loop(made: Made, bus: Bus, options: argparse.Namespace) -> ServiceLoop:
+def _loop(made: PreparedService, bus: Bus, options: argparse.Namespace) -> ServiceLoop:
     """Each has a bus of its own, since each holds back its own outputs until its robots are through."""
-    return ServiceLoop(made.node, bus, options.robot, setup=made.setup, journal=Journal(made.node.name))
+    return ServiceLoop(made.node, bus, options.robot, setup=made.setup, journal=ServiceLog(made.node.name))

@@ -10,7 +10,7 @@ from rich.segment import Segment
 
 from safedpa.limits import printable
 
-__all__ = ["Shown", "terminal"]
+__all__ = ["SanitizedRenderable", "terminal"]
 
 
 def terminal(**options: Any) -> Console:
@@ -24,7 +24,7 @@ def terminal(**options: Any) -> Console:
 
 
 @final
-class Shown:
+class SanitizedRenderable:
     """Something drawn, each character of its text that is not printable replaced; the width stays."""
 
     def __init__(self, drawn: Any) -> None:
@@ -48,5 +48,5 @@ class _Hook(RenderHook):
         wrapped: list[ConsoleRenderable] = []
         for item in renderables:
             plain = item.__rich__() if isinstance(item, RichCast) else item
-            wrapped.append(plain if type(plain).__name__ == "Control" else Shown(plain))  # type: ignore[arg-type]
+            wrapped.append(plain if type(plain).__name__ == "Control" else SanitizedRenderable(plain))  # type: ignore[arg-type]
         return wrapped

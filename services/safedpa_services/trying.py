@@ -31,14 +31,14 @@ from safedpa.dynamics import PhysicsModel, load_model, parse_model, write_model
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.errors import InputError
 from safedpa.limits import check_plain_model
-from safedpa_services.nodes import Made, adaptation, policy, safety_filter
+from safedpa_services.nodes import PreparedService, adaptation, policy, safety_filter
 
 __all__ = ["LARGEST_SHARE", "tried"]
 
 LARGEST_SHARE = 0.25
 """Of the robot's period: so much processor time a step of one service may take with an offered model."""
 _TICKS = 12
-_MADE: Mapping[str, Callable[[argparse.Namespace], Made]] = {
+_MADE: Mapping[str, Callable[[argparse.Namespace], PreparedService]] = {
     "adaptation": adaptation,
     "policy": policy,
     "safety_filter": safety_filter,

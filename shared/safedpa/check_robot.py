@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage
 from safedpa.drawing import Discs, Lines, Rings
 from safedpa.dynamics import PhysicsModel, load_model
@@ -21,17 +21,15 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.networks.frame import Frame
 from safedpa.policy.controller import controller_for
 from safedpa.robot import AbstractRobot, robots
-from safedpa.safety.filter_check import check_filter
-from safedpa.safety.numbers_returned import numbers_returned
-from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.scene import AbstractScene
-from safedpa.safety.scenes import scene_of
+from safedpa.runtime.scene import AbstractScene, scene_of
+from safedpa.safety.checks.check_filter import check_filter
+from safedpa.safety.filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.validation import checked_output
 from safedpa.stand_in import AbstractStandIn
 
 __all__ = ["PartFinding", "check_robot"]
 
-Values = NDArray[np.float64]
 
 _TICKS = 200
 _PROBED = 5
@@ -122,7 +120,7 @@ def _said_of_deviations(robot: AbstractRobot) -> str:
     """What is wrong with them; empty: nothing."""
     names, given = robot.system.state_names, robot.measurement_deviation
     try:
-        numbers = numbers_returned("measurement_deviation", given)
+        numbers = checked_output("measurement_deviation", given)
     except InputError:
         return f"got {given!r}, wanted one number for each of {', '.join(names)}"
     if numbers.shape != (len(names),):
@@ -162,7 +160,7 @@ class _Drive:
         self.robot, self.model, self.settings, self.scene, self.stand_in = robot, model, settings, scene, stand_in
         self.filter = SafetyFilter.for_model(model, settings, backup=scene.backup)
         self.states: list[StateMessage] = []
-        self.errors: list[Values] = []
+        self.errors: list[FloatArray] = []
         self.problems: list[str] = []
         self.touched = ""
         self.count = 0
@@ -199,7 +197,7 @@ class _Drive:
             self.touched = self.touched or self.stand_in.contact()
         return self
 
-    def _message(self, tick: int, applied: Values) -> StateMessage:
+    def _message(self, tick: int, applied: FloatArray) -> StateMessage:
         seen = self.stand_in
         return StateMessage(
             epoch=1,
@@ -282,7 +280,7 @@ def _wished(model: PhysicsModel, drive: _Drive) -> PartFinding:
         return PartFinding("controllers", "wrong", f"wish answers {answer!r}, wanted the action and a name")
     wish, name = answer
     try:
-        numbers = numbers_returned("wish", wish)
+        numbers = checked_output("wish", wish)
     except InputError as error:
         return PartFinding("controllers", "wrong", str(error))
     if numbers.shape != (len(model.system.action),) or not np.isfinite(numbers).all():

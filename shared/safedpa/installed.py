@@ -6,10 +6,10 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-__all__ = ["brought_under"]
+__all__ = ["entry_points_of_group"]
 
 
-def brought_under(group: str) -> tuple[EntryPoint, ...]:
+def entry_points_of_group(group: str) -> tuple[EntryPoint, ...]:
     """The entry points of a group, as they were when this process first asked for any."""
     return tuple(_all().select(group=group))
 

@@ -17,7 +17,7 @@ from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.installed import brought_under
+from safedpa.installed import entry_points_of_group
 from safedpa.limits import readable
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from safedpa.bus import StateMessage
     from safedpa.drawing import Shape
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.dynamics.elsewhere import Elsewhere
+    from safedpa.dynamics.elsewhere import SimulatorExport
     from safedpa.effects import AbstractEffect
     from safedpa.networks.frame import Frame
     from safedpa.policy.controller import Controller
-    from safedpa.policy.perception import Perception
+    from safedpa.policy.perception import ObservationModel
     from safedpa.ros.face import AbstractFace
-    from safedpa.safety.barrier import AbstractBarrier
-    from safedpa.safety.scene import AbstractScene
+    from safedpa.runtime.scene import AbstractScene
+    from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
     from safedpa.stand_in import AbstractStandIn
     from safedpa.systems import System
@@ -185,11 +185,11 @@ class AbstractRobot(ABC):
         """What its networks see of the state; None: it has no networks."""
         return None
 
-    def perception(self) -> Perception | None:
+    def perception(self) -> ObservationModel | None:
         """What its learned policy observes; None: it has none."""
         return None
 
-    def elsewhere(self, model: PhysicsModel) -> Elsewhere | None:
+    def elsewhere(self, model: PhysicsModel) -> SimulatorExport | None:
         """The model in the words of other simulators; None: its table of parameters alone."""
         del model
         return None
@@ -274,7 +274,7 @@ def _shipped() -> dict[str, AbstractRobot]:
     inside = sorted(info.name for info in pkgutil.iter_modules(package.__path__, "safedpa.robots.") if info.ispkg)
     found: list[Any] = [importlib.import_module(name).ROBOT for name in inside]
     known = {robot.name: robot for robot in found}
-    for point in brought_under(ENTRY_POINTS):
+    for point in entry_points_of_group(ENTRY_POINTS):
         robot = _brought(point)
         if robot.name in known:
             raise InputError(f"robot '{robot.name}' of {point.value}: is known already; uninstall one of the two")

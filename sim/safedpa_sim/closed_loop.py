@@ -17,7 +17,7 @@ from safedpa.bus import (
     Bus,
     MemoryBroker,
     MemoryTransport,
-    Received,
+    ReceivedMessage,
     ScanMessage,
     ServiceLoop,
     StateMessage,
@@ -25,7 +25,7 @@ from safedpa.bus import (
 )
 from safedpa.errors import BusError
 
-__all__ = ["Field", "Robot", "Sensing", "SensingRobot", "Tick", "drive", "drive_together"]
+__all__ = ["Robot", "RobotGroup", "Sensing", "SensingRobot", "Tick", "drive", "drive_together"]
 
 _NAME = "r1"
 
@@ -55,7 +55,7 @@ class SensingRobot(Robot, Sensing, Protocol):
     """Both."""
 
 
-class Field(Protocol):
+class RobotGroup(Protocol):
     """Robots that live through their periods together."""
 
     @property
@@ -80,7 +80,7 @@ def drive(
     nodes: Sequence[AbstractNode],
     ticks: int,
     fleet: str = "experiment",
-    hear: Callable[[Received], None] | None = None,
+    hear: Callable[[ReceivedMessage], None] | None = None,
 ) -> Generator[Tick, None, None]:
     """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last; who only listens
     may stand behind it.
@@ -103,14 +103,14 @@ def drive(
             bus.publish(STATE, _NAME, state)
             for loop in loops:
                 loop.turn(0.0)
-            messages = [item.message for item in inbox.take(0.0) if isinstance(item, Received)]
+            messages = [item.message for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)]
             actions = [message for message in messages if isinstance(message, ActionMessage)]
             verdicts = [message for message in messages if isinstance(message, VerdictMessage)]
             if not actions or not verdicts:
                 raise BusError(f"tick {state.tick}: got no action, wanted one; does one of the nodes send it?")
             if hear is not None and everything is not None:
                 for item in everything.take(0.0):
-                    if isinstance(item, Received):
+                    if isinstance(item, ReceivedMessage):
                         hear(item)
             refusal = robot.receive(actions[-1])
             robot.advance()
@@ -118,13 +118,13 @@ def drive(
 
 
 def drive_together(
-    field: Field, nodes: Sequence[Sequence[AbstractNode]], ticks: int
+    field: RobotGroup, nodes: Sequence[Sequence[AbstractNode]], ticks: int
 ) -> Generator[tuple[Tick, ...], None, None]:
     """Runs ``ticks`` periods of all robots of a field, each with nodes and a bus of its own, as ``drive`` does.
 
     All have their actions of a tick before any of them moves. Raises BusError as ``drive`` does.
     """
-    drives = [drive(_Waits(robot), own, ticks) for robot, own in zip(field.robots, nodes, strict=True)]
+    drives = [drive(_WaitingRobot(robot), own, ticks) for robot, own in zip(field.robots, nodes, strict=True)]
     try:
         for _ in range(ticks):
             told = tuple(next(one) for one in drives)
@@ -136,7 +136,7 @@ def drive_together(
 
 
 @final
-class _Waits:
+class _WaitingRobot:
     """A robot that does not move alone."""
 
     def __init__(self, robot: SensingRobot) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, final
 if TYPE_CHECKING:
     from safedpa_sim.robots.car_parameters import CarParameters
 
-__all__ = ["GRAVITY", "Drive", "GroundForces", "runner_force"]
+__all__ = ["GRAVITY", "DrivePeriod", "GroundForces", "runner_force"]
 
 GRAVITY: Final = 9.81
 """m/s2."""
@@ -88,7 +88,7 @@ class GroundForces:
 
 
 @final
-class Drive:
+class DrivePeriod:
     """One car over a period in which its command stays: its motor's acceleration, and the forces of each substep.
 
     ``pull``: push [m/s2], gain [1/s] and target [m/s] of the motor, which wants push + gain (target - speed) within

@@ -10,13 +10,13 @@ from typing import Any, NoReturn
 import numpy as np
 
 from safedpa.bus import AbstractNode, SetupMessage, VerdictMessage
-from safedpa.bus.loop.process import add_bus_options
+from safedpa.bus.service.process import add_bus_options
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.replay.setups import REPLAYED, node_of
 from safedpa.replay.tape import RobotTape, Stamp, options_of
-from safedpa.replay.what_if import Change
+from safedpa.replay.what_if import WhatIfChange
 from safedpa.robot import robot_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.__main__ import robot_parser
@@ -29,7 +29,7 @@ _OF_THE_PROCESS = ("name", "seconds", "lockstep", "summary", "await_word", "trac
 All others make the robot what it is."""
 
 
-def drive_again(tape: RobotTape, change: Change, folders: tuple[Path, ...] = ()) -> dict[str, Any]:
+def drive_again(tape: RobotTape, change: WhatIfChange, folders: tuple[Path, ...] = ()) -> dict[str, Any]:
     """What the first epoch of the recording would have come to: then and now, name by name; JSON-ready.
 
     The robot waits for every action, as in lockstep: where the recorded one drove in real time, what came late then

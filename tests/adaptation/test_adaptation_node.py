@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from safedpa.adaptation import AdaptationNode, EstimatorSettings, HistoryEstimator, LatentEstimator
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
 from safedpa.bus import LATENT, LatentMessage, StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, fingerprint, load_model, parse_model
 from safedpa.effects.library import effect
@@ -259,7 +259,7 @@ def test_histories_are_those_of_each_alone(seed: int) -> None:
     """Also where one begins anew in the midst of it."""
     draw, model, cars = np.random.default_rng(seed), load_model("car_learned"), 3
     assert isinstance(model.base, LearnedBase)
-    together, alone = Histories(model.base.weights, cars), [HistoryEstimator(model) for _ in range(cars)]
+    together, alone = BatchHistoryEstimator(model.base.weights, cars), [HistoryEstimator(model) for _ in range(cars)]
     state = draw.normal(size=(cars, 4)) * 0.2
     together.see(state)
     for tick in range(80):
@@ -281,4 +281,4 @@ def test_weights_without_a_history_encoder_are_refused() -> None:
     base = load_model("car_fix").base
     assert isinstance(base, LearnedBase)
     with pytest.raises(InputError, match="phi"):
-        Histories(base.weights, 2)
+        BatchHistoryEstimator(base.weights, 2)

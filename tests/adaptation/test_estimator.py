@@ -12,7 +12,7 @@ from hypothesis import strategies as some
 from numpy.typing import NDArray
 
 from safedpa.adaptation import EstimatorSettings, LatentEstimator
-from safedpa.adaptation.estimator import Belief
+from safedpa.adaptation.estimator import LatentCovariance
 from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model
 from safedpa.effects.library import effect
 from safedpa.errors import InputError
@@ -216,7 +216,7 @@ def corrected(covariance, innovation, sensitivity, noise):
 def test_one_entry_after_the_other_is_all_at_once(latents, states, seed):
     draw = np.random.default_rng(seed)
     start, drift = draw.uniform(0.1, 3.0, latents), draw.uniform(0.01, 1.0, latents)
-    belief, covariance = Belief(start.tolist(), drift.tolist()), np.diag(start)
+    belief, covariance = LatentCovariance(start.tolist(), drift.tolist()), np.diag(start)
     for _ in range(30):
         period = draw.uniform(0.01, 0.2)
         belief.spread(period)

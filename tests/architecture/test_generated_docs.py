@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, Received, StateMessage
+from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, ReceivedMessage, StateMessage
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -59,7 +59,7 @@ def test_the_example_of_a_real_robot_runs_and_brakes_where_nobody_answers() -> N
     inbox = Bus(MemoryTransport(broker), "fleet").inbox((STATE,), keep_all=True)
     with pytest.raises(ConnectionError):
         names["run"](car)
-    states = [item.message for item in inbox.take(0.0) if isinstance(item, Received)]
+    states = [item.message for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)]
     assert [state.tick for state in states] == [0, 1, 2, 3, 4]
     assert [state.applied_by for state in states if isinstance(state, StateMessage)] == ["none", *["watchdog"] * 4]
     assert car.braked == 5

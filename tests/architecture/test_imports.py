@@ -86,7 +86,7 @@ def test_who_asks_for_settings_loads_no_filter_and_who_drives_a_car_no_other_rob
     """Six processes start at once, and the robot waits for the last of them."""
     code = (
         "import sys, safedpa.safety; from safedpa.dynamics import load_model; load_model('car');"
-        "from safedpa.safety.shipped import settings_named; settings_named('car');"
+        "from safedpa.safety.defaults import settings_named; settings_named('car');"
         "from safedpa.effects import effect; effect('car', 'payload');"
         "print(*sys.modules)"
     )
@@ -94,7 +94,7 @@ def test_who_asks_for_settings_loads_no_filter_and_who_drives_a_car_no_other_rob
     loaded = set(done.stdout.split())
     assert "safedpa.robots.car.effects.payload" in loaded
     assert not {name for name in loaded if ".pendulum.effects" in name or ".point.effects" in name}
-    assert not {"safedpa.safety.search", "safedpa.safety.filter_check", "rich", "subprocess"} & loaded
+    assert not {"safedpa.safety.solver.sqp", "safedpa.safety.checks.check_filter", "rich", "subprocess"} & loaded
 
 
 def test_what_draws_is_loaded_where_something_is_drawn() -> None:
@@ -104,7 +104,7 @@ def test_what_draws_is_loaded_where_something_is_drawn() -> None:
 
 def test_what_a_package_names_is_there_whichever_module_was_loaded_first() -> None:
     code = (
-        "import safedpa.safety.filter_check, safedpa.safety.safety_filter, safedpa.safety as safety;"
+        "import safedpa.safety.checks.check_filter, safedpa.safety.filter, safedpa.safety as safety;"
         "assert callable(safety.check_filter) and set(safety.__all__) <= set(dir(safety));"
         "from safedpa.safety import *;"
         "assert SafetyFilter is safety.SafetyFilter"

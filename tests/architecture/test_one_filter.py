@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("shared", "services", "sim")
 
 DECIDERS = {
-    "safedpa.safety.safety_filter": "SafetyFilter",
-    "safedpa.safety.batch": "its batch",
+    "safedpa.safety.filter": "SafetyFilter",
+    "safedpa.safety.batch.filter": "its batch",
     "safedpa_lab.benchmarks.peers.filter_casadi": "a peer, to compare with",
     "safedpa_lab.benchmarks.peers.filter_cbfpy": "a peer",
     "safedpa_lab.benchmarks.peers.filter_cvxpy": "a peer",
@@ -32,12 +32,12 @@ DECIDERS = {
 }
 """Modules with something that decides: a method ``decide``."""
 CONDITIONS = {
-    "safedpa.safety.conditions": "poses it",
-    "safedpa.safety.batch": "poses it for many",
-    "safedpa.safety.ceiling": "how far h may fall: measures errors",
-    "safedpa.safety.check_probes": "looks for states without an action",
-    "safedpa.safety.theory_layer": "the theory's bound",
-    "safedpa.safety.way_out": "how long a way out takes",
+    "safedpa.safety.solver.constraints": "poses it",
+    "safedpa.safety.batch.filter": "poses it for many",
+    "safedpa.safety.margins.error_clipping": "how far h may fall: measures errors",
+    "safedpa.safety.checks.probes": "looks for states without an action",
+    "safedpa_lab.theory.boundary_layer": "the theory's bound",
+    "safedpa.safety.deadlock.escape": "how long a way out takes",
     "safedpa_lab.experiments.adversary.bends": "judges",
     "safedpa_lab.experiments.adversary.car_judge": "judges",
     "safedpa_lab.experiments.adversary.linear_judge": "judges",

@@ -218,23 +218,23 @@ def test_outside_internals_no_test_depends_on_the_shape_of_the_code(kind: str) -
 @pytest.mark.parametrize(
     ("source", "kinds"),
     [
-        ("from safedpa.safety.search import _posed", ["private"]),
+        ("from safedpa.safety.solver.sqp import _posed", ["private"]),
         ("def test_it(s):\n    assert s._posed == 1", ["private"]),
         ("def test_it(s):\n    assert getattr(s, '_posed') == 1", ["private"]),
-        ("def test_it(m):\n    m.setattr('safedpa.safety.search._posed', None)", ["private"]),
+        ("def test_it(m):\n    m.setattr('safedpa.safety.solver.sqp._posed', None)", ["private"]),
         ("CODE = 'import safedpa; safedpa.search._posed()'", ["private"]),
         ("class Own:\n    def _posed(self): ...\n    def other(self): return self._posed()", []),
-        ("from safedpa.safety.search import LIMIT\nassert LIMIT == 3.0", ["pinned"]),
+        ("from safedpa.safety.solver.sqp import LIMIT\nassert LIMIT == 3.0", ["pinned"]),
         ("from safedpa.safety import search\nassert search.LIMIT == 3.0", ["pinned"]),
-        ("from safedpa.safety.search import LIMIT\nassert number < LIMIT", []),
-        ("TABLE = [('safedpa.safety.search', 'LIMIT', 3.0)]", ["pinned"]),
+        ("from safedpa.safety.solver.sqp import LIMIT\nassert number < LIMIT", []),
+        ("TABLE = [('safedpa.safety.solver.sqp', 'LIMIT', 3.0)]", ["pinned"]),
         ("import matplotlib.pyplot\ndef test(m):\n    m.setattr(matplotlib.pyplot, 'plot', None)", ["faked"]),
         ("def test(mock):\n    mock.assert_called_once_with(3)", ["faked"]),
         ("import time\ndef test(m):\n    m.setattr(time, 'sleep', None)", []),
     ],
 )
 def test_a_place_is_found_by_its_kind(source: str, kinds: list[str]) -> None:
-    found = places("tests/x.py", source, frozenset({"_posed"}), frozenset({"safedpa.safety.search"}))
+    found = places("tests/x.py", source, frozenset({"_posed"}), frozenset({"safedpa.safety.solver.sqp"}))
     assert [place.kind for place in found] == kinds
 
 

@@ -18,7 +18,7 @@ from safedpa.bus import (
     MemoryTransport,
     Message,
     Outputs,
-    Received,
+    ReceivedMessage,
     ServiceLoop,
     Stale,
     StateMessage,
@@ -115,11 +115,11 @@ class Fleet:
 
     def wished(self) -> list[tuple[str, int]]:
         """Robot and tick of every action since the last call."""
-        return [(item.robot, item.message.tick) for item in self.wishes.take(0.0) if isinstance(item, Received)]
+        return [(item.robot, item.message.tick) for item in self.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
 
     def health(self) -> dict[str, HealthMessage]:
         """The next heartbeat, by robot."""
         self.healths.take(0.0)
         self.wait(0.26)
-        items = [item for item in self.healths.take(0.0) if isinstance(item, Received)]
+        items = [item for item in self.healths.take(0.0) if isinstance(item, ReceivedMessage)]
         return {item.robot: item.message for item in items if isinstance(item.message, HealthMessage)}

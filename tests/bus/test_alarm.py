@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from safedpa.bus.log import Alarm, EventLog
+from safedpa.bus.logging import DelayedCaller, EventLog
 
 
 def alarm_threads() -> list[threading.Thread]:
@@ -20,7 +20,7 @@ def ended(threads: list[threading.Thread]) -> None:
 
 
 def test_each_work_is_done_once_at_its_moment_in_the_order_of_moments() -> None:
-    alarm, done, begun = Alarm(), list[tuple[str, float]](), time.monotonic()
+    alarm, done, begun = DelayedCaller(), list[tuple[str, float]](), time.monotonic()
     before = alarm_threads()
     for name, seconds in (("last", 0.3), ("first", 0.1), ("second", 0.2), ("at once", -1.0)):
         alarm(seconds, lambda name=name: done.append((name, time.monotonic() - begun)))  # type: ignore[misc]
@@ -33,7 +33,7 @@ def test_each_work_is_done_once_at_its_moment_in_the_order_of_moments() -> None:
 
 
 def test_of_one_moment_the_first_comes_first() -> None:
-    alarm, done, gate = Alarm(), list[int](), threading.Event()
+    alarm, done, gate = DelayedCaller(), list[int](), threading.Event()
     alarm(-1.0, lambda: gate.wait(10.0) and None)
     for number in range(20):
         alarm(-1.0, lambda number=number: done.append(number))  # type: ignore[misc]
@@ -45,7 +45,7 @@ def test_of_one_moment_the_first_comes_first() -> None:
 
 
 def test_when_nothing_is_left_its_thread_ends_and_the_next_work_has_another() -> None:
-    alarm, done = Alarm(), list[int]()
+    alarm, done = DelayedCaller(), list[int]()
     for number in range(3):
         before = alarm_threads()
         alarm(0.01, lambda number=number: done.append(number))  # type: ignore[misc]
@@ -54,7 +54,7 @@ def test_when_nothing_is_left_its_thread_ends_and_the_next_work_has_another() ->
 
 
 def test_work_that_fails_is_reported_and_the_other_work_is_done(capsys: pytest.CaptureFixture[str]) -> None:
-    alarm, done = Alarm(), list[int]()
+    alarm, done = DelayedCaller(), list[int]()
     before = alarm_threads()
     alarm(0.0, lambda: {}.pop(0))
     alarm(0.05, lambda: done.append(1))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from tests.bus.fleet import Clock
 
-from safedpa.bus.loop.apart import Apart
+from safedpa.bus.service.sandbox import JobProcess
 
 pytestmark = pytest.mark.processes
 MEMORY = "trying it took more than 1024 MiB of memory, or ended its process"
@@ -22,21 +22,21 @@ def clock() -> Clock:
     return Clock()
 
 
-def opened(clock: Callable[[], float]) -> Iterator[Apart]:
+def opened(clock: Callable[[], float]) -> Iterator[JobProcess]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parent))
-        found = Apart("works:carry_out", clock)
+        found = JobProcess("works:carry_out", clock)
         yield found
         found.close()
 
 
 @pytest.fixture
-def apart(clock: Clock) -> Iterator[Apart]:
+def apart(clock: Clock) -> Iterator[JobProcess]:
     yield from opened(clock)
 
 
 @pytest.fixture(scope="module")
-def shared() -> Iterator[Apart]:
+def shared() -> Iterator[JobProcess]:
     """One process for many works."""
     yield from opened(lambda: 0.0)
 
@@ -48,7 +48,7 @@ def within(condition: Callable[[], Any], seconds: float = 60.0) -> bool:
     return bool(condition())
 
 
-def outcome_of(apart: Apart, work: Any) -> dict[str, Any] | None:
+def outcome_of(apart: JobProcess, work: Any) -> dict[str, Any] | None:
     found: list[Any] = []
     ticket = apart.hand_in(work)
     within(lambda: found or found.extend(filter(None, [ticket.outcome()])))
@@ -63,7 +63,7 @@ def ended(process: int) -> bool:
         return True
 
 
-def test_a_work_has_five_seconds_of_processor_and_a_gibibyte_and_writes_no_file(shared: Apart) -> None:
+def test_a_work_has_five_seconds_of_processor_and_a_gibibyte_and_writes_no_file(shared: JobProcess) -> None:
     assert outcome_of(shared, "limits") == {
         "CPU": [5, 5], "AS": [1 << 30, 1 << 30], "CORE": [0, 0], "FSIZE": [0, 0],
     }  # fmt: skip
@@ -91,14 +91,16 @@ def test_a_work_has_five_seconds_of_processor_and_a_gibibyte_and_writes_no_file(
     ids=lambda value: str(value)[:24],
 )
 def test_the_outcome_of_a_work_or_its_error_is_reported_in_one_line(
-    work: Any, outcome: dict[str, Any], shared: Apart
+    work: Any, outcome: dict[str, Any], shared: JobProcess
 ) -> None:
     """The next work is done all the same, also where a work goes on after its answer."""
     assert outcome_of(shared, work) == outcome
     assert outcome_of(shared, "next") == {"document": "next"}
 
 
-def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(apart: Apart, clock: Clock) -> None:
+def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(
+    apart: JobProcess, clock: Clock
+) -> None:
     """A work that waited behind it is reported at once, and does not end the process that is started next."""
     first, second, process = apart.hand_in(("sleep", 600.0)), apart.hand_in("short"), apart.pid
     clock.now += 19.9
@@ -112,7 +114,7 @@ def test_a_work_that_takes_twenty_seconds_is_given_up_and_its_process_is_killed(
 
 
 def test_waiting_for_an_outcome_ends_after_twenty_seconds(
-    apart: Apart, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    apart: JobProcess, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ticket = apart.hand_in(("sleep", 600.0))
     monkeypatch.setattr(time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
@@ -121,7 +123,7 @@ def test_waiting_for_an_outcome_ends_after_twenty_seconds(
 
 
 def test_a_process_that_does_not_read_delays_the_loop_by_milliseconds(
-    apart: Apart, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    apart: JobProcess, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     apart.hand_in(("sleep", 600.0))
     monkeypatch.setattr(time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))

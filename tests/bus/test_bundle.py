@@ -19,16 +19,16 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Message,
-    Received,
-    Refused,
+    ReceivedMessage,
+    RejectedMessage,
     Topic,
     encode,
     topic_of,
 )
-from safedpa.bus.security.access import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
-from safedpa.bus.transport.bundle import packed, parts, unbundled
-from safedpa.bus.transport.intake import Intake
-from safedpa.bus.wire.topics import BUNDLE
+from safedpa.bus.messages.topics import BUNDLE
+from safedpa.bus.security.access_control import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
+from safedpa.bus.transport.batching import pack_bundle, split_into_bundles, unpack_bundle
+from safedpa.bus.transport.inbox import InboxReceiver
 from safedpa.errors import InputError, MessageError
 
 entries = some.lists(some.tuples(some.text(max_size=8), some.binary(max_size=40)), max_size=300)
@@ -60,10 +60,10 @@ def sent_together(wire: Wire, topic: Topic, message: Message, robots: tuple[str,
 
 @given(entries)
 def test_parts_hold_everything_in_order_and_each_fits(given_entries: list[tuple[str, bytes]]) -> None:
-    found = [unbundled(packed(part)) for part in parts(given_entries)]
+    found = [unpack_bundle(pack_bundle(part)) for part in split_into_bundles(given_entries)]
     assert [entry for part in found for entry in part] == given_entries
     assert all(part for part in found)
-    assert all(len(packed(part)) <= STATE.largest_bytes for part in parts([("r", bytes(2000))] * 300))
+    assert all(len(pack_bundle(part)) <= STATE.largest_bytes for part in split_into_bundles([("r", bytes(2000))] * 300))
 
 
 KIB = 1024
@@ -81,17 +81,17 @@ KIB = 1024
     ids=["none", "600", "48 KiB", "more", "large"],
 )
 def test_a_bundle_holds_at_most_256_messages_and_48_kib(sizes: list[int], counts: list[int]) -> None:
-    assert [len(part) for part in parts([("r", bytes(size)) for size in sizes])] == counts
+    assert [len(part) for part in split_into_bundles([("r", bytes(size)) for size in sizes])] == counts
 
 
 @given(some.binary(max_size=200))
-@example(packed([("r", b"x"), ("s", b"")]))
+@example(pack_bundle([("r", b"x"), ("s", b"")]))
 def test_a_payload_that_is_no_bundle_is_refused(payload: bytes) -> None:
     try:
-        found = unbundled(payload)
+        found = unpack_bundle(payload)
     except MessageError:
         return
-    assert unbundled(packed(found)) == found
+    assert unpack_bundle(pack_bundle(found)) == found
 
 
 def test_more_than_one_message_travel_as_one_and_arrive_one_by_one(samples: dict[str, Message]) -> None:
@@ -100,9 +100,9 @@ def test_more_than_one_message_travel_as_one_and_arrive_one_by_one(samples: dict
     sent_together(wire, STATE, samples["state"], ("a", "b", "c"))
     assert [key for key, _ in wire.seen] == [f"safedpa/f/{BUNDLE}/state"]
     received = inbox.take(0.0)
-    assert [(item.robot, item.key, item.message, item.bundled) for item in received if isinstance(item, Received)] == [
-        (robot, f"safedpa/f/{robot}/state", samples["state"], True) for robot in ("a", "b", "c")
-    ]
+    assert [
+        (item.robot, item.key, item.message, item.bundled) for item in received if isinstance(item, ReceivedMessage)
+    ] == [(robot, f"safedpa/f/{robot}/state", samples["state"], True) for robot in ("a", "b", "c")]
     assert [item.robot for item in named.take(0.0)] == ["b"]
 
 
@@ -111,7 +111,7 @@ def test_one_message_travels_as_ever(samples: dict[str, Message]) -> None:
     inbox = wire.bus().inbox((STATE,))
     sent_together(wire, STATE, samples["state"], ("a",))
     assert wire.seen == [("safedpa/f/a/state", encode(samples["state"]))]
-    assert [item.bundled for item in inbox.take(0.0) if isinstance(item, Received)] == [False]
+    assert [item.bundled for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == [False]
 
 
 def test_of_topics_that_drop_nothing_every_message_of_a_bundle_is_kept(samples: dict[str, Message]) -> None:
@@ -155,7 +155,7 @@ def test_of_robots_that_are_not_served_nothing_gets_in(samples: dict[str, Messag
         msgpack.packb([["a", b"x"]] * 257),
         msgpack.packb([["a/b", b"x"]]),
         msgpack.packb([["", b"x"]]),
-        packed([("a", bytes(70_000))]),
+        pack_bundle([("a", bytes(70_000))]),
     ],
 )
 def test_a_malformed_bundle_is_refused_once_and_delivers_no_message(payload: bytes) -> None:
@@ -163,7 +163,7 @@ def test_a_malformed_bundle_is_refused_once_and_delivers_no_message(payload: byt
     inbox = wire.bus().inbox((STATE,))
     wire.put(f"safedpa/f/{BUNDLE}/state", payload)
     (refused,) = inbox.take(0.0)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RejectedMessage)
     assert refused.robot == ""
 
 
@@ -171,9 +171,11 @@ def test_a_malformed_bundle_is_refused_once_and_delivers_no_message(payload: byt
 def test_no_robot_has_the_name_of_a_bundle_or_a_wildcard(name: str, samples: dict[str, Message]) -> None:
     wire = Wire()
     inbox = wire.bus().inbox((STATE,))
-    wire.put(f"safedpa/f/{BUNDLE}/state", packed([(name, encode(samples["state"])), ("a", encode(samples["state"]))]))
+    wire.put(
+        f"safedpa/f/{BUNDLE}/state", pack_bundle([(name, encode(samples["state"])), ("a", encode(samples["state"]))])
+    )
     found = inbox.take(0.0)
-    assert sorted(type(item).__name__ for item in found) == ["Received", "Refused"]
+    assert sorted(type(item).__name__ for item in found) == ["ReceivedMessage", "RejectedMessage"]
     with pytest.raises(InputError):
         topic_of(f"safedpa/f/{name}/state")
     with pytest.raises(InputError):
@@ -184,18 +186,22 @@ def test_garbage_of_one_robot_leaves_the_others_in_its_bundle_alone(samples: dic
     wire = Wire()
     inbox = wire.bus().inbox((STATE,))
     good = encode(samples["state"])
-    wire.put(f"safedpa/f/{BUNDLE}/state", packed([("a", good), ("b", b"garbage"), ("c", good)]))
-    assert [(item.robot, type(item)) for item in inbox.take(0.0)] == [("a", Received), ("b", Refused), ("c", Received)]
+    wire.put(f"safedpa/f/{BUNDLE}/state", pack_bundle([("a", good), ("b", b"garbage"), ("c", good)]))
+    assert [(item.robot, type(item)) for item in inbox.take(0.0)] == [
+        ("a", ReceivedMessage),
+        ("b", RejectedMessage),
+        ("c", ReceivedMessage),
+    ]
 
 
 def test_under_a_wildcard_no_bundle_is_opened(samples: dict[str, Message]) -> None:
     wire = Wire()
     inbox = wire.bus().inbox((STATE, HEALTH))
-    bundle = packed([("a", encode(samples["state"])), ("b", encode(samples["state"]))])
-    accept = Intake(inbox, STATE, "f", "*", None, all_of_them=False)
+    bundle = pack_bundle([("a", encode(samples["state"])), ("b", encode(samples["state"]))])
+    accept = InboxReceiver(inbox, STATE, "f", "*", None, all_of_them=False)
     for key in (f"safedpa/f/{BUNDLE}/*", f"safedpa/f/{BUNDLE}/**", "safedpa/f/*/state", f"safedpa/f/{BUNDLE}/state/x"):
         accept(key, bundle)
-    assert all(isinstance(item, Refused) for item in inbox.take(0.0))
+    assert all(isinstance(item, RejectedMessage) for item in inbox.take(0.0))
 
 
 def test_in_a_bundle_no_service_speaks_as_another_either(samples: dict[str, Message]) -> None:
@@ -203,7 +209,7 @@ def test_in_a_bundle_no_service_speaks_as_another_either(samples: dict[str, Mess
     inbox = wire.bus().inbox((HEALTH,))
     health = dataclasses.replace(samples["health"], service="policy")  # type: ignore[call-arg]
     sent_together(wire, HEALTH, health, ("a", "b"), "adaptation")
-    assert all(isinstance(item, Refused) for item in inbox.take(0.0))
+    assert all(isinstance(item, RejectedMessage) for item in inbox.take(0.0))
 
 
 def test_only_roles_that_serve_the_whole_fleet_may_send_bundles_and_no_robot_may_read_one() -> None:

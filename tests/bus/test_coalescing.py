@@ -18,13 +18,13 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Message,
-    Received,
+    ReceivedMessage,
     ZenohSettings,
     ZenohTransport,
     encode,
 )
-from safedpa.bus.loop.turning import quantum_for
-from safedpa.bus.transport.transport import Subscription
+from safedpa.bus.service.scheduler import batch_interval
+from safedpa.bus.transport.base import Subscription
 
 PATIENCE = 30.0
 
@@ -41,16 +41,16 @@ def until(condition: Callable[[], bool]) -> bool:
 
 @given(robots=st.integers(0, 300), period=st.floats(0.001, 1.0), coalescing=st.booleans())
 def test_a_quantum_is_a_small_part_of_the_period_or_nothing(robots: int, period: float, coalescing: bool) -> None:
-    quantum = quantum_for([period] * robots, coalescing=coalescing)
+    quantum = batch_interval([period] * robots, coalescing=coalescing)
     assert quantum == 0.0 or 0.001 <= quantum <= 0.1 * period
-    if robots < 4 or quantum_for([period] * 300, coalescing=True) == 0.0:
+    if robots < 4 or batch_interval([period] * 300, coalescing=True) == 0.0:
         assert quantum == 0.0
 
 
 def test_batches_begin_with_eight_robots_and_end_below_four() -> None:
     sizes = range(1, 12)
-    assert [size for size in sizes if quantum_for([0.05] * size, coalescing=False)] == list(range(8, 12))
-    assert [size for size in sizes if quantum_for([0.05] * size, coalescing=True)] == list(range(4, 12))
+    assert [size for size in sizes if batch_interval([0.05] * size, coalescing=False)] == list(range(8, 12))
+    assert [size for size in sizes if batch_interval([0.05] * size, coalescing=True)] == list(range(4, 12))
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_batches_begin_with_eight_robots_and_end_below_four() -> None:
 )
 def test_a_batch_takes_a_thirtieth_of_the_shortest_period_or_is_not_worth_it(period: float, quantum: float) -> None:
     """Sleeping for less than a millisecond costs more than it saves; a robot in lockstep (0) stands while it waits."""
-    assert quantum_for([0.1] * 20 + [period], coalescing=True) == pytest.approx(quantum)
+    assert batch_interval([0.1] * 20 + [period], coalescing=True) == pytest.approx(quantum)
 
 
 class Kept(Subscription):
@@ -97,11 +97,11 @@ def test_an_inbox_that_makes_batches_takes_all_that_was_gathered(samples: dict[s
         kept.send(f"safedpa/f/{robot}/action", encode(samples["action"]))
     assert kept.gathered, "nothing was kept outside"
     assert inbox.waiting
-    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["a", "b", "c"]
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["a", "b", "c"]
     kept.send("safedpa/f/d/action", encode(samples["action"]))
     inbox.coalesce(0.0)
     kept.send("safedpa/f/e/action", encode(samples["action"]))
-    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["d", "e"]
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["d", "e"]
 
 
 def test_a_batch_is_not_taken_before_its_quantum_is_over(
@@ -135,7 +135,7 @@ def test_held_messages_go_out_in_order_at_the_flush(samples: dict[str, Message])
     bus.hold()  # what is held already stays
     assert inbox.take(0.0) == []
     bus.flush()
-    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["b", "a"]
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["b", "a"]
     bus.publish(ACTION, "c", samples["action"])
     assert len(inbox.take(0.0)) == 1, "it held on after the flush"
     bus.flush()

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from safedpa.bus import TOPICS, Answer, Message, Request, decode, encode
-from safedpa.bus.wire.codec import LARGEST_BYTES, decode_by_field
-from safedpa.bus.wire.messages import LARGEST_NUMBER
+from safedpa.bus.messages.codec import LARGEST_BYTES, decode_by_field
+from safedpa.bus.messages.messages import LARGEST_NUMBER
 from safedpa.errors import MessageError
 
 SAMPLES = Path(__file__).parent / "samples"

@@ -23,7 +23,7 @@ from safedpa.bus import (
     Message,
     ModelMessage,
     Outputs,
-    Received,
+    ReceivedMessage,
     Request,
     ServiceLoop,
     StateMessage,
@@ -31,8 +31,8 @@ from safedpa.bus import (
     Topic,
     WishMessage,
 )
-from safedpa.bus.loop.greeting import Greeting
-from safedpa.bus.transport.inbox import Answered
+from safedpa.bus.service.handshake import ModelHandshake
+from safedpa.bus.transport.inbox import RequestOutcome
 from safedpa.errors import InputError
 
 
@@ -158,7 +158,7 @@ def test_messages_that_came_while_it_waited_are_not_lost(
     assert node.told == [], "it is still waiting"
     inbox, *asked = bus.asked
     assert asked == ["r", "policy"]
-    inbox.keep_answer(Answered("r", Answer(ok=True, sentence="", fingerprint="agreed")))
+    inbox.keep_answer(RequestOutcome("r", Answer(ok=True, sentence="", fingerprint="agreed")))
     loop.turn(0.0)
     assert node.told == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
 
@@ -176,8 +176,8 @@ class Asked:
         self.about.append((robot, timeout))
 
 
-def received(topic: Topic, message: Any, robot: str = "r") -> Received:
-    return Received(topic, robot, message, b"", f"safedpa/f/{robot}/{topic.name}", 0.0)
+def received(topic: Topic, message: Any, robot: str = "r") -> ReceivedMessage:
+    return ReceivedMessage(topic, robot, message, b"", f"safedpa/f/{robot}/{topic.name}", 0.0)
 
 
 @pytest.mark.parametrize(("answered_at", "served_at"), [(0.0, 0.0), (0.5, 0.5), (None, 0.9)])
@@ -186,7 +186,7 @@ def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
 ) -> None:
     """The newest message of each topic waits, the state first; later messages do not wait, until the robot leaves."""
     node, bus, inbox = Curious(), Asked(), Inbox()
-    greeting = Greeting(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
+    greeting = ModelHandshake(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
     latent = received(LATENT, latent_of(samples, state_at(2)))
     assert greeting.deadline() == float("inf")
     assert not greeting.holds(latent), "a robot is met by its state"
@@ -195,10 +195,10 @@ def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
     assert [robot for robot, _ in bus.about] == ["r", "q"]
     assert all(0.1 <= timeout <= 0.5 for _, timeout in bus.about)
     assert greeting.deadline() == pytest.approx(0.9)
-    served: list[Received] = []
+    served: list[ReceivedMessage] = []
     while not served and clock.now < 5.0:
         if answered_at is not None and clock.now >= answered_at:
-            inbox.keep_answer(Answered("r", Answer(ok=True, sentence="", fingerprint="a")))
+            inbox.keep_answer(RequestOutcome("r", Answer(ok=True, sentence="", fingerprint="a")))
         served = greeting.ready()
         clock.now += 0.0 if served else 0.05
     assert served == ([newer, latent] if answered_at is not None else [newer, latent, other])

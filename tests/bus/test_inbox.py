@@ -10,12 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from safedpa.bus import HEALTH, MODEL, TOPICS, Bus, Inbox, MemoryTransport, Message, Received, Refused, encode
-from safedpa.bus.transport.inbox import Answered
+from safedpa.bus import (
+    HEALTH,
+    MODEL,
+    TOPICS,
+    Bus,
+    Inbox,
+    MemoryTransport,
+    Message,
+    ReceivedMessage,
+    RejectedMessage,
+    encode,
+)
+from safedpa.bus.transport.inbox import RequestOutcome
 
 
-def ticks(items: list[Received | Refused]) -> list[int]:
-    return [item.message.tick for item in items if isinstance(item, Received)]
+def ticks(items: list[ReceivedMessage | RejectedMessage]) -> list[int]:
+    return [item.message.tick for item in items if isinstance(item, ReceivedMessage)]
 
 
 def payloads(message: Message, count: int) -> list[bytes]:
@@ -29,7 +40,7 @@ def test_of_latest_topics_only_the_newest_per_key_waits(samples: dict[str, Messa
     inbox.keep_latest("safedpa/f/b/action", encode(samples["action"]))
     taken = inbox.take(0.0)
     assert ticks(taken) == [4, 412]
-    assert [item.robot for item in taken if isinstance(item, Received)] == ["a", "b"]
+    assert [item.robot for item in taken if isinstance(item, ReceivedMessage)] == ["a", "b"]
     assert inbox.take(0.0) == []
 
 
@@ -49,7 +60,7 @@ def test_both_kinds_come_out_oldest_first(samples: dict[str, Message]) -> None:
     inbox.keep_latest("safedpa/f/a/action", encode(samples["action"]))
     taken = inbox.take(0.0)
     assert [item.key for item in taken] == ["safedpa/f/a/verdict", "safedpa/f/b/verdict", "safedpa/f/a/action"]
-    assert [item.at for item in taken if isinstance(item, Received)] == [0.0, 2.0, 3.0]
+    assert [item.at for item in taken if isinstance(item, ReceivedMessage)] == [0.0, 2.0, 3.0]
 
 
 @given(
@@ -128,10 +139,10 @@ def test_the_longest_message_of_a_topic_is_received_and_a_longer_one_refused(
             inbox.keep_all(key, payload)
         (item,) = inbox.take(0.0)
         if not more:
-            assert isinstance(item, Received)
+            assert isinstance(item, ReceivedMessage)
             assert item.message == message
             continue
-        assert isinstance(item, Refused)
+        assert isinstance(item, RejectedMessage)
         largest = max(other.largest_bytes for other in TOPICS.values() if other.delivery == topic.delivery)
         assert f"got {min(len(payload), largest + 1)} bytes, wanted at most {topic.largest_bytes}" in item.reason
 
@@ -142,10 +153,10 @@ def test_no_service_speaks_in_the_name_of_another(sender: str, broker: Any, samp
     bus, inbox = (Bus(MemoryTransport(broker), "f") for _ in range(2))
     inbox = inbox.inbox((HEALTH,), keep_all=True)
     bus.publish(HEALTH, "r", dataclasses.replace(samples["health"], service="policy"), "policy")
-    assert [type(item) for item in inbox.take(0.0)] == [Received]
+    assert [type(item) for item in inbox.take(0.0)] == [ReceivedMessage]
     bus.publish(HEALTH, "r", dataclasses.replace(samples["health"], service=sender), "policy")
     (refused,) = inbox.take(0.0)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RejectedMessage)
     assert f"got a message of service '{sender}', wanted one of 'policy'" in refused.reason
 
 
@@ -154,11 +165,11 @@ def test_a_message_and_an_answer_call_the_loop_that_leads(samples: dict[str, Mes
     inbox.lead(lambda: calls.append(inbox.waiting))
     inbox.keep_latest("safedpa/f/a/action", encode(samples["action"]))
     inbox.take(0.0)
-    inbox.keep_answer(Answered("a", None))
+    inbox.keep_answer(RequestOutcome("a", None))
     assert calls == [True, True]
-    assert inbox.take_answers() == [Answered("a", None)]
+    assert inbox.take_answers() == [RequestOutcome("a", None)]
     inbox.lead(None)
-    inbox.keep_answer(Answered("a", None))
+    inbox.keep_answer(RequestOutcome("a", None))
     assert calls == [True, True]
 
 
@@ -178,8 +189,8 @@ def test_garbage_and_foreign_keys_come_out_as_refused(samples: dict[str, Message
     inbox.keep_latest("safedpa/**", encode(samples["state"]))
     inbox.keep_latest("safedpa/f/a/wish", encode(samples["action"]))
     taken = inbox.take(0.0)
-    assert [type(item) for item in taken] == [Refused] * 4
-    reasons = [item.reason for item in taken if isinstance(item, Refused)]
+    assert [type(item) for item in taken] == [RejectedMessage] * 4
+    reasons = [item.reason for item in taken if isinstance(item, RejectedMessage)]
     assert "msgpack" in reasons[0]
     assert "name '*'" in reasons[1]
     assert "WishMessage.controller: missing" in reasons[3]
@@ -205,7 +216,7 @@ def test_nothing_is_lost_between_many_threads(samples: dict[str, Message]) -> No
     threads = [threading.Thread(target=send, args=(f"r{number}",)) for number in range(senders)]
     for thread in threads:
         thread.start()
-    taken: list[Received | Refused] = []
+    taken: list[ReceivedMessage | RejectedMessage] = []
     while len(taken) < each * senders:
         fresh = inbox.take(10.0)
         assert fresh, "a message was lost"
@@ -213,5 +224,5 @@ def test_nothing_is_lost_between_many_threads(samples: dict[str, Message]) -> No
     for thread in threads:
         thread.join()
     for number in range(senders):
-        own = [item for item in taken if isinstance(item, Received) and item.robot == f"r{number}"]
+        own = [item for item in taken if isinstance(item, ReceivedMessage) and item.robot == f"r{number}"]
         assert ticks(list(own)) == list(range(each)), "in order per sender"

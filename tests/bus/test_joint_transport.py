@@ -5,10 +5,21 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import LATENT, STATE, Bus, MemoryBroker, MemoryTransport, Message, Received, Refused, decode, encode
-from safedpa.bus.transport.bundle import packed
-from safedpa.bus.transport.in_process import JointTransport
-from safedpa.bus.wire.topics import BUNDLE
+from safedpa.bus import (
+    LATENT,
+    STATE,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    Message,
+    ReceivedMessage,
+    RejectedMessage,
+    decode,
+    encode,
+)
+from safedpa.bus.messages.topics import BUNDLE
+from safedpa.bus.transport.batching import pack_bundle
+from safedpa.bus.transport.memory import JointTransport
 from safedpa.errors import BusError
 
 INSIDE = frozenset(["latent"])
@@ -92,12 +103,12 @@ class Reading:
 
 def sent_to_several(
     services: int, entries: Sequence[tuple[str, bytes]], **options: Any
-) -> tuple[Reading, list[list[Received | Refused]]]:
+) -> tuple[Reading, list[list[ReceivedMessage | RejectedMessage]]]:
     """What so many services of one process take of a bundle of states."""
     broker, reading = MemoryBroker(), Reading()
     joint = JointTransport(MemoryTransport(broker), INSIDE)
     inboxes = [Bus(joint, "f", reading, **options).inbox((STATE,)) for _ in range(services)]
-    MemoryTransport(broker).put(f"safedpa/f/{BUNDLE}/state", packed(entries), never_drop=False)
+    MemoryTransport(broker).put(f"safedpa/f/{BUNDLE}/state", pack_bundle(entries), never_drop=False)
     return reading, [inbox.take(0.0) for inbox in inboxes]
 
 
@@ -107,13 +118,13 @@ def test_a_message_is_read_once_for_all_services_of_a_process(samples: dict[str,
     reading, taken = sent_to_several(3, [("a", state), ("b", garbage), ("c", state)])
     assert reading.read == [state, garbage, state]
     assert taken[0] == taken[1] == taken[2]
-    assert [type(item) for item in taken[0]] == [Received, Refused, Received]
+    assert [type(item) for item in taken[0]] == [ReceivedMessage, RejectedMessage, ReceivedMessage]
     assert taken[0][0] is taken[1][0]
     _, alone = sent_to_several(1, [("a", state), ("b", garbage), ("c", state)])
-    without_time = [item._replace(at=0.0) if isinstance(item, Received) else item for item in taken[0]]
-    assert without_time == [item._replace(at=0.0) if isinstance(item, Received) else item for item in alone[0]]
+    without_time = [item._replace(at=0.0) if isinstance(item, ReceivedMessage) else item for item in taken[0]]
+    assert without_time == [item._replace(at=0.0) if isinstance(item, ReceivedMessage) else item for item in alone[0]]
     _, refused = sent_to_several(2, [("a", large)])
-    assert [[type(item) for item in items] for items in refused] == [[Refused], [Refused]]
+    assert [[type(item) for item in items] for items in refused] == [[RejectedMessage], [RejectedMessage]]
 
 
 def test_a_message_that_is_replaced_before_it_is_taken_is_never_read(samples: dict[str, Message]) -> None:
@@ -134,7 +145,7 @@ def test_a_service_that_asks_for_other_robots_gets_its_own(samples: dict[str, Me
     inboxes = [Bus(joint, "f", serves=serves).inbox((STATE,)) for serves in asked]
     state = encode(samples["state"])
     outside = MemoryTransport(broker)
-    outside.put(f"safedpa/f/{BUNDLE}/state", packed([("a", state), ("b", state)]), never_drop=False)
+    outside.put(f"safedpa/f/{BUNDLE}/state", pack_bundle([("a", state), ("b", state)]), never_drop=False)
     assert [[item.robot for item in inbox.take(0.0)] for inbox in inboxes] == [["a", "b"], ["a"], ["b"]]
     outside.put("safedpa/f/b/state", state, never_drop=False)
     assert [[item.robot for item in inbox.take(0.0)] for inbox in inboxes] == [["b"], [], ["b"]]
@@ -150,12 +161,14 @@ def test_inside_a_bundle_is_opened_once_too_and_what_comes_alone_stays_alone(sam
         sender.publish(LATENT, robot, samples["latent"])
     sender.flush()
     taken = [inbox.take(0.0) for inbox in inboxes]
-    assert [[(item.robot, item.bundled) for item in items if isinstance(item, Received)] for items in taken] == [
+    assert [[(item.robot, item.bundled) for item in items if isinstance(item, ReceivedMessage)] for items in taken] == [
         [("a", True), ("b", True)]
     ] * 2
     assert len(reading.read) == 2
     sender.publish(LATENT, "a", samples["latent"])
-    assert [item.bundled for inbox in inboxes for item in inbox.take(0.0) if isinstance(item, Received)] == [False] * 2
+    assert [item.bundled for inbox in inboxes for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == [
+        False
+    ] * 2
 
 
 def test_no_service_acts_before_every_service_has_the_message(samples: dict[str, Message]) -> None:
@@ -168,5 +181,5 @@ def test_no_service_acts_before_every_service_has_the_message(samples: dict[str,
     state = encode(samples["state"])
     outside = MemoryTransport(broker)
     outside.put("safedpa/f/a/state", state, never_drop=False)
-    outside.put(f"safedpa/f/{BUNDLE}/state", packed([("a", state), ("b", state)]), never_drop=False)
+    outside.put(f"safedpa/f/{BUNDLE}/state", pack_bundle([("a", state), ("b", state)]), never_drop=False)
     assert seen == [[True] * 3] * 6

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import STATE, Message
-from safedpa.bus.loop.journal import Journal
+from safedpa.bus.service.journal import ServiceLog
 
 
 class Book:
@@ -15,7 +15,7 @@ class Book:
     def __init__(self) -> None:
         self.events: list[tuple[str, str]] = []
         self.levels: list[str] = []
-        self.journal = Journal("policy", self.log)
+        self.journal = ServiceLog("policy", self.log)
 
     def log(self, kind: str, sentence: str, *, level: str, service: str, **_: Any) -> None:
         assert service == "policy"

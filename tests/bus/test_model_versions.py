@@ -9,7 +9,7 @@ from hypothesis import strategies as some
 from tests.bus.fleet import EPOCH, Clock, StateAt, stamp
 
 from safedpa.bus import Answer, ModelMessage, StateMessage
-from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.service.model_versions import ModelVersions
 
 OLD, NEW, THIRD = "0" * 12, "2" * 12, "3" * 12
 

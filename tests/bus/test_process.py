@@ -12,14 +12,14 @@ from contextlib import contextmanager
 import pytest
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.loop.process import Stop, lifetime
+from safedpa.bus.service.process import StopSignal, log_lifetime
 
 pytestmark = pytest.mark.processes
 
 PROGRAM = """
 import argparse, sys, threading, time
 from safedpa.bus import Bus, ZenohTransport
-from safedpa.bus.loop.process import add_bus_options, lifetime, run_process, settings_from
+from safedpa.bus.service.process import add_bus_options, log_lifetime, run_process, transport_settings_from_options
 from safedpa.errors import InputError, JoinError
 
 def work(options, stop):
@@ -33,8 +33,8 @@ def work(options, stop):
         print("the last word", stop())
         sys.stderr.write("a warning")
         return 3
-    transport = ZenohTransport(settings_from(options))
-    with Bus(transport, options.fleet) as bus, lifetime("test", stop):
+    transport = ZenohTransport(transport_settings_from_options(options))
+    with Bus(transport, options.fleet) as bus, log_lifetime("test", stop):
         bus.announce("r", "service", "x")
         if options.fault == "callback":
             def crash(key, payload):
@@ -153,8 +153,8 @@ def test_a_second_signal_ends_it_at_once(number: signal.Signals, free_port: int)
 def test_the_log_says_why_a_service_ends_and_the_first_reason_counts(
     reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stop = Stop()
-    with lifetime("policy", stop):
+    stop = StopSignal()
+    with log_lifetime("policy", stop):
         for why in (reason, "a later one") if reason else ():
             stop.set(why)
     started, ended = map(json.loads, capsys.readouterr().err.splitlines())

@@ -8,9 +8,9 @@ import msgpack
 import pytest
 
 from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, decode, encode
-from safedpa.bus.wire import version as of_the_software
-from safedpa.bus.wire.requests import asked_message, request_key, robot_of_request
-from safedpa.bus.wire.version import software_version
+from safedpa.bus.messages import service_info as of_the_software
+from safedpa.bus.messages.requests import asked_message, request_key, robot_of_request
+from safedpa.bus.messages.service_info import software_version
 from safedpa.errors import InputError
 
 

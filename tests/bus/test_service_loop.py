@@ -24,7 +24,7 @@ from safedpa.bus import (
     MemoryTransport,
     Message,
     Outputs,
-    Received,
+    ReceivedMessage,
     ServiceLoop,
     Stale,
     StateMessage,
@@ -32,8 +32,8 @@ from safedpa.bus import (
     WishMessage,
     encode,
 )
-from safedpa.bus.loop.journal import Journal
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
+from safedpa.bus.service.journal import ServiceLog
 
 
 @pytest.fixture
@@ -60,10 +60,10 @@ def test_in_lockstep_it_waits_for_its_inputs_however_long_it_takes(lockstep: Fle
 def test_a_repeated_tick_is_answered_again_by_the_same_output(lockstep: Fleet) -> None:
     lockstep.state(0)
     lockstep.latent(0)
-    first = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, Received)]
+    first = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
     lockstep.state(0)
     lockstep.state(0)
-    again = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, Received)]
+    again = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
     assert again == first * 2
     assert len(lockstep.node.steps) == 1
 
@@ -555,7 +555,7 @@ def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lo
     lockstep.latent(6)
     lockstep.latent(7)
     lockstep.state(7)
-    wishes = [item.message for item in lockstep.wishes.take(0.0) if isinstance(item, Received)]
+    wishes = [item.message for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
     assert all(isinstance(wish, WishMessage) for wish in wishes)
     assert [(wish.step, wish.skipped, wish.consumed) for wish in wishes] == [
         (1, (5.0,), ((0.0, 0.0),)),
@@ -581,7 +581,7 @@ def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(
     fleet.state(tick)
     fleet.wait(0.02)
     (*_, wish) = fleet.wishes.take(0.0)
-    assert isinstance(wish, Received)
+    assert isinstance(wish, ReceivedMessage)
     assert (wish.message.tick, wish.message.consumed) == (tick, (consumed,))
 
 
@@ -596,7 +596,7 @@ def test_a_robot_that_claims_a_period_below_a_millisecond_is_served_as_one_of_a_
 
 def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(state_at: StateAt) -> None:
     events = list[tuple[str, str]]()
-    journal = Journal("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
+    journal = ServiceLog("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
     fleet = Fleet(state_at, lockstep=True, journal=journal)
     fleet.state(5)
     fleet.state(4)
@@ -618,7 +618,7 @@ def test_the_setup_is_published_at_once_and_every_five_seconds(known: bool, stat
     for quarter in range(48):
         fleet.clock.now = 100.0 + 0.25 * quarter
         fleet.loop.turn(0.0)
-        published += [fleet.clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, Received)]
+        published += [fleet.clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, ReceivedMessage)]
     assert published == ([0.0, 5.0, 10.0] if known else [])
     fleet.state(0)
     fleet.wait(0.26)

@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.security.certificates import Card
+from safedpa.bus.security.certificates import PemCredentials
 from safedpa.errors import BusError
 
-CARD = Card("policy", *[b"-----BEGIN "] * 3)
+CARD = PemCredentials("policy", *[b"-----BEGIN "] * 3)
 LEASE, ACCEPT, CONNECT = "transport/link/tx/lease", "transport/unicast/accept_timeout", "connect/timeout_ms"
 ROUTER = ZenohSettings("router", ("tcp/0.0.0.0:7447",))
 CLIENT = ZenohSettings("client", connect=("tcp/robot:7447",))

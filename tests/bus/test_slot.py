@@ -8,14 +8,14 @@ from hypothesis import strategies as some
 from tests.bus.fleet import EPOCH, StateAt, latent_of, stamp
 
 from safedpa.bus import LATENT, WISH, Stale, StateMessage, WishMessage
-from safedpa.bus.loop.slot import Slot
+from safedpa.bus.service.robot_slot import RobotSlot
 
 ticks = some.integers(0, 8)
 epochs = some.sampled_from([EPOCH, EPOCH - 1, EPOCH + 1])
 
 
-def slot_at(state: StateMessage) -> Slot:
-    return Slot(state, 0.0, 0.0, 0.0)
+def slot_at(state: StateMessage) -> RobotSlot:
+    return RobotSlot(state, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.log import counted_events
-from safedpa.bus.transport.session import configuration_of, open_session
-from safedpa.bus.wire.stamp import STAMP_BYTES, astray, stamp_of
+from safedpa.bus.logging import counted_events
+from safedpa.bus.messages.key_stamp import STAMP_BYTES, is_misrouted, key_stamp
+from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuration
 
 MINE, OTHERS = "safedpa/f/mine/state", "safedpa/f/others/state"
 PATIENCE = 30.0
@@ -22,16 +22,16 @@ keys = st.text(min_size=1, max_size=80)
 
 @given(keys, keys)
 def test_a_stamp_is_of_one_key(one: str, other: str) -> None:
-    assert not astray(one, stamp_of(one))
-    assert not astray(one, None)
-    assert astray(other, stamp_of(one)) is (one != other)
-    assert astray(one, b"")
-    assert len(stamp_of(one)) == STAMP_BYTES
+    assert not is_misrouted(one, key_stamp(one))
+    assert not is_misrouted(one, None)
+    assert is_misrouted(other, key_stamp(one)) is (one != other)
+    assert is_misrouted(one, b"")
+    assert len(key_stamp(one)) == STAMP_BYTES
 
 
 def test_a_stamp_is_what_the_tool_of_others_says() -> None:
     """``printf safedpa/f/mine/state | b2sum -l 64``: a program in another language makes the same."""
-    assert stamp_of(MINE).hex() == "fc5b9a0df84c1874"
+    assert key_stamp(MINE).hex() == "fc5b9a0df84c1874"
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Network:
 def network(free_port: int) -> Iterator[Network]:
     settings = ZenohSettings(connect=(f"tcp/127.0.0.1:{free_port}",))
     one = ZenohTransport(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
-    other, raw = ZenohTransport(settings), open_session(configuration_of(settings.configuration()))
+    other, raw = ZenohTransport(settings), open_session(zenoh_session_configuration(settings.configuration()))
     yield Network(one, other, raw)
     raw.close()
     one.close()
@@ -74,7 +74,7 @@ def test_a_message_gone_astray_is_not_delivered_and_that_is_reported(network: Ne
     told = counted_events().get("bus.astray", 0)
 
     def said() -> bool:
-        raw.put(MINE, b"of another robot", attachment=stamp_of(OTHERS))
+        raw.put(MINE, b"of another robot", attachment=key_stamp(OTHERS))
         raw.delete(MINE)
         raw.put(MINE, b"of a program that knows of no stamps")
         one.put(MINE, b"its own", never_drop=True)
@@ -103,12 +103,12 @@ def test_a_question_gone_astray_is_not_answered_and_an_answer_gone_astray_is_not
 
     assert until(lambda: one.ask("safedpa/f/mine/request", b"stamped", 1.0) == b"stamped")
     assert until(lambda: question(b"without a stamp") == [b"without a stamp"])
-    assert question(b"astray", attachment=stamp_of("safedpa/f/others/request")) == []
-    assert b"astray" not in asked
+    assert question(b"is_misrouted", attachment=key_stamp("safedpa/f/others/request")) == []
+    assert b"is_misrouted" not in asked
 
     def mistaken(query: Any) -> None:
         with query:
-            query.reply(query.key_expr, b"about another robot", attachment=stamp_of("safedpa/f/others/agreed"))
+            query.reply(query.key_expr, b"about another robot", attachment=key_stamp("safedpa/f/others/agreed"))
 
     kept = raw.declare_queryable("safedpa/f/mine/agreed", mistaken)
     told = counted_events().get("bus.astray", 0)

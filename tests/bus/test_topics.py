@@ -12,7 +12,7 @@ from hypothesis import strategies as some
 
 import safedpa
 from safedpa.bus import HEALTH, STATE, TOPICS, AbstractNode, Message, Topic, key_of, topic_of
-from safedpa.bus.wire.topics import Delivery
+from safedpa.bus.messages.topics import Delivery
 from safedpa.errors import InputError
 
 names = some.text("abcdefghijklmnopqrstuvwxyzABC0123456789_-.", min_size=1, max_size=12)

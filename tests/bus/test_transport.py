@@ -26,7 +26,7 @@ from safedpa.bus import (
     request_key,
 )
 from safedpa.bus import ZenohTransport as Zenoh
-from safedpa.bus.transport.session import close_in_peace
+from safedpa.bus.transport.zenoh import close_session
 from safedpa.errors import BusError, InputError, MessageError
 
 PATIENCE = 30.0
@@ -292,7 +292,7 @@ def test_a_session_that_does_not_close_is_reported_and_kept(capsys: pytest.Captu
             raise zenoh.ZError("close operation timed out! at /somewhere/close.rs:135.")
 
     stuck: Any = Stuck()
-    close_in_peace(stuck)
+    close_session(stuck)
     error = capsys.readouterr().err
     assert '"kind": "bus.unclosed"' in error
     assert "close operation timed out!" in error

@@ -24,13 +24,13 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Outputs,
-    Received,
+    ReceivedMessage,
     ServiceLoop,
     StateMessage,
     WishMessage,
 )
-from safedpa.bus.loop.turning import Agenda, Turning
-from safedpa.bus.transport.in_process import JointTransport
+from safedpa.bus.service.scheduler import Scheduler, TimerQueue
+from safedpa.bus.transport.memory import JointTransport
 
 PATIENCE = 30.0
 
@@ -85,7 +85,7 @@ class Process:
         self.loops = [ServiceLoop(node, Bus(joint, "f")) for node in self.nodes]
         self.wishes, self.healths = self.bus.inbox((WISH,), keep_all=True), self.bus.inbox((HEALTH,), keep_all=True)
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=lambda: Turning(self.loops).run(self._stop.is_set), name="main")
+        self._thread = threading.Thread(target=lambda: Scheduler(self.loops).run(self._stop.is_set), name="main")
 
     def __enter__(self) -> Process:
         self._thread.start()
@@ -104,7 +104,7 @@ def test_a_state_is_answered_on_the_thread_that_brought_it(state_at: Callable[..
         for tick in range(20):
             process.bus.publish(STATE, "r", state_at(tick, lockstep=True))
             answers += process.wishes.take(PATIENCE)
-    wishes = [item.message for item in answers if isinstance(item, Received)]
+    wishes = [item.message for item in answers if isinstance(item, ReceivedMessage)]
     assert [wish.tick for wish in wishes] == list(range(20))
     assert {wish.values for wish in wishes if isinstance(wish, WishMessage)} == {(0.5,)}
     assert threading.current_thread().name in process.nodes[0].threads
@@ -116,7 +116,7 @@ def test_the_main_thread_does_what_no_message_brings(state_at: Callable[..., Sta
         process.bus.publish(STATE, "r", state_at(7, lockstep=False))
         spoken = []
         for _ in range(12):  # heartbeats about the robot, long after its only message
-            spoken += [item.robot for item in process.healths.take(PATIENCE) if isinstance(item, Received)]
+            spoken += [item.robot for item in process.healths.take(PATIENCE) if isinstance(item, ReceivedMessage)]
             if spoken.count("r") >= 4:
                 break
     assert spoken.count("r") >= 4
@@ -137,7 +137,7 @@ def test_messages_from_many_threads_at_once_are_each_answered_once(state_at: Cal
             thread.start()
         heard: list[tuple[str, int]] = []
         while len(heard) < len(robots) * ticks:
-            items = [item for item in process.wishes.take(PATIENCE) if isinstance(item, Received)]
+            items = [item for item in process.wishes.take(PATIENCE) if isinstance(item, ReceivedMessage)]
             assert items, f"{len(heard)} answers, then none"
             heard += [(item.robot, item.message.tick) for item in items]
             for item in items:
@@ -218,7 +218,7 @@ def test_at_the_end_loops_are_turned_until_none_is_needed_and_five_seconds_at_mo
             now[0] = 100.0
         return now[0] >= 100.0
 
-    Turning(loops).run(stopped)
+    Scheduler(loops).run(stopped)
     assert [loop.ended for loop in loops] == [1, 1]
     assert now[0] - 100.0 == pytest.approx(turned, abs=0.051)
     assert loops[0].waits[:4] == [0.25] * 4
@@ -237,7 +237,7 @@ def test_a_thread_that_brings_a_message_serves_until_nothing_waits_unless_batche
         loop.came()
         return True
 
-    Turning([loop]).run(stopped)
+    Scheduler([loop]).run(stopped)
     assert loop.served == served
 
 
@@ -246,7 +246,7 @@ def test_while_one_thread_turns_or_asks_for_the_next_moment_no_other_thread_does
     loop: Any = Loop([0.0])
     loop.asked = lambda longest: loop.came() or longest
     turns = iter([False] * 3 + [True])
-    Turning([loop]).run(lambda: next(turns))
+    Scheduler([loop]).run(lambda: next(turns))
     assert (len(loop.waits), loop.served) == (3, 0)
 
 
@@ -262,7 +262,7 @@ def test_a_message_that_another_thread_served_wakes_the_main_thread() -> None:
 
     loop.asked = asked
     turns, began = iter([False, True]), time.monotonic()
-    Turning([loop]).run(lambda: next(turns))
+    Scheduler([loop]).run(lambda: next(turns))
     assert time.monotonic() - began < PATIENCE
 
 
@@ -272,7 +272,7 @@ def test_the_main_thread_wakes_up_for_the_loop_that_has_work_first() -> None:
         loop.inbox.waiting = False
         loop.asked = lambda _, patience=patience: patience
     turns, began = iter([False, True]), time.monotonic()
-    Turning(loops).run(lambda: next(turns))
+    Scheduler(loops).run(lambda: next(turns))
     assert time.monotonic() - began < PATIENCE
 
 
@@ -280,12 +280,12 @@ def test_all_loops_of_a_process_make_batches_as_soon_as_one_of_them_wants_to() -
     loops: Any = [Loop([0.0]), Loop([0.0])]
     loops[1].wanted_quantum = 0.002
     turns = iter([False, True])
-    Turning(loops).run(lambda: next(turns))
+    Scheduler(loops).run(lambda: next(turns))
     assert [loop.quantum for loop in loops] == [0.002, 0.002]
 
 
 def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_stay() -> None:
-    agenda = Agenda()
+    agenda = TimerQueue()
     for when, robot in ((3.0, "c"), (1.0, "a"), (2.0, "b"), (1.5, "a"), (3.0, "d"), (math.inf, "e")):
         agenda.at(when, robot)
     assert agenda.due(0.9) == []
@@ -301,7 +301,7 @@ def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_sta
     [(None, 1.0, 4), ("ab", 1.0, 4), ("b", 1.0, 4), ("c", 2.0, 2), ("d", 3.0, 1), ("", math.inf, 0)],
 )
 def test_a_moment_for_which_no_robot_waits_any_more_is_removed(awaited: str | None, earliest: float, left: int) -> None:
-    agenda = Agenda()
+    agenda = TimerQueue()
     for robot, when in (("a", 1.0), ("d", 3.0), ("b", 1.0), ("c", 2.0)):
         agenda.at(when, robot)
     assert agenda.next(None if awaited is None else awaited.__contains__) == earliest

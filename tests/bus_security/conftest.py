@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.access import ROUTER, access_control, roles_of, size_limits
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.access_control import ROUTER, access_control, roles_of, size_limits
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.transport.session import configuration_of, open_session
+from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuration
 
 FLEET = "f"
 ROBOTS = ("r1", "r2")
@@ -99,7 +99,7 @@ class Network:
 
     def raw(self, role: str, endpoint: str = "", mode: Any = "client") -> Any:
         """A session of Zenoh with the certificate of a role, which sends whatever it likes."""
-        session = open_session(configuration_of(self.settings(role, endpoint, mode).configuration()))
+        session = open_session(zenoh_session_configuration(self.settings(role, endpoint, mode).configuration()))
         self.open.append(session)
         self.roles[id(session)] = role
         return session

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
-from safedpa.bus.security.access import ROLES, access_control, may_write, rate_limits, roles_of, size_limits
-from safedpa.bus.wire.stamp import STAMP_BYTES
+from safedpa.bus.messages.key_stamp import STAMP_BYTES
+from safedpa.bus.security.access_control import ROLES, access_control, may_write, rate_limits, roles_of, size_limits
 from safedpa.errors import InputError
 
 NAMES = st.lists(st.from_regex(r"[a-z0-9_.][a-z0-9_.-]{0,8}", fullmatch=True), unique=True, max_size=5)

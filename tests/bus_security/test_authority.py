@@ -12,8 +12,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from safedpa.bus.security.access import roles_of
-from safedpa.bus.security.authority import Authority
+from safedpa.bus.security.access_control import roles_of
+from safedpa.bus.security.certificate_authority import Authority
 from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import InputError
 from safedpa_services.command_line import main

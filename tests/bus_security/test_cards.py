@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus.security.authority import Authority
-from safedpa.bus.security.certificates import Card, Certificates, close_memory
+from safedpa.bus.security.certificate_authority import Authority
+from safedpa.bus.security.certificates import Certificates, PemCredentials, protect_process_memory
 from safedpa.errors import BusError
 
 PEM = b"-----BEGIN "
@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("gone", ["authority", "policy", "policy.key"])
 def test_a_missing_file_is_named_with_the_command_that_makes_it(gone: str, folder: Path) -> None:
-    assert Card.of(folder, "policy").role == "policy"
+    assert PemCredentials.of(folder, "policy").role == "policy"
     with pytest.raises(BusError, match=r"got no --role, wanted whose certificate to show, such as robot.r1"):
         Certificates(folder, "")
     (folder / f"{gone}.pem").unlink()
@@ -60,12 +60,12 @@ def test_a_card_has_three_parts_all_of_them_in_pem(parts: tuple[bytes, ...], tak
     os.write(writing, b"\0".join(parts))
     os.close(writing)
     if taken:
-        card = Card.from_descriptor(reading, "policy")
+        card = PemCredentials.from_descriptor(reading, "policy")
         assert (card.role, card.authority, card.certificate, card.key) == ("policy", *parts)
         assert b"-BEGIN C".decode() not in repr(card), "the key is in no message"
     else:
         with pytest.raises(BusError, match=f"--card {reading}: .* no authority, certificate and key"):
-            Card.from_descriptor(reading, "policy")
+            PemCredentials.from_descriptor(reading, "policy")
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(reading)
 
@@ -73,11 +73,11 @@ def test_a_card_has_three_parts_all_of_them_in_pem(parts: tuple[bytes, ...], tak
 def test_a_card_of_64_kib_is_read_whole() -> None:
     """A pipe holds as much; a longer one is cut, and refused."""
     long = PEM + b"x" * 20_000
-    assert Card.from_descriptor(Card("policy", long, long, long).pipe(), "policy").key == long
+    assert PemCredentials.from_descriptor(PemCredentials("policy", long, long, long).pipe(), "policy").key == long
 
 
 def test_a_card_holds_what_the_files_hold(folder: Path) -> None:
-    files, card = Certificates(folder, "policy").tls(), Card.of(folder, "policy")
+    files, card = Certificates(folder, "policy").tls(), PemCredentials.of(folder, "policy")
     assert {name: base64.b64decode(value) for name, value in card.tls().items()} == {
         f"{name}_base64": Path(value).read_bytes() for name, value in files.items()
     }
@@ -89,7 +89,7 @@ def test_memory_is_closed_where_the_kernel_says_so(monkeypatch: pytest.MonkeyPat
     """prctl(2): PR_SET_DUMPABLE is 4, SUID_DUMP_DISABLE 0; with anything behind them it may answer EINVAL."""
     asked: list[tuple[int, ...]] = []
     monkeypatch.setattr(ctypes, "CDLL", lambda _: SimpleNamespace(prctl=lambda *given: asked.append(given) or result))
-    assert close_memory() is closed
+    assert protect_process_memory() is closed
     assert asked == [(4, 0, 0, 0, 0)]
 
 
@@ -101,4 +101,4 @@ def test_where_the_system_has_no_such_call_memory_stays_open(monkeypatch: pytest
         return library
 
     monkeypatch.setattr(ctypes, "CDLL", opened)
-    assert close_memory() is False
+    assert protect_process_memory() is False

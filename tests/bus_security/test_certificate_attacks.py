@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import BusError
 

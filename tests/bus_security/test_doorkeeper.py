@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus.security.doorkeeper import (
-    Doorkeeper,
-    as_many_descriptors_as_allowed,
+from safedpa.bus.security.connection_reaper import (
+    ConnectionReaper,
     cut_off,
     defer_accept,
     listening_ports,
+    raise_descriptor_limit,
 )
 
 Address = tuple[str, int]
@@ -65,7 +65,7 @@ class Door:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.listening = self.kept.enter_context(socket.create_server((host, 0), family=family, backlog=200))
         self.address: Address = self.listening.getsockname()[:2]
-        self.keeper = Doorkeeper({self.address[1]}, self.members, lambda: self.now)
+        self.keeper = ConnectionReaper({self.address[1]}, self.members, lambda: self.now)
         self.kept.callback(self.keeper.close)
         if not watches:
             self.keeper.close()
@@ -206,7 +206,7 @@ def test_a_sixth_of_all_descriptors_is_kept_back_and_160_at_most(
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, 10 * limit))
     before = descriptors()
-    keeper = Doorkeeper({1}, tuple)
+    keeper = ConnectionReaper({1}, tuple)
     assert descriptors() - before == wanted
     time.sleep(0.25)  # some looks
     assert descriptors() - before == wanted, "no more are taken, and none is left open"
@@ -244,7 +244,7 @@ def test_a_process_takes_as_many_descriptors_as_it_may_and_never_fewer_than_befo
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, hard))
     monkeypatch.setattr(resource, "setrlimit", lambda _, limits: asked.append(limits))
-    as_many_descriptors_as_allowed()
+    raise_descriptor_limit()
     assert asked == ([] if wanted is None else [wanted])
 
 

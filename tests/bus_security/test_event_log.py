@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.bus.log import EventLog, counted_events, log_event
+from safedpa.bus.logging import EventLog, counted_events, log_event
 
 
 class Bench:

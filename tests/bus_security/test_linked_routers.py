@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport, request_key
-from safedpa.bus.security.access import access_control
+from safedpa.bus.messages.requests import REQUEST
+from safedpa.bus.security.access_control import access_control
 from safedpa.bus.transport.ports import free_port
-from safedpa.bus.wire.requests import REQUEST
 from safedpa.errors import InputError
 
 pytestmark = pytest.mark.processes

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from safedpa.bus import Bus
-from safedpa.bus.transport.in_process import MemoryBroker, MemoryTransport
-from safedpa_services.router.pulse import Pulse
+from safedpa.bus.transport.memory import MemoryBroker, MemoryTransport
+from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Router
 
@@ -25,7 +25,7 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
 
     with Bus(MemoryTransport(MemoryBroker()), "f") as bus:
         router = Router(bus, Refusals(), members)
-        pulse = Pulse(stands.set, look_seconds=0.01)
+        pulse = LoopWatchdog(stands.set, look_seconds=0.01)
         thread = threading.Thread(target=router.run, args=(never.is_set, pulse), daemon=True)
         thread.start()
         assert stands.wait(20.0)
@@ -36,7 +36,7 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
 
 def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     stands = threading.Event()
-    pulse = Pulse(stands.set, look_seconds=0.02, looks=50)
+    pulse = LoopWatchdog(stands.set, look_seconds=0.02, looks=50)
     for _ in range(60):
         pulse.beat()
         time.sleep(0.02)
@@ -50,7 +50,7 @@ def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
     program = (
         "import sys, threading, time\n"
-        "from safedpa_services.router.pulse import Pulse\n"
+        "from safedpa_services.router.pulse import LoopWatchdog\n"
         "pulse, told = Pulse(look_seconds=0.05, looks=20), threading.Event()\n"
         "threading.Thread(target=lambda: (sys.stdin.readline(), told.set()), daemon=True).start()\n"
         "while not told.is_set():\n"

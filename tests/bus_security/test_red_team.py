@@ -8,13 +8,13 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
-from safedpa.bus.security.access import roles_of
-from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, SENSE, STATUS
+from safedpa.bus.messages.requests import AGREED, ORDER, REQUEST, SENSE, STATUS
+from safedpa.bus.security.access_control import roles_of
 from safedpa.errors import BusError
 from safedpa.live.node import DiagnosisNode
 from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.runtime.node import SafetyFilterNode
 
 pytestmark = pytest.mark.processes
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.router.router import Twins
+from safedpa_services.router.router import DuplicateCertificates
 
 ACCESS = "2026-11-21T20:33:54.423019Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor::access_control: {1}"
 END = "2026-11-21T20:33:54.423033Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor: Msg intercepted!"
@@ -141,7 +141,7 @@ def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
 def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys: pytest.CaptureFixture[str]) -> None:
     members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
     cut: list[set[str]] = []
-    twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
+    twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
     assert not any(twins.look() for _ in range(9))
     members.append(("c", "robot.r1"))
     assert not any(twins.look() for _ in range(3)), "a process that was just started anew"
@@ -156,14 +156,16 @@ def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys
 
 def test_of_two_that_were_there_together_neither_is_cut_off() -> None:
     """The router began anew: nobody knows which is the copy."""
-    twins = Twins(lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off"))
+    twins = DuplicateCertificates(
+        lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off")
+    )
     assert [twins.look() for _ in range(5)][-1] == ["policy"]
 
 
 def test_of_two_that_come_while_the_router_begins_neither_is_cut_off() -> None:
     """Both knock again and again while there is no router; which of them is heard first says nothing."""
     members: list[tuple[str, str]] = []
-    twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
+    twins = DuplicateCertificates(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
     twins.look()
     members.append(("a", "policy"))
     twins.look()
@@ -175,7 +177,7 @@ def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
     """A router that stood still loses all links at once; they come back in any order, and the copy may be quicker."""
     members = [("a", "policy")]
     cut: list[set[str]] = []
-    twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
+    twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
     for _ in range(10):
         twins.look()
     members[:] = [("copy", "policy")]
@@ -187,7 +189,7 @@ def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
 
 def test_of_two_that_were_there_together_neither_is_cut_off_after_the_router_stood_still() -> None:
     members = [("a", "policy"), ("b", "policy")]
-    twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
+    twins = DuplicateCertificates(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
     for _ in range(10):
         twins.look()
     for there in ([], [("a", "policy")], [("a", "policy"), ("b", "policy")]):
@@ -200,7 +202,7 @@ def test_of_two_that_were_there_together_neither_is_cut_off_after_the_router_sto
 def test_of_sessions_that_come_and_go_the_oldest_are_forgotten_and_those_present_are_not(others: int, cut: str) -> None:
     """Names may come from an attacker; of 4096 sessions it is remembered when they came first."""
     members, ended = [("old", "policy")], list[set[str]]()
-    twins = Twins(lambda: members, lambda sessions: ended.append(sessions) or len(sessions))
+    twins = DuplicateCertificates(lambda: members, lambda sessions: ended.append(sessions) or len(sessions))
     for _ in range(10):
         twins.look()
     for number in range(others):
@@ -213,10 +215,10 @@ def test_of_sessions_that_come_and_go_the_oldest_are_forgotten_and_those_present
 
 @pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])
 def test_people_and_checks_may_come_in_any_number(name: str) -> None:
-    twins = Twins(lambda: [("a", name), ("b", name), ("b", name)])
+    twins = DuplicateCertificates(lambda: [("a", name), ("b", name), ("b", name)])
     assert not any(twins.look() for _ in range(3))
 
 
 def test_two_links_of_one_session_are_one_process() -> None:
-    twins = Twins(lambda: [("a", "policy"), ("a", "policy")])
+    twins = DuplicateCertificates(lambda: [("a", "policy"), ("a", "policy")])
     assert not any(twins.look() for _ in range(3))

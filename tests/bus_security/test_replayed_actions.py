@@ -7,12 +7,12 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import ActionMessage, decode, encode
-from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.messages.messages import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import MessageError
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.loop.process import Stop
-from safedpa.bus.security.access import rate_limits, size_limits
-from safedpa.bus.security.authority import Authority
-from safedpa.bus.security.certificates import Card
+from safedpa.bus.security.access_control import rate_limits, size_limits
+from safedpa.bus.security.certificate_authority import Authority
+from safedpa.bus.security.certificates import PemCredentials
+from safedpa.bus.service.process import StopSignal
 from safedpa.errors import InputError
 from safedpa_services.router.__main__ import work
 
@@ -30,7 +30,7 @@ def settings_of(monkeypatch: pytest.MonkeyPatch, **options: Any) -> ZenohSetting
     usual = {"listen": [], "connect": [], "certificates": None, "card": None, "link": [], "plain": False}
     given = argparse.Namespace(**{"fleet": "f", "robot": ["r1"], "role": "router", **usual, **options})
     with pytest.raises(OpenedError) as caught:
-        work(given, Stop())
+        work(given, StopSignal())
     found: ZenohSettings = caught.value.args[0]
     return found
 
@@ -64,12 +64,12 @@ def test_a_router_with_certificates_gives_a_revoked_name_no_right(
     by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The list of revoked names is in the folder of certificates."""
-    monkeypatch.setattr("safedpa.bus.loop.process.close_memory", lambda: None)  # of this test's process
+    monkeypatch.setattr("safedpa.bus.service.process.protect_process_memory", lambda: None)  # of this test's process
     authority = Authority(tmp_path, "f")
     for role in ("router", "policy"):
         authority.issue(role, 1.0)
     (tmp_path / "revoked.txt").write_text("# lost\npolicy\n")
-    identity = {"certificates": tmp_path} if by == "folder" else {"card": Card.of(tmp_path, "router").pipe()}
+    identity = {"certificates": tmp_path} if by == "folder" else {"card": PemCredentials.of(tmp_path, "router").pipe()}
     links = ["router.west=r1", "router.east"]
     settings = settings_of(monkeypatch, listen=["tls/0.0.0.0:7447"], link=links, **identity)
     assert settings.certificates is not None

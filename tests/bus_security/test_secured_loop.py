@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import HEALTH, ActionMessage, Bus, HealthMessage, Received
-from safedpa.bus.wire.codec import decode
+from safedpa.bus import HEALTH, ActionMessage, Bus, HealthMessage, ReceivedMessage
+from safedpa.bus.messages.codec import decode
 from safedpa.dynamics import load_model
 from safedpa.errors import MessageError
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
@@ -142,7 +142,9 @@ def test_it_drives_as_without_an_attack(network: Any, stack: ExitStack) -> None:
 
     def counted() -> bool:
         heartbeats.extend(
-            item.message for item in inbox.take(0.1) if isinstance(item, Received) and item.key.endswith("/router")
+            item.message
+            for item in inbox.take(0.1)
+            if isinstance(item, ReceivedMessage) and item.key.endswith("/router")
         )
         return bool(heartbeats) and heartbeats[-1].refused > 10
 

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from safedpa.bus.security.authority import Authority
+from safedpa.bus.security.certificate_authority import Authority
 from safedpa.errors import InputError
 
 MAKERS = {

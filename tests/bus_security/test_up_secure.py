@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, InputError
-from safedpa_services.supervisor.securing import throw_away_certificates
+from safedpa_services.supervisor.securing import ephemeral_certificates
 
 pytestmark = pytest.mark.processes
 
@@ -40,13 +40,13 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
 
 
 def test_the_certificates_are_gone_afterwards_and_no_more_can_be_made() -> None:
-    with throw_away_certificates("f", "r1") as wallet:
+    with ephemeral_certificates("f", "r1") as wallet:
         keys = [path.name for path in wallet.folder.glob("*.key.pem")]
         assert keys == ["operator.key.pem"], "those of processes are handed to them and lie nowhere"
         assert b"PRIVATE KEY" in wallet.cards["robot.r1"].key
         assert wallet.folder.stat().st_mode & 0o077 == 0
     assert not wallet.folder.exists()
-    with pytest.raises(InputError), throw_away_certificates("f", "*"):
+    with pytest.raises(InputError), ephemeral_certificates("f", "*"):
         pass
 
 

@@ -23,13 +23,13 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
 )
-from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.service.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint, write_model
 from safedpa.live.change import ModelChanges
 from safedpa.live.under_way import SERVICES
-from safedpa.live.versions import OfferedEffect, Version, VersionFolder
+from safedpa.live.versions import ModelVersion, OfferedEffect, VersionFolder
 
-FIRST = Version("first", "document first")
+FIRST = ModelVersion("first", "document first")
 
 
 def state_at(tick: int, epoch: int = 1) -> StateMessage:
@@ -183,7 +183,7 @@ class ChangingNode(AbstractNode):
     share = 0.9
 
     def __init__(self, model: PhysicsModel, folder: Path | None = None) -> None:
-        first = Version(fingerprint(model), write_model(model))
+        first = ModelVersion(fingerprint(model), write_model(model))
         self.changes = ModelChanges(first, None if folder is None else VersionFolder(folder))
         self.spoken: list[ModelMessage] = []
         self.heard: list[TakeoverMessage] = []

@@ -11,9 +11,9 @@ from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, St
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.live.versions import OfferedEffect
 from safedpa.policy import PolicyNode
-from safedpa.safety.margin_text import margin_from_text, margin_text
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene

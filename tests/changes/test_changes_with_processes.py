@@ -22,15 +22,15 @@ from safedpa.bus import (
     Bus,
     HealthMessage,
     ModelMessage,
-    Received,
+    ReceivedMessage,
     Request,
     TakeoverMessage,
     ZenohSettings,
     ZenohTransport,
 )
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.shipped import margin_for
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import margin_text
 
 pytestmark = [pytest.mark.long, pytest.mark.processes]
 
@@ -44,9 +44,9 @@ COORDINATOR = """
 import argparse, sys
 from pathlib import Path
 from safedpa.bus import AbstractNode, HEALTH, MODEL, TAKEOVER, VERDICT, ServiceLoop
-from safedpa.bus.loop.process import add_bus_options, bus_from, run_process
+from safedpa.bus.service.process import add_bus_options, bus_from_options, run_process
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import OfferedEffect, Version, VersionFolder
+from safedpa.live.versions import OfferedEffect, ModelVersion, VersionFolder
 
 class Node(AbstractNode):
     name, inputs, outputs, listens, share = "diagnosis", (), (MODEL,), (TAKEOVER, HEALTH), 0.9
@@ -66,8 +66,8 @@ class Node(AbstractNode):
 def work(options, stop):
     import json
     first, candidate = json.loads(Path(options.models).read_text())
-    node = Node(Version(**first), OfferedEffect(**candidate), Path(options.models).parent / "versions")
-    with bus_from(options) as bus:
+    node = Node(ModelVersion(**first), OfferedEffect(**candidate), Path(options.models).parent / "versions")
+    with bus_from_options(options) as bus:
         bus.answer_requests(lambda robot, request: node.changes.answer(request), "r1")
         ServiceLoop(node, bus).run(stop)
     return 0
@@ -119,10 +119,10 @@ class Loop:
 
     def listen(self) -> None:
         for item in self._inbox.take(0.05):
-            if isinstance(item, Received) and isinstance(item.message, HealthMessage):
+            if isinstance(item, ReceivedMessage) and isinstance(item.message, HealthMessage):
                 if item.message.pid == self.running[item.message.service].pid:
                     self.using[item.message.service] = item.message.model
-            elif isinstance(item, Received):
+            elif isinstance(item, ReceivedMessage):
                 assert isinstance(item.message, (ModelMessage, TakeoverMessage))
                 self.said.append(item.message)
 

@@ -19,10 +19,10 @@ from safedpa.bus import (
 )
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.live.versions import OfferedEffect
-from safedpa.safety.margin_change import PhasedMargin, margin_change
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_text
+from safedpa.safety.margins.transition import MarginRamp, margin_change
 
 CAR = load_model("car")
 SETTINGS = settings_named("car")
@@ -156,7 +156,7 @@ def test_the_old_model_decides_for_a_second_and_no_longer() -> None:
 
 
 def test_a_margin_that_was_widened_by_errors_is_not_held_back() -> None:
-    phased = PhasedMargin({"a": 0.1}, {"a": 0.3, "b": 0.2}, eta=0.5)
+    phased = MarginRamp({"a": 0.1}, {"a": 0.3, "b": 0.2}, eta=0.5)
     phased.rise({"a": 0.4, "b": 0.1}, 0.05)
     assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.1, "b": 0.025}
     assert phased.limited({"a": 0.31, "b": 0.2, "c": 1.0}) == {"a": 0.31, "b": 0.025, "c": 1.0}
@@ -169,7 +169,7 @@ def test_a_margin_that_was_widened_by_errors_is_not_held_back() -> None:
 @pytest.mark.parametrize("old", [0.0, 0.1, 0.4])
 def test_a_robot_that_may_stand_before_a_change_may_stand_after_it(h: float, old: float) -> None:
     eta, new = 0.5, 0.3
-    phased = PhasedMargin({"a": old}, {"a": new}, eta)
+    phased = MarginRamp({"a": old}, {"a": new}, eta)
     for room in (0.3 * h, h):
         phased.rise({"a": room}, 0.05)
     value = phased.limited({"a": new})["a"]
@@ -232,7 +232,7 @@ def test_the_sentence_about_a_change_at_its_limits(old: dict[str, float], h: flo
 
 
 def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:
-    phased = PhasedMargin({}, {"a": 0.125}, 0.5)
+    phased = MarginRamp({}, {"a": 0.125}, 0.5)
     assert phased.waiting == ("a",)
     assert phased.limited({"a": 0.125, "b": 0.3}) == {"a": 0.0, "b": 0.3}
     phased.rise({"a": 0.374}, 0.05)
@@ -240,4 +240,4 @@ def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:
     phased.rise({"a": 0.375}, 0.05)
     assert phased.waiting == ()
     assert phased.limited({"a": 0.125}) == {"a": 0.125}
-    assert PhasedMargin({"a": 0.125}, {"a": 0.125}, 0.5).waiting == ()
+    assert MarginRamp({"a": 0.125}, {"a": 0.125}, 0.5).waiting == ()

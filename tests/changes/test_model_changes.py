@@ -12,7 +12,7 @@ from hypothesis import strategies as some
 from safedpa.bus import Request, TakeoverMessage
 from safedpa.errors import InputError, RecordingError
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import Kept, OfferedEffect, Version, VersionFolder
+from safedpa.live.versions import ModelVersion, OfferedEffect, PersistedState, VersionFolder
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 QUIET = 1500
@@ -177,7 +177,7 @@ def test_a_rejected_effect_is_no_candidate_any_more_and_the_recording_says_who(f
     assert (message.step, message.who, message.why) == ("drop", "bob", "reject drag of finding 1")
     assert not fleet.ask("accept", "drag").ok
     assert fleet.ask("status").candidates == ("wind",)
-    assert ModelChanges(Version("first", ""), VersionFolder(tmp_path)).rejected == {(1, "drag")}
+    assert ModelChanges(ModelVersion("first", ""), VersionFolder(tmp_path)).rejected == {(1, "drag")}
 
 
 def test_a_model_that_is_made_on_demand(fleet: Any, candidate_of: Any) -> None:
@@ -335,7 +335,7 @@ def test_nothing_is_decided_that_cannot_be_kept(
 ) -> None:
     room = iter(range(room_for))
 
-    def full(self: VersionFolder, kept: Kept) -> None:
+    def full(self: VersionFolder, kept: PersistedState) -> None:
         if next(room, None) is None:
             raise RecordingError("folder: cannot be written (No space left on device); free space there")
 
@@ -365,13 +365,13 @@ def test_versions_survive_on_disk_as_files_that_a_person_can_read(fleet: Any, tm
 def test_a_broken_folder_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "changes.json").write_text(text)
     with pytest.raises(InputError, match=r"changes.json: .*move it away"):
-        ModelChanges(Version("first", ""), VersionFolder(tmp_path))
+        ModelChanges(ModelVersion("first", ""), VersionFolder(tmp_path))
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_of_writing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot be written"):
-        VersionFolder(tmp_path / "file" / "folder").save(Kept((Version("first", ""),)))
+        VersionFolder(tmp_path / "file" / "folder").save(PersistedState((ModelVersion("first", ""),)))
 
 
 faults = some.lists(

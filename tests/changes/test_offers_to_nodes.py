@@ -8,14 +8,14 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
-from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.messages.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.margin_text import margin_from_text, margin_text
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_from_text, margin_text
 
 CAR = load_model("car")
 MARGIN = margin_for(CAR)
@@ -370,7 +370,7 @@ def test_a_users_effect_that_fails_is_refused_not_fatal(ticking: Ticking, monkey
 def test_a_model_with_which_the_filter_cannot_decide_is_refused(
     driving_state: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from safedpa.safety.safety_filter import SafetyFilter
+    from safedpa.safety.filter import SafetyFilter
 
     decide, first = SafetyFilter.decide, list[SafetyFilter]()
 

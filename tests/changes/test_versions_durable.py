@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.live.versions import Kept, Version, VersionFolder
+from safedpa.live.versions import ModelVersion, PersistedState, VersionFolder
 
 
 def test_each_file_is_whole_on_the_disk_before_it_takes_its_name_and_then_its_name_is(
@@ -25,7 +25,7 @@ def test_each_file_is_whole_on_the_disk_before_it_takes_its_name_and_then_its_na
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", placed)
-    VersionFolder(tmp_path).save(Kept((Version("print", "a model's text", "a margin's text"),)))
+    VersionFolder(tmp_path).save(PersistedState((ModelVersion("print", "a model's text", "a margin's text"),)))
     names = ["model-000-print.toml", "model-000-print.margin.json", "changes.json"]
     sizes = [(tmp_path / name).stat().st_size for name in names]
     assert sizes[0] == len("a model's text")

@@ -19,7 +19,7 @@ from safedpa.bus import (
 )
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.look import Look, look_of
+from safedpa_services.dashboard.look import DisplaySettings, display_settings
 
 Tick = list[tuple[Topic, Message]]
 PERIOD = 0.05
@@ -30,9 +30,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session")
-def look() -> Look:
+def look() -> DisplaySettings:
     """The car's."""
-    return look_of(load_model("car"), FilterSettings())
+    return display_settings(load_model("car"), FilterSettings())
 
 
 @pytest.fixture(scope="session")

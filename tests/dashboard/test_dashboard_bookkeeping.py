@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from safedpa.bus import LATENT, STATE, VERDICT, Received
+from safedpa.bus import LATENT, STATE, VERDICT, ReceivedMessage
 from safedpa.robots.car.system import CAR
-from safedpa_services.dashboard.books import ResidualBook
-from safedpa_services.dashboard.fleet_view import FleetView, Pace, Thinner, TimeLine
+from safedpa_services.dashboard.books import ResidualHistory
+from safedpa_services.dashboard.fleet_view import DrawingRate, DrawingThrottle, FleetView, TimeLine
 from safedpa_services.dashboard.palette import UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.robot_view import RobotView
-from safedpa_services.dashboard.shapes import Note, Page, States
+from safedpa_services.dashboard.shapes import MarkdownPage, Note, States
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_residual_is_measured_minus_predicted_under_the_filters_own_action(
     state_of, verdict_of, measured, applied_by, predicted, residual, late
 ):
     """Whichever of the two arrives first; angles the short way round; a pair counts once."""
-    book = ResidualBook(CAR)
+    book = ResidualHistory(CAR)
     state, verdict = state_of(7, values=measured, applied_by=applied_by), verdict_of(6, predicted=(predicted,))
     if late:
         first, found = book.add_state(state), book.add_verdict(verdict)
@@ -64,7 +64,7 @@ def test_a_residual_is_measured_minus_predicted_under_the_filters_own_action(
     [((4,), 6, False), ((4, 6), 7, True), ((4, 6, 8), 5, True), ((4, 30), 5, False), ((), 5, False)],
 )
 def test_a_prediction_waits_a_few_ticks_for_its_state_and_no_longer(state_of, verdict_of, verdicts, tick, paired):
-    book = ResidualBook(CAR)
+    book = ResidualHistory(CAR)
     for k in verdicts:
         book.add_verdict(verdict_of(k))
     assert (book.add_state(state_of(tick)) is not None) is paired
@@ -102,7 +102,7 @@ def test_an_absurd_robot_time_keeps_the_line_finite(absurd):
 )
 def test_at_most_twenty_messages_a_second_are_drawn_and_one_in_factor_of_them(rate, factor, drawn, left_out):
     """What comes faster than it can be drawn does not count as left out."""
-    thinner = Thinner()
+    thinner = DrawingThrottle()
     assert sum(thinner.draws("state", k / rate, factor) for k in range(rate)) == pytest.approx(drawn, abs=rate == 100)
     assert thinner.left_out == left_out
     assert thinner.draws("verdict", 0.0, factor), "each kind is counted on its own"
@@ -112,7 +112,7 @@ def test_at_most_twenty_messages_a_second_are_drawn_and_one_in_factor_of_them(ra
 @pytest.mark.parametrize(("lag", "after"), [(0.0, 1), (0.1, 1), (0.11, 2), (0.5, 2), (0.51, 64)])
 def test_the_pace_halves_half_a_second_behind_and_recovers_after_two_calm_seconds(lag, after):
     """Calm is a lag of a tenth of a second; between that and half a second nothing changes."""
-    pace = Pace()
+    pace = DrawingRate()
     assert pace.observe(0.6, 0.0)
     for tenth in range(1, 25):
         pace.observe(lag, 0.1 * tenth)
@@ -120,7 +120,7 @@ def test_the_pace_halves_half_a_second_behind_and_recovers_after_two_calm_second
 
 
 def test_each_step_of_the_recovery_takes_two_calm_seconds():
-    pace = Pace()
+    pace = DrawingRate()
     for _ in range(9):
         pace.observe(9.0, 0.0)
     assert pace.factor == 64
@@ -130,7 +130,7 @@ def test_each_step_of_the_recovery_takes_two_calm_seconds():
 
 
 def received(topic, message, at=0.0):
-    return Received(topic, "r1", message, b"", f"safedpa/fleet/r1/{topic.name}", at)
+    return ReceivedMessage(topic, "r1", message, b"", f"safedpa/fleet/r1/{topic.name}", at)
 
 
 def test_falling_behind_is_visible_and_changes_of_status_are_kept(look, tick_of):
@@ -176,7 +176,7 @@ def test_the_end_is_drawn_at_the_newest_moment_that_was_heard(look, tick_of):
         view.take([received(topic, message, 3.0)], 3.0)
     frames = view.end("The drive has ended.", 3.5)
     notes = [frame.at for frame in frames for entry in frame.entries if isinstance(entry.shape, Note)]
-    pages = [frame.at for frame in frames for entry in frame.entries if isinstance(entry.shape, Page)]
+    pages = [frame.at for frame in frames for entry in frame.entries if isinstance(entry.shape, MarkdownPage)]
     assert notes == pages == [3.0]
 
 

@@ -26,15 +26,17 @@ _PATIENCE_SECONDS = 240
 
 @pytest.fixture
 def recording(look, drive, tmp_path):
-    from safedpa.bus import Received
+    from safedpa.bus import ReceivedMessage
     from safedpa_services.dashboard.fleet_view import FleetView
-    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.painter import RerunRecording
 
     path = tmp_path / "drive.rrd"
-    painter = Painter(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    painter = RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
     view = FleetView(look)
     for k, tick in enumerate(drive(400)):
-        frames = view.take([Received(topic, "r1", message, b"", "key", 0.05 * k) for topic, message in tick], 0.05 * k)
+        frames = view.take(
+            [ReceivedMessage(topic, "r1", message, b"", "key", 0.05 * k) for topic, message in tick], 0.05 * k
+        )
         if k == 0:
             painter.arrange(view.fields)
         painter.draw(frames)
@@ -82,29 +84,29 @@ def test_the_web_viewer_shows_the_drive(free_port):
 _SERVER = """
 import sys, time
 import rerun as rr
-from safedpa.bus import Received, STATE, StateMessage
+from safedpa.bus import ReceivedMessage, STATE, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.doors import DataDoor, own_loopback
+from safedpa_services.dashboard.doors import DataProxy, private_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import look_of
-from safedpa_services.dashboard.painter import Painter
-from safedpa_services.dashboard.doors import Door, choose_port
+from safedpa_services.dashboard.look import display_settings
+from safedpa_services.dashboard.painter import RerunRecording
+from safedpa_services.dashboard.doors import ViewerServer, choose_port
 
-look = look_of(load_model("car"), FilterSettings())
+look = display_settings(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
-behind = (own_loopback(), grpc)
-painter = Painter(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)
-DataDoor("127.0.0.1", grpc, behind)
+behind = (private_loopback(), grpc)
+painter = RerunRecording(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)
+DataProxy("127.0.0.1", grpc, behind)
 web = choose_port(None, grpc + 1, "--web-port", "127.0.0.1")
-Door("127.0.0.1", web, grpc)
+ViewerServer("127.0.0.1", web, grpc)
 print(f"http://127.0.0.1:{web}", flush=True)
 view = FleetView(look)
 for k in range(2000):
     state = StateMessage(epoch=1, tick=k, robot_time=0.05 * k, publish_time=0.0, values=(0.002 * k - 2, 0.5, 0.3, 1.0),
         applied=(1.0, 0.2), applied_by="filter", period=0.05, lockstep=False, goal=(2.0, 2.0),
         obstacles=((1.0, 1.0, 0.3), (-1.0, -1.5, 0.25)), field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.1, 0.4, 0.15))
-    frames = view.take([Received(STATE, "r1", state, b"", "key", 0.05 * k)], 0.05 * k)
+    frames = view.take([ReceivedMessage(STATE, "r1", state, b"", "key", 0.05 * k)], 0.05 * k)
     if k == 0:
         painter.arrange(view.fields)
     painter.draw(frames)

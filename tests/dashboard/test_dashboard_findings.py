@@ -2,7 +2,7 @@
 
 import math
 
-from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, Received
+from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, ReceivedMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.shapes import Curves, Note, States
 
@@ -19,7 +19,9 @@ def _finding(tick, stage, number=0, model="aaa", error=0.03, band=0.06):
 
 
 def _entries(view, *items):
-    received = [Received(topic, "r1", message, b"", f"safedpa/fleet/r1/{topic.name}", 0.0) for topic, message in items]
+    received = [
+        ReceivedMessage(topic, "r1", message, b"", f"safedpa/fleet/r1/{topic.name}", 0.0) for topic, message in items
+    ]
     return {"/".join(e.path[2:]): e.shape for f in view.take(received, 0.0) for e in f.entries if not e.static}
 
 

@@ -9,9 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus import HEALTH, LATENT, NO_ROBOT, STATE, TOPICS, VERDICT, Received, Refused, decode, encode
-from safedpa.bus.wire.messages import LARGEST_NUMBER
-from safedpa.robots.car.barriers import braking_of
+from safedpa.bus import (
+    HEALTH,
+    LATENT,
+    NO_ROBOT,
+    STATE,
+    TOPICS,
+    VERDICT,
+    ReceivedMessage,
+    RejectedMessage,
+    decode,
+    encode,
+)
+from safedpa.bus.messages.messages import LARGEST_NUMBER
+from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
 from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
@@ -40,7 +51,7 @@ _ITEMS = st.sampled_from(list(TOPICS.values())).flatmap(lambda topic: st.tuples(
 
 
 def _received(topic, message, robot="r1", at=0.0):
-    return Received(topic, robot, message, b"", f"safedpa/fleet/{robot}/{topic.name}", at)
+    return ReceivedMessage(topic, robot, message, b"", f"safedpa/fleet/{robot}/{topic.name}", at)
 
 
 def _entries(frames):
@@ -49,9 +60,11 @@ def _entries(frames):
 
 @pytest.fixture(scope="module")
 def painter(look, tmp_path_factory):
-    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.painter import RerunRecording
 
-    painter = Painter(look, "fleet", save=tmp_path_factory.mktemp("any") / "any.rrd", bind="127.0.0.1", grpc_port=None)
+    painter = RerunRecording(
+        look, "fleet", save=tmp_path_factory.mktemp("any") / "any.rrd", bind="127.0.0.1", grpc_port=None
+    )
     yield painter
     painter.close()
 
@@ -162,7 +175,10 @@ def test_the_verdict_is_written_down_when_its_status_changes_and_not_otherwise(l
 def test_refused_bytes_are_logged_a_few_times_and_counted(look, tick_of):
     view = FleetView(look)
     view.take([_received(*tick_of(0)[0])], 0.0)
-    refused = [Refused("safedpa/fleet/r1/state", "r1", "no msgpack"), Refused("rubbish", "", "no key")] * 40
+    refused = [
+        RejectedMessage("safedpa/fleet/r1/state", "r1", "no msgpack"),
+        RejectedMessage("rubbish", "", "no key"),
+    ] * 40
     notes = [e.shape for e in _entries(view.take(refused, 0.0)) if isinstance(e.shape, Note)]
     assert view.refused == 80
     assert len(notes) == 20

@@ -8,9 +8,9 @@ import pytest
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import load_model
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import Look, look_of
+from safedpa_services.dashboard.look import DisplaySettings, display_settings
 from safedpa_services.dashboard.pendulum import phase_bounds, wind_entry
 from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import Lines
@@ -19,8 +19,8 @@ EDGE = math.pi / 4
 
 
 @pytest.fixture(scope="module")
-def pendulum() -> Look:
-    return look_of(load_model("pendulum"), settings_named("pendulum"))
+def pendulum() -> DisplaySettings:
+    return display_settings(load_model("pendulum"), settings_named("pendulum"))
 
 
 def state(tick: int, angle: float = 0.1, rate: float = 0.4, **other: Any) -> StateMessage:
@@ -79,7 +79,7 @@ def paths(entries: list[Any]) -> set[str]:
     return {"/".join(entry.path) for entry in entries}
 
 
-def test_states_and_verdicts_give_rod_sector_phase_plane_and_curves(pendulum: Look) -> None:
+def test_states_and_verdicts_give_rod_sector_phase_plane_and_curves(pendulum: DisplaySettings) -> None:
     view = RobotView(pendulum)
     assert "action/torque" in paths(view.start())
     first = view.take(state(1), 0.0)
@@ -90,14 +90,16 @@ def test_states_and_verdicts_give_rod_sector_phase_plane_and_curves(pendulum: Lo
 
 
 @pytest.mark.parametrize("other", [{"corridor": ()}, {"corridor": (1.0, -1.0)}, {"goal": (1.0, 2.0)}, {"goal": ()}])
-def test_a_strange_scene_is_drawn_as_far_as_it_goes(pendulum: Look, other: dict[str, Any]) -> None:
+def test_a_strange_scene_is_drawn_as_far_as_it_goes(pendulum: DisplaySettings, other: dict[str, Any]) -> None:
     drawn = paths(RobotView(pendulum).take(state(1, **other), 0.0))
     assert "world/rod" in drawn
     assert ("phase/safe_set" in drawn) is ("corridor" not in other)
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 0.9), (0.9, 2.0 * math.pi - 0.4), (0.0, 9.0)])
-def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(pendulum: Look, low: float, high: float) -> None:
+def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(
+    pendulum: DisplaySettings, low: float, high: float
+) -> None:
     """Chords are nearer to the centre than the circle by less than a thousandth of its radius."""
     entries = RobotView(pendulum).take(state(1, corridor=(low, high)), 0.0)
     sector = next(entry.shape for entry in entries if entry.path == ("world", "sector"))
@@ -111,7 +113,7 @@ def test_the_arc_of_the_corridor_looks_round_and_is_at_most_one_turn(pendulum: L
     assert length == pytest.approx(1.15 * min(high - low, 2.0 * math.pi), rel=2e-3)
 
 
-def test_the_safe_set_is_where_the_filter_sees_it(pendulum: Look) -> None:
+def test_the_safe_set_is_where_the_filter_sees_it(pendulum: DisplaySettings) -> None:
     entries = RobotView(pendulum).take(state(1), 0.0)
     outline = next(entry.shape for entry in entries if entry.path == ("phase", "safe_set"))
     assert isinstance(outline, Lines)
@@ -122,7 +124,7 @@ def test_the_safe_set_is_where_the_filter_sees_it(pendulum: Look) -> None:
     assert now.centres == ((0.1, pytest.approx(0.25 * 0.4)),)
 
 
-def test_the_arrow_points_with_the_wind_and_positive_angles_lean_left(pendulum: Look) -> None:
+def test_the_arrow_points_with_the_wind_and_positive_angles_lean_left(pendulum: DisplaySettings) -> None:
     entry = wind_entry(latent(3.0, -2.0), pendulum)
     assert entry is not None
     assert isinstance(entry.shape, Lines)
@@ -133,7 +135,7 @@ def test_the_arrow_points_with_the_wind_and_positive_angles_lean_left(pendulum: 
     assert "world/wind" not in paths(_after_a_state(pendulum, latent(3.0))), "a latent of another model is no wind"
 
 
-def _after_a_state(look: Look, message: LatentMessage) -> list[Any]:
+def _after_a_state(look: DisplaySettings, message: LatentMessage) -> list[Any]:
     view = RobotView(look)
     view.take(state(1), 0.0)
     return view.take(message, 0.0)
@@ -141,7 +143,7 @@ def _after_a_state(look: Look, message: LatentMessage) -> list[Any]:
 
 def test_the_wind_is_read_from_the_latent_of_networks() -> None:
     model = load_model("pendulum_learned")
-    look = look_of(model, settings_named("pendulum"))
+    look = display_settings(model, settings_named("pendulum"))
     base: Any = model.base
     for wind in ((2.8, 2.8), (-4.0, 0.5), (0.0, -3.9)):
         read = look.wind(tuple(base.networks.encode(wind).tolist()))
@@ -152,10 +154,10 @@ def test_the_wind_is_read_from_the_latent_of_networks() -> None:
 
 def test_a_model_without_wind_has_no_arrow() -> None:
     model = load_model("dfki_pendulum")
-    assert look_of(model, settings_named("pendulum")).wind(tuple(model.latent.tolist())) is None
+    assert display_settings(model, settings_named("pendulum")).wind(tuple(model.latent.tolist())) is None
 
 
-def test_the_phase_plane_shows_the_corridor(pendulum: Look) -> None:
+def test_the_phase_plane_shows_the_corridor(pendulum: DisplaySettings) -> None:
     bounds = phase_bounds(state(1), pendulum)
     assert bounds is not None
     assert bounds[0] < -EDGE < EDGE < bounds[1]
@@ -163,14 +165,14 @@ def test_the_phase_plane_shows_the_corridor(pendulum: Look) -> None:
     assert FleetView(pendulum).fields == {}
 
 
-def test_the_painter_draws_it(pendulum: Look, tmp_path: Any) -> None:
-    from safedpa_services.dashboard.painter import Painter
-    from safedpa_services.dashboard.shapes import Frame
+def test_the_painter_draws_it(pendulum: DisplaySettings, tmp_path: Any) -> None:
+    from safedpa_services.dashboard.painter import RerunRecording
+    from safedpa_services.dashboard.shapes import TimelineFrame
 
     view = RobotView(pendulum)
-    painter = Painter(pendulum, "fleet", save=tmp_path / "p.rrd", bind="127.0.0.1", grpc_port=None)
+    painter = RerunRecording(pendulum, "fleet", save=tmp_path / "p.rrd", bind="127.0.0.1", grpc_port=None)
     painter.arrange({"r1": (-1.0, 1.0, -0.5, 0.5)})
-    painter.draw([Frame(0.0, tuple(view.start())), Frame(0.1, tuple(view.take(state(1), 0.0)))])
-    painter.draw([Frame(0.2, tuple(view.take(latent(3.0, -2.0), 0.0)))])
+    painter.draw([TimelineFrame(0.0, tuple(view.start())), TimelineFrame(0.1, tuple(view.take(state(1), 0.0)))])
+    painter.draw([TimelineFrame(0.2, tuple(view.take(latent(3.0, -2.0), 0.0)))])
     painter.close()
     assert (tmp_path / "p.rrd").stat().st_size > 5_000

@@ -10,7 +10,7 @@ import urllib.request
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_services.dashboard.doors import Door, choose_port, opened
+from safedpa_services.dashboard.doors import ViewerServer, choose_port, open_server
 
 pytestmark = pytest.mark.processes
 
@@ -79,21 +79,21 @@ def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_wished_
     doors = []
 
     def open_door(port):
-        doors.append(Door("127.0.0.1", port, 5678))
+        doors.append(ViewerServer("127.0.0.1", port, 5678))
 
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
-        port = opened(open_door, free_port, wished=False)
+        port = open_server(open_door, free_port, wished=False)
         with pytest.raises(InputError, match=f"--web-port {free_port}"):
-            opened(open_door, free_port, wished=True)
+            open_server(open_door, free_port, wished=True)
     (door,) = doors
     door.close()
     assert port > free_port
 
 
 def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
-    door = Door("127.0.0.1", free_port, 5678, ("robot.local",))
+    door = ViewerServer("127.0.0.1", free_port, 5678, ("robot.local",))
     request = urllib.request.Request(f"http://127.0.0.1:{free_port}", headers={"Host": f"robot.local:{free_port}"})
 
     class Stay(urllib.request.HTTPRedirectHandler):

@@ -13,12 +13,12 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 @pytest.fixture
 def recording(look, drive, tmp_path):
     """Of three robots driving for five seconds, two kinds of rubbish among their messages."""
-    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.painter import RerunRecording
 
     path = tmp_path / "drive.rrd"
     broker = MemoryBroker()
     sender, listener = MemoryTransport(broker), MemoryTransport(broker)
-    robots, painter = Bus(sender, "fleet"), Painter(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    robots, painter = Bus(sender, "fleet"), RerunRecording(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
     dashboard = Dashboard(Bus(listener, "fleet"), FleetView(look), painter)
     own = robots.inbox((HEALTH,))
     for tick in drive(100):

@@ -7,14 +7,14 @@ import pytest
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.drawing import Discs, Lines, Rings
 from safedpa.dynamics import load_model
-from safedpa.safety.shipped import settings_named
-from safedpa_services.dashboard.look import look_of
+from safedpa.safety.defaults import settings_named
+from safedpa_services.dashboard.look import display_settings
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.world import holding_entry, seen_entries
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 SEEN = SurroundingsMessage(
     epoch=1,
@@ -30,7 +30,7 @@ SEEN = SurroundingsMessage(
 
 def state() -> StateMessage:
     scene = Scene(0, None, (-4.0, 4.0, -4.0, 4.0), (), (0.0, 0.0, 0.0))
-    return CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
+    return CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
 
 
 def test_every_disc_is_drawn_with_the_radius_of_its_message() -> None:
@@ -63,7 +63,7 @@ def test_what_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> None:
 
 
 def test_the_page_shows_the_age_of_each_source_and_what_is_wrong_with_one() -> None:
-    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page = NowPage(display_settings(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
     page.take(replace(SEEN, amiss=("the source laser is frozen",)), 0.0)
     text = page.page(0.5).text
@@ -91,7 +91,7 @@ def test_zones_are_drawn_by_their_kind_and_listed_with_the_person_who_switched_o
         ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)),
     )
     assert len(set(drawn.colours)) == 2
-    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page = NowPage(display_settings(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
     page.take(MARKED, 0.0)
     said = page.page(0.1).text
@@ -117,7 +117,7 @@ def test_more_zones_than_a_file_may_have_are_not_looked_at() -> None:
     shape = {entry.path[-1]: entry.shape for entry in seen_entries(flood)}["zones"]
     assert isinstance(shape, Lines)
     assert len(shape.strips) == 64
-    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page = NowPage(display_settings(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
     page.take(flood, 0.0)
     assert len(page.page(0.1).text) < 2_000

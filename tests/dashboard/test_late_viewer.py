@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus import FINDING, FindingMessage, Received
+from safedpa.bus import FINDING, FindingMessage, ReceivedMessage
 from safedpa_services.dashboard.doors import choose_port
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.painter import SERVER_MEMORY
@@ -42,9 +42,9 @@ class Drive:
     """Robots that drive side by side, drawn for viewers; their scene, their findings and models never change."""
 
     def __init__(self, look, tick_of, port, robots, memory="256MB"):
-        from safedpa_services.dashboard.painter import Painter
+        from safedpa_services.dashboard.painter import RerunRecording
 
-        self.painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=port, memory=memory)
+        self.painter = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=port, memory=memory)
         self.address = f"rerun+http://127.0.0.1:{port}/proxy"
         self.view, self._robots, self._tick_of = FleetView(look), robots, tick_of
 
@@ -52,7 +52,7 @@ class Drive:
         for k in range(ticks):
             messages = [*self._tick_of(k, status="passed"), *([_finding(k)] if k % 20 == 0 else [])]
             frames = self.view.take(
-                [Received(topic, robot, message, b"", "key", 0.05 * k) for robot in self._robots
+                [ReceivedMessage(topic, robot, message, b"", "key", 0.05 * k) for robot in self._robots
                  for topic, message in messages], 0.05 * k,
             )  # fmt: skip
             if k == 0:

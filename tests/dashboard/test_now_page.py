@@ -11,22 +11,22 @@ from safedpa.bus import (
     VERDICT,
     FindingMessage,
     LatentMessage,
-    Received,
-    Refused,
+    ReceivedMessage,
+    RejectedMessage,
     SurroundingsMessage,
     VerdictMessage,
 )
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.now_page import NowPage
-from safedpa_services.dashboard.shapes import Page, States
+from safedpa_services.dashboard.shapes import MarkdownPage, States
 
 
 def _received(topic, message, robot="r1", at=0.0):
-    return Received(topic, robot, message, b"", f"safedpa/fleet/{robot}/{topic.name}", at)
+    return ReceivedMessage(topic, robot, message, b"", f"safedpa/fleet/{robot}/{topic.name}", at)
 
 
 def _pages(frames, name="now"):
-    return [e.shape.text for f in frames for e in f.entries if isinstance(e.shape, Page) and e.path[-1] == name]
+    return [e.shape.text for f in frames for e in f.entries if isinstance(e.shape, MarkdownPage) and e.path[-1] == name]
 
 
 def _drive(view, tick_of, ticks, **changes):
@@ -41,7 +41,9 @@ def _drive(view, tick_of, ticks, **changes):
 def test_without_a_robot_the_page_lists_services_and_refused_messages(look, tick_of):
     view = FleetView(look, "depot")
     heartbeat = replace(tick_of(0)[3][1], service="policy")
-    view.take([_received(HEALTH, heartbeat, NO_ROBOT), Refused("safedpa/depot/r1/state", "r1", "version 9")], 0.0)
+    view.take(
+        [_received(HEALTH, heartbeat, NO_ROBOT), RejectedMessage("safedpa/depot/r1/state", "r1", "version 9")], 0.0
+    )
     [told] = _pages(view.take([], 0.1), "waiting")
     assert "fleet **depot**" in told
     assert "policy (running)" in told
@@ -88,7 +90,7 @@ def test_a_keyframe_never_stands_later_than_a_change_that_is_still_to_come(look,
 def test_a_quiet_fleet_is_not_drawn_for_ever(look, tick_of):
     view = FleetView(look)
     _drive(view, tick_of, range(10), state={})
-    assert any(isinstance(e.shape, Page) for f in view.take([], 5.0) for e in f.entries)
+    assert any(isinstance(e.shape, MarkdownPage) for f in view.take([], 5.0) for e in f.entries)
     assert view.take([], 60.0) == []
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import HEALTH, Bus, HealthMessage, Inbox, MemoryBroker, MemoryTransport
-from safedpa_services.dashboard.books import HealthBook
+from safedpa_services.dashboard.books import HealthHistory
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.shapes import Curves
 
@@ -19,7 +19,7 @@ def beat(service: str, state: str = "running") -> HealthMessage:
 
 @pytest.mark.parametrize(("silent_for", "shown"), [(0.25, "running"), (0.99, "running"), (1.01, "silent")])
 def test_four_heartbeats_missed_are_silence(silent_for: float, shown: str) -> None:
-    book = HealthBook()
+    book = HealthHistory()
     book.add(beat("policy"), 100.0)
     told = book.silences(100.0 + silent_for)
     assert book.states == {"policy": shown}
@@ -28,7 +28,7 @@ def test_four_heartbeats_missed_are_silence(silent_for: float, shown: str) -> No
 
 
 def test_silence_is_per_service_and_ends_with_its_next_heartbeat() -> None:
-    book = HealthBook()
+    book = HealthHistory()
     for service in ("policy", "adaptation"):
         book.add(beat(service), 100.0)
     book.add(beat("adaptation"), 101.0)
@@ -46,7 +46,7 @@ def test_steps_are_drawn_in_milliseconds(microseconds: float, shown: list[float]
         epoch=1, tick=0, robot_time=0.0, publish_time=0.0, service="policy", pid=7, state="running",
         step_microseconds=microseconds,
     )  # fmt: skip
-    curves = [entry.shape for entry in HealthBook().add(message, 100.0) if entry.path[0] == "steps"]
+    curves = [entry.shape for entry in HealthHistory().add(message, 100.0) if entry.path[0] == "steps"]
     drawn = [value for shape in curves if isinstance(shape, Curves) for value in shape.values]
     assert drawn == pytest.approx(shown)
 

@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from safedpa.bus import ACTION, STATE
-from safedpa.bus.security.access import ROUTER, roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.access_control import ROUTER, roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.transport.ports import free_port
 from safedpa.records import read_messages
 from safedpa_services.ros_gateway.__main__ import parser

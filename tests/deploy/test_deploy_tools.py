@@ -15,9 +15,9 @@ import yaml
 from packaging.specifiers import SpecifierSet
 
 from safedpa.bus import HEALTH, NO_ROBOT, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport, StateMessage
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.wire.codec import encode
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 from safedpa_services.healthcheck.__main__ import HealthCheck

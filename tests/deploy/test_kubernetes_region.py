@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from safedpa.bus.security.access import roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.access_control import roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "deploy"))
 

@@ -12,7 +12,7 @@ from safedpa.diagnosis import diagnose as diagnosis
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 
 Drive = Callable[..., Run]
 
@@ -94,7 +94,7 @@ def searched_once(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     What is returned holds the question and the answer, once something was asked.
     """
     asked: list[Any] = []
-    search = diagnosis.searched
+    search = diagnosis.run_search
 
     def once(model: Any, library: Any, shooting: Any, heldout: Any, *others: Any) -> Any:
         if not asked:
@@ -111,5 +111,5 @@ def searched_once(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         np.testing.assert_array_equal(shooting.counts, before[2].counts)
         return deepcopy(asked[1])
 
-    monkeypatch.setattr(diagnosis, "searched", once)
+    monkeypatch.setattr(diagnosis, "run_search", once)
     return asked

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.compare.output import new_folder, refuse_inputs, results_folder, writable, writable_file
+from safedpa.comparison.output import (
+    new_folder,
+    refuse_inputs,
+    require_writable_file,
+    require_writable_folder,
+    results_folder,
+)
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
@@ -236,32 +242,32 @@ def test_force_replaces_it(in_use):
 
 
 def test_a_folder_that_does_not_exist_is_refused_or_made_on_request(tmp_path: Path) -> None:
-    assert writable(tmp_path) == tmp_path
+    assert require_writable_folder(tmp_path) == tmp_path
     missing = tmp_path / "a" / "b"
     with pytest.raises(InputError, match=rf"^{missing}: got no folder that exists; make it, or choose another place"):
-        writable(missing)
+        require_writable_folder(missing)
     assert not missing.parent.exists()
-    assert writable(missing, create=True).is_dir()
+    assert require_writable_folder(missing, create=True).is_dir()
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match=r"file: got no folder that exists"):
-        writable(tmp_path / "file")
+        require_writable_folder(tmp_path / "file")
 
 
 @pytest.mark.parametrize("lacking", [os.W_OK, os.X_OK])
 def test_a_folder_without_write_or_search_permission_is_refused(lacking, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda _, asked: not asked & lacking)
     with pytest.raises(InputError, match=rf"^{tmp_path}: must not be written to; choose another place with --out"):
-        writable(tmp_path)
+        require_writable_folder(tmp_path)
     monkeypatch.setattr(os, "access", lambda _, asked: not asked & os.R_OK)
-    assert writable(tmp_path) == tmp_path
+    assert require_writable_folder(tmp_path) == tmp_path
 
 
 def test_a_file_to_write_is_not_a_folder_and_its_folder_exists(tmp_path: Path) -> None:
-    assert writable_file(tmp_path / "a.csv") == tmp_path / "a.csv"
+    assert require_writable_file(tmp_path / "a.csv") == tmp_path / "a.csv"
     with pytest.raises(InputError, match=rf"^{tmp_path}: is a folder; name the file to write with --out"):
-        writable_file(tmp_path)
+        require_writable_file(tmp_path)
     with pytest.raises(InputError, match="got no folder that exists"):
-        writable_file(tmp_path / "none" / "a.csv")
+        require_writable_file(tmp_path / "none" / "a.csv")
 
 
 @pytest.mark.parametrize("written", [False, True])

@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.coverage import coverage_of, inside
-from safedpa.diagnosis.document import Covered, Gap
-from safedpa.diagnosis.fit import evidence, readiness
-from safedpa.diagnosis.fit.evidence import (
-    Evidence,
-    evidence_at,
-    evidence_beside,
-    evidence_seconds,
-    shown_of,
-    worth_recording,
+from safedpa.diagnosis.coverage import coverage_of, within_coverage
+from safedpa.diagnosis.fit import data_checks
+from safedpa.diagnosis.fit import horizon as evidence
+from safedpa.diagnosis.fit.data_checks import check_data_sufficiency, prepare_runs
+from safedpa.diagnosis.fit.horizon import (
+    HorizonData,
+    data_at_horizon,
+    data_at_other_horizons,
+    displayed_windows,
+    recommended_recording,
+    select_horizon,
 )
-from safedpa.diagnosis.fit.readiness import judgeable, prepared
+from safedpa.diagnosis.report_schema import CoverageGap, CoveredRange
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, RunError
-from safedpa.records.apply_map import Rows
-from safedpa.records.column_map import native_map
-from safedpa.records.quality import run_of_rows
+from safedpa.records.column_map.apply import Rows
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.run import Finding, Run, Stretch
 from safedpa.report.diagnosis_story import gaps_clause
 from safedpa.robots.car.system import CAR
@@ -53,7 +54,7 @@ def windows(count: int, horizon: float = 1.0) -> Any:
 )
 def test_ten_windows_and_five_seconds_are_enough(count: int, rows: int, enough: bool) -> None:
     run = driving("one", rows)
-    found = judgeable(windows(count), [run], [run])
+    found = check_data_sufficiency(windows(count), [run], [run])
     assert (found.enough, found.wrong) == (enough, False)
     seconds = 0.1 * (rows - 1)
     assert found.why_not == ("" if enough else (
@@ -64,8 +65,8 @@ def test_ten_windows_and_five_seconds_are_enough(count: int, rows: int, enough: 
 
 def test_only_the_seconds_of_the_runs_that_are_used_count_together() -> None:
     runs = [driving("one", 26), driving("two", 26)]
-    assert judgeable(windows(10), runs, runs).enough
-    assert not judgeable(windows(10), runs[:1], runs).enough
+    assert check_data_sufficiency(windows(10), runs, runs).enough
+    assert not check_data_sufficiency(windows(10), runs[:1], runs).enough
 
 
 @pytest.mark.parametrize(
@@ -74,9 +75,9 @@ def test_only_the_seconds_of_the_runs_that_are_used_count_together() -> None:
      (3.0, "30 s, better a minute"), (3.1, "31 s, better 62 s"), (7.0, "70 s, better 140 s")],
 )  # fmt: skip
 def test_ten_windows_and_five_seconds_are_worth_recording(seconds: float, wanted: str) -> None:
-    assert worth_recording(seconds) == wanted
+    assert recommended_recording(seconds) == wanted
     run = driving("one", 20)
-    assert judgeable(windows(3, seconds), [run], [run]).why_not.endswith(f"record at least {wanted}")
+    assert check_data_sufficiency(windows(3, seconds), [run], [run]).why_not.endswith(f"record at least {wanted}")
 
 
 def stepping(*sizes: float) -> Any:
@@ -92,7 +93,7 @@ def stepping(*sizes: float) -> Any:
 )  # fmt: skip
 def test_data_in_which_no_input_changes_allow_no_verdict(actions: Any, enough: bool) -> None:
     run = driving("one", 60, actions)
-    found = judgeable(windows(10), [run], [run])
+    found = check_data_sufficiency(windows(10), [run], [run])
     assert found.enough is enough
     assert ("no input ever changes" in found.why_not) is not enough
 
@@ -101,15 +102,15 @@ def test_data_in_which_no_input_changes_allow_no_verdict(actions: Any, enough: b
 def test_a_recording_that_is_not_what_it_claims_allows_no_verdict(kind: str) -> None:
     """Whether it is used or not, and however much data there is."""
     bad = driving("bad", 60, findings=(Finding("jump", "a jump"), Finding(kind, "this one"), Finding(kind, "next")))
-    found = judgeable(windows(10), [driving("good", 60)], [driving("good", 60), bad])
+    found = check_data_sufficiency(windows(10), [driving("good", 60)], [driving("good", 60), bad])
     assert (found.wrong, found.why_not) == ((True, "bad: this one") if kind in SEVERE else (False, ""))
     assert found.enough is (kind not in SEVERE)
 
 
 @pytest.fixture
 def preparing(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr(readiness, "evidence_seconds", lambda model, runs: 0.7)
-    return lambda runs, *most: prepared(load_model("car"), runs, *most)
+    monkeypatch.setattr(data_checks, "select_horizon", lambda model, runs: 0.7)
+    return lambda runs, *most: prepare_runs(load_model("car"), runs, *most)
 
 
 def test_findings_are_listed_and_a_repeated_recording_counts_once(preparing: Any) -> None:
@@ -200,7 +201,7 @@ def calm(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 @pytest.mark.parametrize(("lacking", "enough"), [(0.0, True), (0.4, True), (0.6, False)])
 def test_the_horizon_is_the_longest_of_which_there_are_20_windows_up_to_half_a_row(step, lacking, enough):
     run = recording(until(20.0 * SHARES[step] - lacking / 64.0, 1.0 / 64.0))
-    assert evidence_seconds(MODEL, [run]) == (SHARES[step] if enough else SHARES[min(step + 1, 6)])
+    assert select_horizon(MODEL, [run]) == (SHARES[step] if enough else SHARES[min(step + 1, 6)])
 
 
 @pytest.mark.usefixtures("calm")
@@ -213,17 +214,17 @@ def test_the_horizon_is_the_longest_of_which_there_are_20_windows_up_to_half_a_r
     ],
 )  # fmt: skip
 def test_the_longest_horizon_is_1_s_or_20_rows_and_the_shortest_6_rows(period, seconds, found):
-    assert evidence_seconds(MODEL, [recording(until(seconds, period))]) == found
+    assert select_horizon(MODEL, [recording(until(seconds, period))]) == found
 
 
 @pytest.mark.usefixtures("calm")
 def test_windows_of_all_stretches_count_and_the_median_rate_decides() -> None:
     part = until(7.3, 1.0 / 64.0)
     runs = [recording(part, part + 50.0), recording(part, np.zeros(0), name="two")]
-    assert evidence_seconds(MODEL, runs) == 1.0, "seven and seven and seven"
-    assert evidence_seconds(MODEL, runs[:1]) == 0.7, "ten and ten"
+    assert select_horizon(MODEL, runs) == 1.0, "seven and seven and seven"
+    assert select_horizon(MODEL, runs[:1]) == 0.7, "ten and ten"
     rates = [recording(until(90.0, period), name=str(period)) for period in (0.25, 0.125, 1.0 / 64.0)]
-    assert evidence_seconds(MODEL, rates) == 2.5
+    assert select_horizon(MODEL, rates) == 2.5
 
 
 NAN = float("nan")
@@ -254,7 +255,7 @@ def test_an_error_of_the_start_may_grow_eightfold_in_units_of_the_change_of_each
             return np.stack(after, axis=-1)
 
     simulating(monkeypatch, ends, scale)
-    assert evidence_seconds(MODEL, [recording(until(25.0, 1.0 / 64.0))]) == found
+    assert select_horizon(MODEL, [recording(until(25.0, 1.0 / 64.0))]) == found
 
 
 @pytest.mark.parametrize(("wild", "found"), [((0, 20), 1.0), ((0, 10, 20), 0.7), ((1, 2, 3, 4), 0.7), ((), 1.0)])
@@ -264,17 +265,17 @@ def test_an_error_of_the_start_may_grow_more_in_a_tenth_of_the_windows(monkeypat
         return away * np.where(np.isin(growing, 64 * np.array(wild, dtype=int)), 20.0, 1.0)[:, None]
 
     simulating(monkeypatch, ends, (1.0, 1.0))
-    assert evidence_seconds(MODEL, [recording(until(21.0, 1.0 / 64.0))]) == found
+    assert select_horizon(MODEL, [recording(until(21.0, 1.0 / 64.0))]) == found
 
 
 def test_of_many_windows_about_a_hundred_evenly_spread_ones_are_simulated(calm: list[Any]) -> None:
-    evidence_seconds(MODEL, [recording(until(300.0, 0.03125))])
+    select_horizon(MODEL, [recording(until(300.0, 0.03125))])
     (found,) = calm
     assert 100 <= len(found) <= 150
     assert found.start[[0, -1]].tolist() == [0, 299 * 32]
     assert set(np.diff(found.start).tolist()) == {64, 96}
     mixed = [start + np.arange(0.0, 1.0, 1.0 / (32 if start % 3 == 0 else 64)) for start in range(40)]
-    assert evidence_seconds(MODEL, [recording(np.concatenate(mixed))]) == 1.0
+    assert select_horizon(MODEL, [recording(np.concatenate(mixed))]) == 1.0
     assert len(set(calm[-1].steps.tolist())) > 1, "each window is followed to its own end"
 
 
@@ -287,13 +288,13 @@ def test_runs_of_another_robot_or_too_short_for_any_window_are_refused(period, l
         recording(until(period, period), name="two"),
     ]
     message = f"one: the longest stretch without a gap lasts {lasts:.4g} s, and effects are judged over {least:g} s"
-    with pytest.raises(RunError, match=f"^{re.escape(message)} at least; record {worth_recording(least)}$"):
-        evidence_seconds(MODEL, runs)
+    with pytest.raises(RunError, match=f"^{re.escape(message)} at least; record {recommended_recording(least)}$"):
+        select_horizon(MODEL, runs)
     other: Any = SimpleNamespace(system=CAR)
     with pytest.raises(InputError, match="one: a run of robot 'pendulum'"):
-        evidence_seconds(other, [recording(until(5.0, 0.25))])
+        select_horizon(other, [recording(until(5.0, 0.25))])
     with pytest.raises(RunError, match="got none"):
-        evidence_seconds(MODEL, [])
+        select_horizon(MODEL, [])
 
 
 @pytest.fixture
@@ -309,10 +310,10 @@ def named(monkeypatch: pytest.MonkeyPatch) -> None:
 )  # fmt: skip
 def test_windows_that_are_shown_at_the_same_horizon_are_those_that_were_judged(horizon: float, same: bool) -> None:
     runs: Any = ["a run"]
-    found = evidence_at(runs, 0.7)
+    found = data_at_horizon(runs, 0.7)
     assert (found.seconds, found.shooting, found.heldout) == (0.7, ("to fit", runs, 0.7), ("to judge", runs, 0.7))
-    judged: Any = Evidence(0.7, "fitted", "judged")  # type: ignore[arg-type]
-    assert shown_of(runs, horizon, judged) == ("judged" if same else ("to judge", runs, horizon))
+    judged: Any = HorizonData(0.7, "fitted", "judged")  # type: ignore[arg-type]
+    assert displayed_windows(runs, horizon, judged) == ("judged" if same else ("to judge", runs, horizon))
 
 
 @pytest.mark.usefixtures("named")
@@ -327,7 +328,7 @@ def test_windows_that_are_shown_at_the_same_horizon_are_those_that_were_judged(h
 def test_half_a_fifth_and_twice_the_horizon_are_tried_if_6_rows_and_10_windows_fit(seconds, lasts, found):
     runs = [recording(until(lasts, 0.0625)), recording(until(0.5, 0.25), name="slow"),
             recording(until(0.25, 1.0 / 64.0), name="quick")]  # fmt: skip
-    tried = list(evidence_beside(runs, seconds))
+    tried = list(data_at_other_horizons(runs, seconds))
     assert [item.seconds for item in tried] == pytest.approx(found)
     assert all(item.shooting == ("to fit", runs, item.seconds) for item in tried)
 
@@ -421,9 +422,9 @@ def test_a_minute_is_needed_and_a_throttle_that_changes():
 
 def test_a_range_holds_both_its_ends_and_a_gap_its_lower_one():
     system = load_model("dart_car").system
-    found = [Covered("throttle", "1", 0.0, 1.0, 200.0, (Gap(0.4, 0.6, 1.0),))]
+    found = [CoveredRange("throttle", "1", 0.0, 1.0, 200.0, (CoverageGap(0.4, 0.6, 1.0),))]
     tried = np.array([-1e-9, 0.0, 0.4 - 1e-9, 0.4, 0.6 - 1e-9, 0.6, 1.0, 1.0 + 1e-9])
-    said = inside(found, system, np.zeros((8, 4)), np.column_stack([tried, 0 * tried]))
+    said = within_coverage(found, system, np.zeros((8, 4)), np.column_stack([tried, 0 * tried]))
     assert said.tolist() == [False, True, True, False, False, True, True, False]
 
 

@@ -8,23 +8,23 @@ from hypothesis import given as drawn
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from safedpa.compare.windows import windows_of
-from safedpa.diagnosis.detectable import deviate_of
+from safedpa.comparison.windows import windows_of
+from safedpa.diagnosis.detectable import standardized_gain
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import as_document
-from safedpa.diagnosis.fit.evidence import evidence_at
-from safedpa.diagnosis.fit.innovations import LinearTrack, Noise, filtered
-from safedpa.diagnosis.fit.least_squares import Fit, fit, known_of, moved
-from safedpa.diagnosis.fit.refinement import Refined, refined
-from safedpa.diagnosis.fit.trial import deviates_of
-from safedpa.diagnosis.search import final_numbers
-from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.final_numbers import with_final_numbers
+from safedpa.diagnosis.fit.horizon import data_at_horizon
+from safedpa.diagnosis.fit.kalman import LinearizedTrajectory, Noise, kalman_innovations
+from safedpa.diagnosis.fit.least_squares import Fit, fit, known_slopes, with_values
+from safedpa.diagnosis.fit.prediction_error_method import PredictionErrorFit, prediction_error_fit
+from safedpa.diagnosis.fit.trial import standardized_gains
+from safedpa.diagnosis.report_schema import as_document
+from safedpa.diagnosis.search import final_parameters
+from safedpa.diagnosis.search.final_parameters import with_final_values
+from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.errors import ModelFileError
 from safedpa.records import load_run
-from safedpa.report.diagnosis_story import story_of
+from safedpa.report.diagnosis_story import report_text
 from safedpa_lab.hidden import Case, write_case
 
 
@@ -40,7 +40,7 @@ def fitted(given, name, **values):
     model, runs = given
     item = effect("car", name)
     model = model.with_effect(item, {key: Setting(value) for key, value in values.items()})
-    evidence = evidence_at(runs, 1.0)
+    evidence = data_at_horizon(runs, 1.0)
     shooting = evidence.shooting.around(model)
     found = fit(model, [f"{name}.{key}" for key in values], shooting, np.full(4, 0.01))
     return found, shooting, evidence.heldout
@@ -48,8 +48,8 @@ def fitted(given, name, **values):
 
 def lost(found, values):
     """A filter that ended elsewhere."""
-    model = moved(found.model, dict(zip(found.paths, values, strict=True)))
-    return lambda *_: Refined(model, found.paths, np.full(len(values), 0.1), None)
+    model = with_values(found.model, dict(zip(found.paths, values, strict=True)))
+    return lambda *_: PredictionErrorFit(model, found.paths, np.full(len(values), 0.1), None)
 
 
 @pytest.mark.parametrize("away", [1e9, 0.9], ids=["at_its_bound", "far"])
@@ -58,8 +58,8 @@ def test_a_lost_filter_does_not_blow_up_a_deviation(away, given, monkeypatch):
     own = found.deviations(shooting)[0]
     assert own < 0.01
     high = found.model.parameters["rolling_resistance.deceleration"].high
-    monkeypatch.setattr(final_numbers, "refined", lost(found, [min(away, high)]))
-    final, _ = with_final_numbers(found, shooting, heldout)
+    monkeypatch.setattr(final_parameters, "prediction_error_fit", lost(found, [min(away, high)]))
+    final, _ = with_final_values(found, shooting, heldout)
     assert final.values[0] == found.values[0]
     assert own <= final.deviations(shooting)[0] < 4.0 * own
 
@@ -115,9 +115,9 @@ def test_an_effect_with_a_corner_has_the_deviation_of_the_windows_where_that_is_
 ):
     """The filter follows slopes, which say nothing of a corner; of a smooth effect its deviation stands."""
     found, shooting, heldout = fitted(given, name, **values)
-    certain = Refined(found.model, found.paths, np.full(1, 1e-9), None)
-    monkeypatch.setattr(final_numbers, "refined", lambda *_: certain)
-    stated = with_final_numbers(found, shooting, heldout)[0].deviations(shooting)
+    certain = PredictionErrorFit(found.model, found.paths, np.full(1, 1e-9), None)
+    monkeypatch.setattr(final_parameters, "prediction_error_fit", lambda *_: certain)
+    stated = with_final_values(found, shooting, heldout)[0].deviations(shooting)
     wanted = found.deviations(shooting) if name == "steering_saturation" else [1e-9]
     np.testing.assert_allclose(stated, wanted)
 
@@ -125,15 +125,15 @@ def test_an_effect_with_a_corner_has_the_deviation_of_the_windows_where_that_is_
 @pytest.fixture(scope="module")
 def shooting(given):
     model, runs = given
-    return evidence_at(runs, 1.0).shooting.around(model), model
+    return data_at_horizon(runs, 1.0).shooting.around(model), model
 
 
 def test_gains_of_many_differences_are_those_of_each(shooting):
     random = np.random.default_rng(3)
     many = random.standard_t(2.0, (6, len(shooting[0].windows))) + 0.3
     for local in (False, True):
-        each = [deviate_of(one, shooting[0], local=local) for one in many]
-        np.testing.assert_array_equal(deviates_of(many, shooting[0], local=local), each)
+        each = [standardized_gain(one, shooting[0], local=local) for one in many]
+        np.testing.assert_array_equal(standardized_gains(many, shooting[0], local=local), each)
 
 
 def test_a_fit_that_begins_with_slopes_of_another_ends_where_one_without_does(shooting):
@@ -141,7 +141,7 @@ def test_a_fit_that_begins_with_slopes_of_another_ends_where_one_without_does(sh
     first = fit(model.with_effect(effect("car", "viscous_drag"), {}), ["viscous_drag.coefficient"], windows, np.ones(4))
     both = first.model.with_effect(effect("car", "rolling_resistance"), {"deceleration": Setting(0.1)})
     paths = ["viscous_drag.coefficient", "rolling_resistance.deceleration"]
-    known = known_of(first, paths)
+    known = known_slopes(first, paths)
     assert known.shape[-1] == 1
     slow = fit(both, paths, windows, first.scale)
     quick = fit(both, paths, windows, first.scale, known=known, enough=slow.value + 1.0)
@@ -188,8 +188,8 @@ def runs(plain, drive):
 @pytest.mark.parametrize("wheelbase", [0.1, 0.29, 2.0])
 def test_a_bad_guess_ends_where_a_good_one_does(guess, wheelbase, plain, runs):
     model = plain.with_settings({"base.drive_gain": Setting(guess, True), "base.wheelbase": Setting(wheelbase, True)})
-    evidence = evidence_at(runs, 1.0)
-    found = begun(model, evidence.shooting, evidence.heldout).first.fit
+    evidence = data_at_horizon(runs, 1.0)
+    found = initial_search(model, evidence.shooting, evidence.heldout).first.fit
     values = dict(zip(found.paths, found.values.tolist(), strict=True))
     assert values["base.drive_gain"] == pytest.approx(3.0, abs=0.05)
     assert values["base.wheelbase"] == pytest.approx(0.3, abs=0.01)
@@ -200,8 +200,10 @@ def test_a_base_that_is_worse_than_no_change_is_reported_first(plain, runs, monk
     lost = plain.with_settings({"base.wheelbase": Setting(0.05)})
     document = as_document(diagnose(lost, runs))
     assert document["naive"]["no_change"] < document["stages"][0]["heldout_error"]
-    assert story_of(document).lead.startswith("The given model, its free numbers refitted, predicts worse than assum")
-    assert not story_of(as_document(diagnose(plain, runs))).lead.startswith("The given model")
+    assert report_text(document).lead.startswith(
+        "The given model, its free numbers refitted, predicts worse than assum"
+    )
+    assert not report_text(as_document(diagnose(plain, runs))).lead.startswith("The given model")
 
 
 ROWS, KEPT, PERIOD = 9, 0.8, 0.1
@@ -213,7 +215,7 @@ def track():
     """One state whose rate is disturbed, with one parameter, in two pieces."""
     random = np.random.default_rng(3)
     shape = (2, ROWS, 1)
-    return LinearTrack(
+    return LinearizedTrajectory(
         transition=np.full((*shape, 1), KEPT), drift=random.normal(size=shape),
         columns=random.normal(size=(*shape, 1)), seen=random.normal(size=shape), period=np.full((2, ROWS), PERIOD),
         inside=np.ones((2, ROWS), dtype=bool), counted=np.ones((2, ROWS), dtype=bool), doubt=np.ones(shape),
@@ -255,7 +257,7 @@ def noise_of(*scales):
 
 def test_the_likelihood_is_that_of_all_rows_at_once(track):
     expected = dense(track, 0, 0.0) + dense(track, 1, 0.0)
-    assert filtered(track, noise_of(1.0)).cost == pytest.approx([expected], rel=1e-9)
+    assert kalman_innovations(track, noise_of(1.0)).cost == pytest.approx([expected], rel=1e-9)
 
 
 @pytest.mark.parametrize("doubtful", [False, True])
@@ -266,7 +268,7 @@ def test_each_innovation_is_measured_by_its_own_deviation(track, doubtful):
     """
     if doubtful:
         track = replace(track, doubt=np.where(np.arange(ROWS)[None, :, None] == 4, 7.0, track.doubt))
-    found = filtered(track, noise_of(1.0))
+    found = kalman_innovations(track, noise_of(1.0))
     for piece in range(2):
         error, covariance = joint_of(track, piece)
         cost = 0.0
@@ -287,31 +289,31 @@ def test_a_row_that_lies_off_is_doubted_by_as_many_times_as_it_lies_off(plain, w
     states[100:300:50] += 25.0 * np.array((0.004, 0.004, 0.006, 0.03))
     start = with_effect(plain, "viscous_drag", coefficient=0.2)
     paths, free = ["viscous_drag.coefficient"], np.array([True])
-    clean = refined(start, paths, free, windows_of([run], 1.0))
-    found = refined(start, paths, free, windows_of([replace(run, states=states)], 1.0))
+    clean = prediction_error_fit(start, paths, free, windows_of([run], 1.0))
+    found = prediction_error_fit(start, paths, free, windows_of([replace(run, states=states)], 1.0))
     np.testing.assert_allclose(found.noise.measured[0], clean.noise.measured[0], rtol=0.25)
     assert abs(found.model.settings["viscous_drag.coefficient"].value - 0.3) < 3.0 * found.deviations[0]
     assert found.deviations[0] < 1.5 * clean.deviations[0]
 
 
 def test_noises_side_by_side_do_not_mix(track):
-    together = filtered(track, noise_of(1.0, 2.0, 0.5), slopes=False).cost
-    alone = [filtered(track, noise_of(scale), slopes=False).cost[0] for scale in (1.0, 2.0, 0.5)]
+    together = kalman_innovations(track, noise_of(1.0, 2.0, 0.5), slopes=False).cost
+    alone = [kalman_innovations(track, noise_of(scale), slopes=False).cost[0] for scale in (1.0, 2.0, 0.5)]
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
 def test_slopes_are_those_of_the_innovations(track):
-    found = filtered(track, noise_of(1.0))
-    shifted = filtered(replace(track, drift=track.drift + 0.1 * track.columns[..., 0]), noise_of(1.0))
+    found = kalman_innovations(track, noise_of(1.0))
+    shifted = kalman_innovations(replace(track, drift=track.drift + 0.1 * track.columns[..., 0]), noise_of(1.0))
     np.testing.assert_allclose(shifted.white, found.white + 0.1 * found.columns[..., 0], atol=1e-9)
 
 
 def test_rows_that_are_not_there_change_nothing(track):
     half = np.arange(ROWS) < 5
     inside = np.stack([half, np.ones(ROWS, dtype=bool)])
-    one = filtered(replace(track, inside=inside, counted=inside), noise_of(1.0))
+    one = kalman_innovations(replace(track, inside=inside, counted=inside), noise_of(1.0))
     other = replace(track, inside=inside, counted=inside, seen=np.where(inside[..., None], track.seen, 1e3))
-    np.testing.assert_allclose(filtered(other, noise_of(1.0)).cost, one.cost, rtol=1e-12)
+    np.testing.assert_allclose(kalman_innovations(other, noise_of(1.0)).cost, one.cost, rtol=1e-12)
 
 
 def noisy(run, seed, noise=(0.004, 0.004, 0.006, 0.03)):
@@ -324,7 +326,7 @@ def test_parameters_of_a_noisy_drive_lie_within_their_deviations(plain, with_eff
     truth = with_effect(plain, "viscous_drag", coefficient=0.3)
     runs = [noisy(drive(truth, 20.0, seed, name=str(seed)), seed) for seed in range(3)]
     start = with_effect(plain, "viscous_drag", coefficient=0.2)
-    found = refined(start, ["viscous_drag.coefficient"], np.array([True]), windows_of(runs, 1.0))
+    found = prediction_error_fit(start, ["viscous_drag.coefficient"], np.array([True]), windows_of(runs, 1.0))
     value, deviation = found.model.settings["viscous_drag.coefficient"].value, found.deviations[0]
     assert deviation < 0.02
     assert abs(value - 0.3) < 3.0 * deviation
@@ -334,14 +336,14 @@ def test_parameters_of_a_noisy_drive_lie_within_their_deviations(plain, with_eff
 def test_a_number_that_is_not_free_stays(plain, with_effect, drive):
     model = with_effect(plain, "viscous_drag", coefficient=0.3)
     paths, free = ["base.drive_gain", "viscous_drag.coefficient"], np.array([True, False])
-    found = refined(model, paths, free, windows_of([noisy(drive(model, 20.0), 0)], 1.0))
+    found = prediction_error_fit(model, paths, free, windows_of([noisy(drive(model, 20.0), 0)], 1.0))
     assert found.model.settings["viscous_drag.coefficient"] == Setting(0.3)
     assert np.isfinite(found.deviations).tolist() == [True, False]
 
 
 def test_recordings_too_short_for_a_filter_give_nothing(plain, drive):
     windows = windows_of([drive(plain, 1.5)], 0.5)
-    assert refined(plain, ["base.drive_gain"], np.array([True]), windows) is None
+    assert prediction_error_fit(plain, ["base.drive_gain"], np.array([True]), windows) is None
 
 
 @pytest.mark.long
@@ -354,8 +356,8 @@ def test_actuators_are_followed_within_each_row(tmp_path, name, parameter, value
     model = load_model(str(log.model))
     windows = windows_of([load_run(str(path), model.system) for path in log.runs], 1.0)
     path = f"{name}.{parameter}"
-    begun = model.with_effect(effect("car", name), {parameter: Setting(0.993 * value)})
-    found = refined(begun, [path], np.array([True]), windows)
+    initial_search = model.with_effect(effect("car", name), {parameter: Setting(0.993 * value)})
+    found = prediction_error_fit(initial_search, [path], np.array([True]), windows)
     (std,) = found.deviations
     assert std < 4e-4 * value
     assert abs(found.model.settings[path].value - value) < 2.5 * std

@@ -6,17 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.check import check_lines, checked
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.document import as_document
-from safedpa.diagnosis.fit.evidence import evidence_seconds
-from safedpa.diagnosis.rehearsal import as_driven, measured_noise, rehearsal_of, simulated
+from safedpa.diagnosis.fit.horizon import select_horizon
+from safedpa.diagnosis.identifiability.check import check_identifiability, check_lines
+from safedpa.diagnosis.identifiability.rehearsal import (
+    measured_noise,
+    refitted_to_runs,
+    rehearse_diagnosis,
+    simulate_runs,
+)
+from safedpa.diagnosis.report_schema import as_document
 from safedpa.dynamics import Setting, load_model, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
-from safedpa.report.diagnosis_story import story_of
+from safedpa.report.diagnosis_story import report_text
 from safedpa_lab.hidden import Case, write_case
 from safedpa_lab.hidden.sensor import NOISE
 from safedpa_services.command_line.diagnose import story_lines
@@ -166,8 +171,8 @@ def test_the_horizon_that_is_shown_changes_no_verdict_and_no_number(logs, search
 def test_an_unstable_model_is_judged_over_less_time(logs):
     model, runs = logs({}, robot="pendulum", runs=2)
     upright = [standing(run) for run in runs]
-    assert evidence_seconds(model, runs) == 1.0
-    assert evidence_seconds(model, upright) < 0.6
+    assert select_horizon(model, runs) == 1.0
+    assert select_horizon(model, upright) < 0.6
 
 
 def standing(run):
@@ -186,7 +191,7 @@ def test_with_too_little_data_the_verdict_is_undecided_and_the_closest_effect_is
     assert nearest.effect == "rolling_resistance"
     assert nearest.parameters["rolling_resistance.deceleration"].value == pytest.approx(0.5, abs=0.25)
     assert nearest.drive
-    assert "rolling_resistance" in story_of(as_document(report)).lead
+    assert "rolling_resistance" in report_text(as_document(report)).lead
     told = [line for line, _ in story_lines(report)]
     assert any(line.strip().startswith("Likely, not proven: rolling_resistance") for line in told)
     assert any(nearest.drive in line for line in told)
@@ -231,7 +236,7 @@ def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hi
     assert 0.001 < sizes["quadratic_drag", "coefficient"].smallest < 0.02
     document = json.loads(json.dumps(as_document(report), allow_nan=False))
     assert (document["closest"], document["evidence"][0]) == ([], 1.0)
-    assert "0.00" in story_of(document).lead or "would have been found" in story_of(document).lead
+    assert "0.00" in report_text(document).lead or "would have been found" in report_text(document).lead
 
 
 @pytest.mark.long
@@ -267,7 +272,11 @@ def log(tmp_path_factory):
 
 @pytest.fixture
 def few_everywhere(monkeypatch):
-    for module in ("safedpa.diagnosis.diagnose", "safedpa.diagnosis.check", "safedpa.diagnosis.rehearsal"):
+    for module in (
+        "safedpa.diagnosis.diagnose",
+        "safedpa.diagnosis.identifiability.check",
+        "safedpa.diagnosis.identifiability.rehearsal",
+    ):
         monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in LIBRARY])
 
 
@@ -291,7 +300,7 @@ def test_noise_is_measured_during_any_steady_motion():
 
 def test_simulated_logs_have_the_commands_and_the_noise_of_the_given_ones(given):
     model, runs = given
-    again = list(simulated(model, runs, measured_noise(runs), np.random.default_rng(0)))
+    again = list(simulate_runs(model, runs, measured_noise(runs), np.random.default_rng(0)))
     for one, other in zip(runs, again, strict=True):
         np.testing.assert_array_equal(one.actions, other.actions)
         apart = np.abs(one.system.difference(one.states, other.states))
@@ -305,15 +314,15 @@ def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
     guessed = model.with_settings({"base.drive_gain": Setting(15.0, True)})
-    driven = as_driven(guessed, runs)
+    driven = refitted_to_runs(guessed, runs)
     assert driven.latent_names == guessed.latent_names
     assert 3.0 < driven.settings["base.drive_gain"].value < 6.0
-    again = next(simulated(driven, runs, measured_noise(runs), np.random.default_rng(0)))
+    again = next(simulate_runs(driven, runs, measured_noise(runs), np.random.default_rng(0)))
     assert np.abs(again.states[:, 3]).max() < 2.0 * np.abs(runs[0].states[:, 3]).max()
 
 
 def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
-    found = checked(*given)
+    found = check_identifiability(*given)
     assert {item.effect for item in found.told()} == {"rolling_resistance", "understeer"}
     assert {item.effect for item in found.as_sums()} == {"viscous_drag", "speed_command_gain"}
     told = "\n".join(check_lines(found))
@@ -323,7 +332,7 @@ def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
 
 @pytest.mark.long
 def test_a_rehearsal_finds_what_the_check_foretells(given):
-    found = rehearsal_of(*given, sizes=(0.002, 1.0), names=("rolling_resistance", "understeer"))
+    found = rehearse_diagnosis(*given, sizes=(0.002, 1.0), names=("rolling_resistance", "understeer"))
     assert [(trial.effect, trial.found) for trial in found.trials] == [
         ("rolling_resistance", False), ("rolling_resistance", True), ("understeer", False), ("understeer", True),
     ]  # fmt: skip
@@ -346,4 +355,4 @@ def test_the_commands_print_the_check_and_the_rehearsal(log, tmp_path, monkeypat
 
 def test_an_unknown_effect_is_refused(given):
     with pytest.raises(InputError, match="understeer"):
-        rehearsal_of(*given, names=("underster",))
+        rehearse_diagnosis(*given, names=("underster",))

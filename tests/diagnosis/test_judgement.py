@@ -11,23 +11,26 @@ import pytest
 from scipy import stats
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import Close, Detectable, Value, as_document
-from safedpa.diagnosis.experiment import choice
-from safedpa.diagnosis.fit.heldout import HeldoutError
-from safedpa.diagnosis.fit.trial import Trial, block_gain, likeness
-from safedpa.diagnosis.remains.remaining import peak_of
-from safedpa.diagnosis.remains.weak_form import Regression
-from safedpa.diagnosis.search import closest, stages
-from safedpa.diagnosis.search.closest import closest_effects, doubtful_effects, likely_effects, nearest_effects
-from safedpa.diagnosis.search.patch import capped
-from safedpa.diagnosis.search.places import Strip
-from safedpa.diagnosis.search.progress import Judged
+from safedpa.diagnosis.experiment_design import choice
+from safedpa.diagnosis.fit.cross_validation import HeldoutError
+from safedpa.diagnosis.fit.trial import EffectTrial, block_gain, explanation_correlation
+from safedpa.diagnosis.report_schema import Detectable, FittedValue, PossibleEffect, Profile, as_document
+from safedpa.diagnosis.residuals.unmodelled import peak_of
+from safedpa.diagnosis.residuals.weak_sindy import Regression
+from safedpa.diagnosis.search import nearest_candidates, stages
+from safedpa.diagnosis.search.nearest_candidates import (
+    closest_effects,
+    doubtful_effects,
+    likely_effects,
+    nearest_effects,
+)
+from safedpa.diagnosis.search.regions import StripRegion, clip_outliers
+from safedpa.diagnosis.search.search_state import JudgedTrial
 from safedpa.diagnosis.search.stages import stages_of
-from safedpa.diagnosis.unexplained import Profile
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa.report.diagnosis_story import story_of
+from safedpa.report.diagnosis_story import report_text
 from safedpa.report.undecided_story import unsure_sentence
 from safedpa_lab.hidden import Case, write_case
 
@@ -110,8 +113,8 @@ def explains(values: Any) -> Any:
 )  # fmt: skip
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_two_trials_are_alike_by_the_cosine_of_what_they_explain(one, other, alike, size):
-    assert likeness(explains(one), explains(size * np.array(other))) == pytest.approx(alike)
-    assert likeness(explains(size * np.array(other)), explains(one)) == pytest.approx(alike)
+    assert explanation_correlation(explains(one), explains(size * np.array(other))) == pytest.approx(alike)
+    assert explanation_correlation(explains(size * np.array(other)), explains(one)) == pytest.approx(alike)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +123,7 @@ def test_two_trials_are_alike_by_the_cosine_of_what_they_explain(one, other, ali
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_pushes_are_cut_at_six_medians_or_at_what_a_tenth_exceeds(sizes: Any, largest: float, sign: float) -> None:
-    found = capped(sign * np.array(sizes)[:, None] * np.array([1.0, 1e-3]))
+    found = clip_outliers(sign * np.array(sizes)[:, None] * np.array([1.0, 1e-3]))
     assert np.abs(found).max(axis=0) == pytest.approx([largest, 1e-3 * largest], abs=1e-8)
     assert (np.sign(found) == sign).all()
     np.testing.assert_allclose(found[0], sign * sizes[0] * np.array([1.0, 1e-3]))
@@ -128,7 +131,7 @@ def test_pushes_are_cut_at_six_medians_or_at_what_a_tenth_exceeds(sizes: Any, la
 
 def test_strips_on_the_floor_are_tried_in_directions_evenly_over_half_a_turn() -> None:
     points = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 2))
-    starts = list(Strip().starts(points))
+    starts = list(StripRegion().starts(points))
     angles = sorted({found["angle"] for found, _ in starts})
     assert angles == pytest.approx([math.pi * turn / len(angles) for turn in range(len(angles))])
     assert len(angles) >= 4
@@ -162,13 +165,13 @@ def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, 
     others: Any = [Drifting(size, times) for size in (1.0, 0.3, 4.0)]
     own: Any = Drifting(0.0, times)
     best = "first" if times[0] > times[1] else "second"
-    found = choice.telling_manoeuvres(own, others, noise)
+    found = choice.discriminating_manoeuvres(own, others, noise)
     assert found == [best if most * size >= 1.0 else "" for size in (1.0, 0.3, 4.0)]
-    experiment = choice.chosen_experiment(models, noise)
+    experiment = choice.choose_experiment(models, noise)
     assert experiment is not None
     assert (experiment.manoeuvre == told) is bool(told)
     assert (f"differ there by {most:.0f} times the noise" in experiment.why) is bool(told)
-    assert choice.chosen_experiment({"one": own}, noise) is None
+    assert choice.choose_experiment({"one": own}, noise) is None
 
 
 NAN = float("nan")
@@ -178,22 +181,22 @@ def error(value: float) -> Any:
     return SimpleNamespace(value=value)
 
 
-def trial(*effects: str, free: Any = (True,), model: Any = None) -> Trial:
+def trial(*effects: str, free: Any = (True,), model: Any = None) -> EffectTrial:
     fit: Any = SimpleNamespace(free=np.array(free), model=model)
-    return Trial(effects, fit, np.zeros(1), np.zeros(1), 0.0)
+    return EffectTrial(effects, fit, np.zeros(1), np.zeros(1), 0.0)
 
 
 def judged(*effects, stage=2, gain=2.0, after=0.5, decision="suspected", free=(True,)):
     """A verdict next to a model of error 1."""
     own = None if after is None else error(after)
-    return Judged(stage, trial(*effects, free=free), gain, own, decision, "why", (), 1.0)
+    return JudgedTrial(stage, trial(*effects, free=free), gain, own, decision, "why", (), 1.0)
 
 
-def searching(*candidates: Judged, value: float = 0.4, added: Any = ()) -> Any:
+def searching(*candidates: JudgedTrial, value: float = 0.4, added: Any = ()) -> Any:
     return SimpleNamespace(candidates=list(candidates), error=error(value), added=list(added))
 
 
-def names(items: list[Judged]) -> list[str]:
+def names(items: list[JudgedTrial]) -> list[str]:
     return [item.trial.name for item in items]
 
 
@@ -224,7 +227,7 @@ def test_the_likely_effect_that_takes_most_off_comes_first() -> None:
     assert names(likely_effects(searching(*[judged("a", stage=0), judged("b", stage=0, gain=0.5)]))) == ["a"]
 
 
-def doubting(numbers: dict[str, tuple[float, float, float | None]], *candidates: Judged, added: Any) -> Any:
+def doubting(numbers: dict[str, tuple[float, float, float | None]], *candidates: JudgedTrial, added: Any) -> Any:
     """``numbers``: value, deviation and the value at which it does nothing, by path."""
     parameters = {path: SimpleNamespace(neutral=neutral) for path, (_, _, neutral) in numbers.items()}
     fit: Any = SimpleNamespace(
@@ -233,7 +236,7 @@ def doubting(numbers: dict[str, tuple[float, float, float | None]], *candidates:
         model=SimpleNamespace(parameters=parameters),
         deviations=lambda shooting: np.array([own for _, own, _ in numbers.values()]) * (shooting == "windows"),
     )
-    current = Trial((), fit, np.ones(1), np.ones(1), 7.0)
+    current = EffectTrial((), fit, np.ones(1), np.ones(1), 7.0)
     return SimpleNamespace(current=current, candidates=list(candidates), added=list(added), shooting="windows")
 
 
@@ -275,15 +278,17 @@ def test_a_doubtful_effect_is_reported_alone_as_it_was_last_accepted_with_the_pr
     assert doubtful_effects(doubting({"drag.c": UNSURE}, items[2], items[3], added=["drag"])) == []
 
 
-def nearest(monkeypatch: pytest.MonkeyPatch, errors: list[float], value: float = 0.5, count: int = 3) -> list[Judged]:
+def nearest(
+    monkeypatch: pytest.MonkeyPatch, errors: list[float], value: float = 0.5, count: int = 3
+) -> list[JudgedTrial]:
     """Effects 0, 1, ... as their trials come, and the held-out error of each."""
     trials = [trial(str(number), model=after) for number, after in enumerate(errors)]
     windows: Any = SimpleNamespace(windows=range(count))
     search: Any = SimpleNamespace(shooting=windows, error=error(value), current="now")
-    monkeypatch.setattr(closest, "tried_in_turn", lambda *_: trials)
-    monkeypatch.setattr(closest, "error_with", lambda fit, *_: error(fit.model))
+    monkeypatch.setattr(nearest_candidates, "fit_trials", lambda *_: trials)
+    monkeypatch.setattr(nearest_candidates, "error_with", lambda fit, *_: error(fit.model))
     gains = lambda one, other, _: (100.0 if one == "now" else -1.0) + float(other.name)  # noqa: E731
-    monkeypatch.setattr(closest, "block_gain", gains)
+    monkeypatch.setattr(nearest_candidates, "block_gain", gains)
     return nearest_effects(search, [], None)  # type: ignore[arg-type]
 
 
@@ -311,12 +316,14 @@ def test_the_best_three_have_their_own_numbers_smallest_sizes_and_drives(monkeyp
     """An effect whose name begins with the name of another does not get the numbers of the other."""
     made = [("drag",), ("lag", "grip"), ("drift",), ("more",)]
     items = [
-        Judged(1, trial(*own, model=f"with {own[0]}"), 2.0 + number, error(0.25), "suspected", f"why {number}", (), 1.0)
+        JudgedTrial(
+            1, trial(*own, model=f"with {own[0]}"), 2.0 + number, error(0.25), "suspected", f"why {number}", (), 1.0
+        )
         for number, own in enumerate(made)
     ]
-    items[2] = Judged(1, items[2].trial, 4.0, None, "suspected", "why 2", ())
+    items[2] = JudgedTrial(1, items[2].trial, 4.0, None, "suspected", "why 2", ())
     paths = ("base.mass", "drag.c", "lag.drag", "grip.g", "grip.h", "drift.d", "dragging.c")
-    numbers = {path: Value(float(number), 0.1, "s") for number, path in enumerate(paths)}
+    numbers = {path: FittedValue(float(number), 0.1, "s") for number, path in enumerate(paths)}
     wanted = (
         ("drag", "c", 0.3), ("drag", "d", None), ("lag", "drag", 0.0), ("drift", "d", 0.5), ("dragging", "c", 0.6),
     )  # fmt: skip
@@ -328,18 +335,20 @@ def test_the_best_three_have_their_own_numbers_smallest_sizes_and_drives(monkeyp
         assert (model, others, given is noise) == ("now", ["with drag", "with lag", "with drift"], True)
         return [f"drive {number}" for number in range(len(others))]
 
-    monkeypatch.setattr(closest, "telling_manoeuvres", manoeuvres)
+    monkeypatch.setattr(nearest_candidates, "discriminating_manoeuvres", manoeuvres)
 
-    def smallest(path: str, value: float) -> dict[str, Value]:
-        return {path: Value(value, None, "1/s")}
+    def smallest(path: str, value: float) -> dict[str, FittedValue]:
+        return {path: FittedValue(value, None, "1/s")}
 
     pair = {path: numbers[path] for path in ("lag.drag", "grip.g", "grip.h")}
     assert closest_effects(items, search, [numbers] * 4, sizes, noise) == (
-        Close("drag", {"drag.c": numbers["drag.c"]}, 0.75, 2.0, smallest("drag.c", 0.3), "drive 0", "why 0"),
-        Close("lag + grip", pair, 0.75, 3.0, smallest("lag.drag", 0.0), "drive 1", "why 1"),
-        Close("drift", {"drift.d": numbers["drift.d"]}, None, 4.0, smallest("drift.d", 0.5), "drive 2", "why 2"),
+        PossibleEffect("drag", {"drag.c": numbers["drag.c"]}, 0.75, 2.0, smallest("drag.c", 0.3), "drive 0", "why 0"),
+        PossibleEffect("lag + grip", pair, 0.75, 3.0, smallest("lag.drag", 0.0), "drive 1", "why 1"),
+        PossibleEffect(
+            "drift", {"drift.d": numbers["drift.d"]}, None, 4.0, smallest("drift.d", 0.5), "drive 2", "why 2"
+        ),
     )
-    monkeypatch.setattr(closest, "telling_manoeuvres", lambda *_: [])
+    monkeypatch.setattr(nearest_candidates, "discriminating_manoeuvres", lambda *_: [])
     assert closest_effects([], search, [], sizes, np.ones(2)) == ()
 
 
@@ -494,8 +503,8 @@ NEVER = 1e9
 def refusing(monkeypatch):
     """Every named effect is refused, as it is where there are too few blocks."""
     for name in ("SURE", "VERY_SURE", "LIKELY"):
-        monkeypatch.setattr(f"safedpa.diagnosis.search.judgement.{name}", NEVER)
-    monkeypatch.setattr("safedpa.diagnosis.search.search.passing_elsewhere", lambda *_: None)
+        monkeypatch.setattr(f"safedpa.diagnosis.search.acceptance.{name}", NEVER)
+    monkeypatch.setattr("safedpa.diagnosis.search.forward_selection.passing_at_other_horizon", lambda *_: None)
     names = ("viscous_drag", "understeer")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 
@@ -510,7 +519,7 @@ def test_a_refused_effect_that_predicts_like_a_formula_is_named(refusing, tmp_pa
     assert nearest.effect == "viscous_drag"
     assert nearest.parameters["viscous_drag.coefficient"].value == pytest.approx(0.3, abs=0.02)
     assert "likely, not proven" in nearest.reason
-    assert "viscous_drag" in story_of(as_document(report)).lead
+    assert "viscous_drag" in report_text(as_document(report)).lead
 
 
 def profile(values, errors, rows):

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.compare.excerpt import excerpt
-from safedpa.diagnosis.fit.readiness import prepared
+from safedpa.comparison.excerpt import subsample_runs
+from safedpa.diagnosis.fit.data_checks import prepare_runs
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
@@ -18,7 +18,7 @@ from safedpa_lab.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.session_files import saved
+from safedpa_services.workbench.session_files import save_model_files
 
 LOGS = LongLogs(runs=3, seconds=60.0, period=0.02)
 
@@ -46,8 +46,12 @@ def test_a_hidden_effect_is_found_in_a_small_part_of_the_rows(written, tmp_path,
     folder, paths = written
     names = ("quadratic_drag", "rolling_resistance")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
-    monkeypatch.setattr("safedpa.diagnosis.diagnose.prepared", lambda model, runs, _: prepared(model, runs, 3000))
-    monkeypatch.setattr("safedpa.report.diagnosis_page.excerpt", lambda runs, _, horizon: excerpt(runs, 3000, horizon))
+    monkeypatch.setattr(
+        "safedpa.diagnosis.diagnose.prepare_runs", lambda model, runs, _: prepare_runs(model, runs, 3000)
+    )
+    monkeypatch.setattr(
+        "safedpa.report.diagnosis_page.subsample_runs", lambda runs, _, horizon: subsample_runs(runs, 3000, horizon)
+    )
     runs = [str(path) for path in paths["csv"]]
     assert safedpa.run(["diagnose", str(folder / "model.toml"), *runs, "--out", str(tmp_path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -64,7 +68,7 @@ def test_pieces_hold_the_horizon_and_are_spread_over_every_run(horizon, written)
     folder, paths = written
     system = load_model(folder / "model.toml").system
     runs = [load_run(path, system) for path in paths["parquet"]]
-    used = excerpt(runs, 3000, horizon)
+    used = subsample_runs(runs, 3000, horizon)
     assert len(used) == len(runs)
     for run in used:
         lengths = [run.t[part.stop - 1] - run.t[part.start] for part in run.stretches]
@@ -134,7 +138,7 @@ def kept(log, rates, folder) -> str:
     model = load_model(str(log.model))
     given = zip(log.runs, rates, strict=True)
     runs = [every_nth(load_run(path, model.system), every) for path, every in given]
-    return saved(jobs.opened(model, runs, 1.0, lambda _: None)[-1].step, runs, model, folder, lambda _: None)
+    return save_model_files(jobs.opened(model, runs, 1.0, lambda _: None)[-1].step, runs, model, folder, lambda _: None)
 
 
 def test_the_workbench_saves_a_margin_of_the_logs_steps(log, tmp_path) -> None:

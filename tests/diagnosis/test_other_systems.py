@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.diagnosis.addition import add_effect
+from safedpa.diagnosis.add_effect import add_effect
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.experiment.choice import chosen_experiment, general_manoeuvres, manoeuvres
-from safedpa.diagnosis.fit.heldout import heldout_of
-from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.fit.trial import tried
-from safedpa.diagnosis.search.search import searched
+from safedpa.diagnosis.experiment_design.choice import choose_experiment, general_manoeuvres, manoeuvres
+from safedpa.diagnosis.fit.cross_validation import heldout_of
+from safedpa.diagnosis.fit.multiple_shooting import shooting_of
+from safedpa.diagnosis.fit.trial import fit_trial
+from safedpa.diagnosis.search.forward_selection import run_search
 from safedpa.dynamics import LearnedBase, Setting, fingerprint, load_model, load_own
 from safedpa.effects import CommandEffect, effect, effects_of, general_effects
 from safedpa.effects.effect import Context
@@ -30,10 +30,10 @@ from safedpa.operations import FLOATS
 from safedpa.policy import PolicyNode
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
-from safedpa.records.write import write_columns
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.records.writers.tables import write_columns
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa.systems import System, Variable
 from safedpa_lab.hidden import Case, write_case
 from safedpa_lab.hidden.excitation import car_commands
@@ -242,8 +242,8 @@ def driven(hidden, seed, seconds=20.0, period=0.02, substeps=4):
 def test_each_hidden_effect_fits_best_and_with_its_size(name):
     given = load_model("point")
     runs = [driven({name: HIDDEN[name]}, seed, 12.0) for seed in (11, 12)]
-    search = searched(given, [], shooting_of(runs, 0.5), heldout_of(runs, 0.5))
-    trials = [tried(search.current, [item], search.shooting) for item in library_for(given)]
+    search = run_search(given, [], shooting_of(runs, 0.5), heldout_of(runs, 0.5))
+    trials = [fit_trial(search.current, [item], search.shooting) for item in library_for(given)]
     best = min(trials, key=lambda trial: trial.loss)
     # thrust / mass: a heavier robot and a weaker thruster are one and the same
     same = {"payload", "actuator_gain"}
@@ -397,7 +397,7 @@ def test_the_next_experiment_is_in_the_systems_own_words(name):
         model.with_effect(effect(name, f"{first}_{kind}"), {key: Setting(0.2)})
         for kind, key in (("lag", "time_constant"), ("delay", "seconds"))
     )
-    proposed = chosen_experiment({"lag": one, "delay": other}, np.full(len(model.system.state), 0.005))
+    proposed = choose_experiment({"lag": one, "delay": other}, np.full(len(model.system.state), 0.005))
     assert proposed is not None
     assert first in proposed.manoeuvre
 

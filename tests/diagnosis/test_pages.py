@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.compare.comparison import PREDICTORS, HorizonError, RunError, compare_model, with_distinct_names
-from safedpa.compare.excerpt import excerpt, heads
-from safedpa.compare.rollout_error import RolloutError, rollout_error
-from safedpa.compare.summary import (
+from safedpa.comparison.comparison import PREDICTORS, HorizonError, PerRunError, compare_model, with_distinct_names
+from safedpa.comparison.excerpt import first_seconds, subsample_runs
+from safedpa.comparison.rollout_error import RolloutError, rollout_error
+from safedpa.comparison.summary import (
     as_json,
-    decisive,
+    most_influential_factor,
     naive_sentence,
     run_sentence,
     state_sentence,
@@ -24,8 +24,8 @@ from safedpa.compare.summary import (
     worse_sentence,
     worst_bins,
 )
-from safedpa.compare.where import Bin, Cell, Factor
-from safedpa.compare.windows import windows_of
+from safedpa.comparison.where import Bin, Cell, Factor
+from safedpa.comparison.windows import windows_of
 from safedpa.dynamics import load_model, save_model
 from safedpa.errors import RecordingError
 from safedpa.records import write_csv
@@ -34,7 +34,7 @@ from safedpa.report.comparison_figures import time_figure
 from safedpa.report.comparison_page import compare_page
 from safedpa.report.diagnosis_page import before_after_figure, falling_figure, map_figure, report_page, write_report
 from safedpa.report.diagnosis_recording import write_recording
-from safedpa.report.diagnosis_story import parameters_text, step_text, story_of
+from safedpa.report.diagnosis_story import parameters_text, report_text, step_text
 from safedpa.report.overlays import chosen_windows, overlay_figures
 from safedpa_services.command_line.group import safedpa
 
@@ -416,7 +416,7 @@ def test_nothing_missing_is_a_page_too(diagnosed):
     assert "What was found" not in text
     assert "after" not in {trace.get("name") for trace in embedded(text)["overlays"][0]["data"]}
     unexplained = {**bare, "verdict": "unexplained", "unexplained": document["unexplained"]}
-    assert "no effect of the library describes" in story_of(unexplained).lead
+    assert "no effect of the library describes" in report_text(unexplained).lead
 
 
 def test_a_stage_lists_what_it_changed():
@@ -437,7 +437,7 @@ def test_numbers_that_are_not_finite_leave_gaps(diagnosed):
 def test_the_last_fit_counts(diagnosed):
     document, _, _ = diagnosed
     last = {"quadratic_drag.coefficient": {"value": 0.19, "std": 0.002, "unit": "1/m"}}
-    found = story_of({**document, "parameters": last}).found
+    found = report_text({**document, "parameters": last}).found
     assert found[0].parameters == [("coefficient", "0.19", "0.002", "1/m")]
     assert found[1].parameters == [("coefficient", "0.2", "0.004", "1/m")]
 
@@ -489,20 +489,22 @@ def _rows(path, ending):
 def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     document, runs, models = diagnosed
     long = replace(runs[1], stretches=(Stretch(0, 250), Stretch(260, 600)))
-    shown = excerpt([runs[0], long], 300)
+    shown = subsample_runs([runs[0], long], 300)
     assert [run.stretches[0].start for run in shown] == [0, 0]
     assert 200 <= sum(len(part) for run in shown for part in run.stretches) <= 400
-    assert excerpt(runs, 1200) == runs
-    slow = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150)[0]
+    assert subsample_runs(runs, 1200) == runs
+    slow = subsample_runs([replace(runs[0], t=10.0 * runs[0].t)], 150)[0]
     assert [(part.start, part.stop) for part in slow.stretches] == [(start, start + 20) for start in range(0, 600, 80)]
-    far = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150, horizon=20.0)[0]
+    far = subsample_runs([replace(runs[0], t=10.0 * runs[0].t)], 150, horizon=20.0)[0]
     assert {len(part) for part in far.stretches} == {120}
-    many = excerpt(runs * 50, 600)
+    many = subsample_runs(runs * 50, 600)
     assert len(many) < 10
     assert 500 <= sum(len(part) for run in many for part in run.stretches) <= 1200
-    heading = heads([long], 13.52)[0]
+    heading = first_seconds([long], 13.52)[0]
     assert [(part.start, part.stop) for part in heading.stretches] == [(0, 250), (260, 271)]
-    monkeypatch.setattr("safedpa.report.diagnosis_page.excerpt", lambda runs, _, horizon: excerpt(runs, 600, horizon))
+    monkeypatch.setattr(
+        "safedpa.report.diagnosis_page.subsample_runs", lambda runs, _, horizon: subsample_runs(runs, 600, horizon)
+    )
     assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
 
 
@@ -541,10 +543,10 @@ def factor(variable: str, kind: str, explained: float, *errors: float) -> Factor
     return Factor(variable, "m/s", kind, explained, tuple(bins))
 
 
-def run_error(name: str, **errors: float) -> RunError:
-    values: dict[str, Any] = dict.fromkeys(RunError.__dataclass_fields__, 0.0)
+def run_error(name: str, **errors: float) -> PerRunError:
+    values: dict[str, Any] = dict.fromkeys(PerRunError.__dataclass_fields__, 0.0)
     values |= {"name": name, "per_state": errors, "no_change": dict.fromkeys(errors, 1.0)}
-    return RunError(**values)
+    return PerRunError(**values)
 
 
 def errors_of(*values: float) -> dict[str, RolloutError]:
@@ -611,7 +613,7 @@ def test_the_document_holds_everything_that_was_found() -> None:
     assert [(item["name"], item["per_state"]) for item in document["runs"]] == [
         ("a", {"x": 0.25, "y": 0.5}), ("b", {"x": 0.25, "y": 0.25}), ("c", {"x": 2.0, "y": 0.5}),
     ]  # fmt: skip
-    assert all(set(item) == set(RunError.__dataclass_fields__) for item in document["runs"])
+    assert all(set(item) == set(PerRunError.__dataclass_fields__) for item in document["runs"])
     quality = [(item["run"], item["kind"], item["count"]) for item in document["data_quality"]]
     assert quality == [("a", "gap", 2), ("c", "jump", 3)]
 
@@ -625,7 +627,10 @@ def test_the_document_holds_everything_that_was_found() -> None:
 def test_a_position_is_decisive_only_if_it_explains_half_as_much_again_and_0_05(explained, named):
     kinds = (("speed", "state"), ("u", "action"), ("x", "place"))
     made = [factor(*kind, share, 1.0) for kind, share in zip(kinds, explained, strict=True)]
-    assert decisive(comparison(factors=tuple(sorted(made, key=lambda item: -item.explained)))).variable == named
+    assert (
+        most_influential_factor(comparison(factors=tuple(sorted(made, key=lambda item: -item.explained)))).variable
+        == named
+    )
 
 
 def test_the_sentences_state_shares_sides_and_sizes() -> None:

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.compare.comparison import compare_model, with_distinct_names
-from safedpa.compare.summary import as_json, decisive, state_sentence
+from safedpa.comparison.comparison import compare_model, with_distinct_names
+from safedpa.comparison.summary import as_json, most_influential_factor, state_sentence
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
@@ -45,7 +45,7 @@ def test_dart_car_fails_at_speed(data, tmp_path):
     # without friction and back-EMF the speed runs away: worse than assuming that nothing changes
     assert document["per_state"]["speed"] > document["naive"]["no_change"]["per_state"]["speed"]
     assert "predicted worst is speed" in state_sentence(comparison)
-    assert decisive(comparison).variable in ("speed", "throttle")
+    assert most_influential_factor(comparison).variable in ("speed", "throttle")
     speed = next(item for item in comparison.factors if item.variable == "speed")
     assert all(item.bias["speed"] > 0 for item in speed.bins if item.low >= 1.0)
     # where nothing but geometry decides, it is better than both

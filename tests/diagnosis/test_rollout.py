@@ -10,14 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from safedpa.compare.actuators import felt_at_once
-from safedpa.compare.naive import constant_velocity, measured_rates, no_change
-from safedpa.compare.rollout import felt_actions, rollout, rollout_at
-from safedpa.compare.rollout_error import change_scale, error_of, rollout_error, trimmed_rms
-from safedpa.compare.side_by_side import SideBySide
-from safedpa.compare.windows import check_runs, windows_of
-from safedpa.diagnosis.fit.elimination import Elimination
-from safedpa.diagnosis.fit.shooting import folds_of
+from safedpa.comparison.actuators import effective_action_columns
+from safedpa.comparison.naive import constant_velocity, measured_rates, no_change
+from safedpa.comparison.rollout import effective_actions, rollout, rollout_at
+from safedpa.comparison.rollout_error import change_scale, error_of, rollout_error, trimmed_rms
+from safedpa.comparison.side_by_side import StackedMechanics
+from safedpa.comparison.windows import check_runs, windows_of
+from safedpa.diagnosis.fit.multiple_shooting import folds_of
+from safedpa.diagnosis.fit.variable_projection import VariableProjection
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import CommandEffect, effect, effects_of, robots
 from safedpa.effects.effect import Context
@@ -27,7 +27,7 @@ from safedpa.errors import InputError, RunError
 from safedpa.operations import FLOATS, NUMPY, half_angled
 from safedpa.records.run import Run, Stretch
 from safedpa.robot import robot_named
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 from safedpa.robots.pendulum.system import PENDULUM
@@ -389,7 +389,7 @@ def _drawn(model: PhysicsModel, count: int, seed: int) -> tuple[Any, Any]:
 def test_side_by_side_is_what_each_model_does(robot: str, name: str) -> None:
     models = _variants(robot, name, (0.0, 0.4, 1.0))
     states, actions = _drawn(models[0], 40, 3)
-    found = SideBySide(models).ahead(list(states.T), list(actions.T), 0.05, np.full(40, 2.0))
+    found = StackedMechanics(models).ahead(list(states.T), list(actions.T), 0.05, np.full(40, 2.0))
     table = np.stack([np.broadcast_to(column, (3, 40)) for column in found], axis=-1)
     for model, own in zip(models, table, strict=True):
         wanted, _ = model.advance(states, actions, (), period=0.05, time=2.0)
@@ -400,7 +400,7 @@ def test_rows_may_have_periods_of_their_own() -> None:
     (model,) = _variants("car", "rolling_resistance", (1.0,))
     states, actions = _drawn(model, 30, 4)
     periods = np.linspace(0.01, 0.1, 30)
-    found = np.stack(SideBySide([model]).ahead(list(states.T), list(actions.T), periods, np.zeros(30)), axis=-1)
+    found = np.stack(StackedMechanics([model]).ahead(list(states.T), list(actions.T), periods, np.zeros(30)), axis=-1)
     rows = zip(states, actions, periods.tolist(), strict=True)
     each = [model.advance(*row, (), period=period)[0] for *row, period in rows]
     np.testing.assert_allclose(found, np.array(each), rtol=1e-12, atol=1e-12)
@@ -412,7 +412,7 @@ def test_networks_go_the_other_way_round() -> None:
     item = effects_of("car")["quadratic_drag"]
     models = [base.with_effect(item, {"coefficient": Setting(value)}) for value in (0.0, 0.3)]
     states, actions = _drawn(base, 12, 5)
-    found = SideBySide(models).ahead(list(states.T), list(actions.T), base.period, np.zeros(12))
+    found = StackedMechanics(models).ahead(list(states.T), list(actions.T), base.period, np.zeros(12))
     for index, model in enumerate(models):
         wanted, _ = model.advance(states, actions, ())
         own = np.stack([np.broadcast_to(column, (2, 12))[index] for column in found], axis=-1)
@@ -445,7 +445,7 @@ def _random_windows(seed: int) -> tuple[Any, ...]:
 @given(arrays(np.float64, 3, elements=st.floats(1e-3, 10.0)), st.integers(0, 100))
 def test_what_a_start_explains_is_gone(scale: Any, seed: int) -> None:
     counts, tangent, residuals = _random_windows(seed)
-    taken = Elimination(counts, tangent)
+    taken = VariableProjection(counts, tangent)
     reduced = taken.reduced(np.moveaxis(residuals, 0, -1), scale)
     weight = np.sqrt(counts) / scale
     for window in range(7):
@@ -460,16 +460,16 @@ def test_every_window_is_reduced_by_itself(count: int) -> None:
     random = np.random.default_rng(count)
     counts, tangent = random.uniform(size=(count, 9, 3)), random.normal(size=(count, 9, 3, 3))
     columns, scale = random.normal(size=(count, 9, 3, 4)), np.array([0.1, 1.0, 3.0])
-    whole = Elimination(counts, tangent).reduced(columns, scale)
+    whole = VariableProjection(counts, tangent).reduced(columns, scale)
     for window in range(count):
-        alone = Elimination(counts[window, None], tangent[window, None]).reduced(columns[window, None], scale)
+        alone = VariableProjection(counts[window, None], tangent[window, None]).reduced(columns[window, None], scale)
         np.testing.assert_allclose(whole[window], alone[0], rtol=1e-9, atol=1e-9)
 
 
 @given(arrays(np.float64, 3, elements=st.floats(1e-3, 10.0)), st.integers(0, 100))
 def test_squares_need_no_reduced_column(scale: Any, seed: int) -> None:
     counts, tangent, residuals = _random_windows(seed)
-    taken = Elimination(counts, tangent)
+    taken = VariableProjection(counts, tangent)
     reduced = taken.reduced(np.moveaxis(residuals, 0, -1), scale).reshape(7, 9, 3, 4)
     wanted = (reduced**2).sum(axis=(0, 1)) * scale[:, None] ** 2
     np.testing.assert_allclose(taken.squares(taken.products(residuals), scale), wanted, rtol=1e-9)
@@ -744,7 +744,7 @@ def test_lags_and_delays_of_whole_stretches_are_exact(plain, drive, name, value,
     columns = {key: windows.actions[:, index] for index, key in enumerate(windows.system.action_names)}
     command = effect("car", name)
     own = {command.parameters[0].name: value}
-    fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+    fast, slow = effective_action_columns(command, columns, own, windows), row_by_row(command, columns, own, windows)
     assert set(fast) == set(slow)
     for key, column in slow.items():
         np.testing.assert_allclose(fast[key], column, atol=1e-9)
@@ -770,7 +770,10 @@ def test_the_actuators_of_every_robot_are_exact(robot):
     assert _remembering(robot), "there is an effect to look at"
     for command in _remembering(robot):
         own = {parameter.name: 1.3 * parameter.typical for parameter in command.parameters}
-        fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+        fast, slow = (
+            effective_action_columns(command, columns, own, windows),
+            row_by_row(command, columns, own, windows),
+        )
         assert fast is not None, f"{command.name} is followed row by row"
         for key, column in slow.items():
             np.testing.assert_allclose(fast[key], column, atol=1e-9, err_msg=f"{robot} {command.name}: {key}")
@@ -787,14 +790,14 @@ def test_play_of_whole_stretches_is_exact(width):
     windows = windows_of([run], 0.05)
     columns = {"torque": windows.actions[:, 0]}
     command, own = effect("pendulum", "backlash"), {"width": width}
-    fast, slow = felt_at_once(command, columns, own, windows), row_by_row(command, columns, own, windows)
+    fast, slow = effective_action_columns(command, columns, own, windows), row_by_row(command, columns, own, windows)
     np.testing.assert_array_equal(fast["torque"], slow["torque"])
 
 
 def test_other_effects_are_left_to_their_own_equations(plain, drive):
     windows = windows_of([drive(plain, 5.0)], 0.5)
     columns = {"throttle": windows.actions[:, 0], "steer": windows.actions[:, 1]}
-    assert felt_at_once(effect("car", "drive_dead_zone"), columns, {"width": 0.1}, windows) is None
+    assert effective_action_columns(effect("car", "drive_dead_zone"), columns, {"width": 0.1}, windows) is None
 
 
 @pytest.mark.parametrize("name", ["steering_delay", "drive_lag"])
@@ -804,6 +807,6 @@ def test_an_effect_of_the_user_that_remembers_commands_acts_like_one_of_the_libr
     own.__dict__.update(command.__dict__)
     windows = windows_of([drive(plain, 5.0, stretches=[(0, 40), (45, 100)])], 0.5)
     value = {command.parameters[0].name: Setting(0.17)}
-    library, users = (felt_actions(plain.with_effect(item, value), windows) for item in (command, own))
+    library, users = (effective_actions(plain.with_effect(item, value), windows) for item in (command, own))
     assert np.abs(library - windows.actions).max() > 0.1
     np.testing.assert_allclose(users, library, atol=1e-9)

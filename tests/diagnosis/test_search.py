@@ -6,27 +6,39 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.compare.actuators import late_commands
+from safedpa.comparison.actuators import delayed_actions
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import as_document
-from safedpa.diagnosis.fit.evidence import evidence_at
-from safedpa.diagnosis.fit.heldout import error_with, heldout_of
+from safedpa.diagnosis.fit.cross_validation import error_with, heldout_of
+from safedpa.diagnosis.fit.horizon import data_at_horizon
 from safedpa.diagnosis.fit.least_squares import fit
-from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.fit.trial import tried
-from safedpa.diagnosis.search import second_opinion
-from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.final_numbers import between_kinds, with_form_in_doubt
-from safedpa.diagnosis.search.judgement import Stage, farthest, feigned_lateness, plainest
-from safedpa.diagnosis.search.progress import Judged
-from safedpa.diagnosis.search.revision import fewer_numbers, same_at_last, split, united
-from safedpa.diagnosis.search.search import accept, searched
-from safedpa.diagnosis.search.second_opinion import agrees, certain, clear
+from safedpa.diagnosis.fit.multiple_shooting import shooting_of
+from safedpa.diagnosis.fit.trial import fit_trial
+from safedpa.diagnosis.report_schema import as_document
+from safedpa.diagnosis.search import acceptance
+from safedpa.diagnosis.search.acceptance import (
+    SearchStage,
+    fewest_parameters,
+    filter_agrees,
+    filter_is_certain,
+    is_decisive,
+    is_spurious_delay,
+    order_by_heldout_gain,
+)
+from safedpa.diagnosis.search.backward_revision import (
+    exchange_for_fewer_parameters,
+    mark_equivalent_rivals,
+    merge_effects,
+    split_effect,
+)
+from safedpa.diagnosis.search.final_parameters import group_jackknife_deviation, with_model_uncertainty
+from safedpa.diagnosis.search.forward_selection import accept_trial, run_search
+from safedpa.diagnosis.search.initial_model import initial_search
+from safedpa.diagnosis.search.search_state import JudgedTrial
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa.records.run import Run
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa_lab.hidden import Case, cases_of, write_case
 from safedpa_lab.hidden.judge import judged
 
@@ -62,10 +74,10 @@ def opinion(monkeypatch, plain):
             for values in (windows, filtered)
         )
         found = SimpleNamespace(model=other, paths=paths, deviations=np.array(std, dtype=float))
-        monkeypatch.setattr(second_opinion, "refined", lambda *_: found)
+        monkeypatch.setattr(acceptance, "prediction_error_fit", lambda *_: found)
         trial = SimpleNamespace(effects=(name,), fit=SimpleNamespace(model=one, paths=paths, free=None))
         search = SimpleNamespace(shooting=SimpleNamespace(windows=None))
-        return agrees(trial, search), certain(trial, search)
+        return filter_agrees(trial, search), filter_is_certain(trial, search)
 
     return asked
 
@@ -114,7 +126,7 @@ def test_blocks_decide_alone_if_they_are_sure_if_the_error_falls_far_or_if_much_
 ):
     """While a quarter is missing, the filter takes friction itself for lasting pushes."""
     error = None if after is None else SimpleNamespace(value=after)
-    assert clear(gain, error, SimpleNamespace(value=before)) is decided
+    assert is_decisive(gain, error, SimpleNamespace(value=before)) is decided
 
 
 def test_each_of_several_effects_has_to_last_and_a_short_recording_decides_nothing(monkeypatch):
@@ -135,8 +147,8 @@ def test_each_of_several_effects_has_to_last_and_a_short_recording_decides_nothi
             asked.append(arguments)
             return found
 
-        monkeypatch.setattr(second_opinion, "refined", refined)
-        return agrees(trial, search), certain(trial, search)
+        monkeypatch.setattr(acceptance, "prediction_error_fit", refined)
+        return filter_agrees(trial, search), filter_is_certain(trial, search)
 
     small = np.array([0.01, 0.01])
     assert answers(SimpleNamespace(model=model(0.5, 0.5), paths=tuple(parameters), deviations=small)) == (True, True)
@@ -160,7 +172,7 @@ def test_while_much_is_missing_the_effect_that_takes_far_more_off_comes_first(be
     """``after``: from the best in the windows on."""
     trials = [SimpleNamespace(effects=(name,)) for name in after]
     errors = {(name,): SimpleNamespace(value=value) for name, value in after.items()}
-    found = farthest(trials, Stage(0, trials, {}, errors), SimpleNamespace(value=before))
+    found = order_by_heldout_gain(trials, SearchStage(0, trials, {}, errors), SimpleNamespace(value=before))
     assert [trial.effects[0] for trial in found] == order
 
 
@@ -175,16 +187,16 @@ def searching(plain, with_effect, drive):
             truth = with_effect(truth, name, **numbers)
         runs = [noisy(drive(truth, 20.0, seed, name=str(seed), faster=faster), seed) for seed in range(4)]
         shooting, heldout = shooting_of(runs, 1.0), heldout_of(runs, 1.0)
-        search = begun(base, shooting, heldout)
-        trial = tried(search.current, of_car(names), search.shooting)
-        alone = tried(search.current, of_car(rivals[:1]), search.shooting)
+        search = initial_search(base, shooting, heldout)
+        trial = fit_trial(search.current, of_car(names), search.shooting)
+        alone = fit_trial(search.current, of_car(rivals[:1]), search.shooting)
         gained = error_with(trial.fit, shooting, heldout)
         search.candidates = [
-            Judged(0, trial, 9.0, gained, "accepted", "gain", ()),
-            Judged(0, alone, 9.0, None, "rejected", "gain", ()),
+            JudgedTrial(0, trial, 9.0, gained, "accepted", "gain", ()),
+            JudgedTrial(0, alone, 9.0, None, "rejected", "gain", ()),
         ]
         search.rivals = {names[0]: rivals}
-        accept(search, trial, heldout)
+        accept_trial(search, trial, heldout)
         return search, heldout
 
     return made
@@ -215,7 +227,7 @@ TOWED = {"mass_ratio": 0.5, "deceleration": 0.6}
 def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
     search, heldout = searching({"towed_load": TOWED}, ["rolling_resistance", "payload"], ["towed_load"])
     before = search.error.value
-    assert united(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
+    assert merge_effects(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
     assert search.added == ["towed_load"]
     assert search.error.value <= 1.002 * before
     assert search.current.fit.model.settings["towed_load.mass_ratio"].value == pytest.approx(0.5, rel=0.1)
@@ -225,7 +237,7 @@ def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
 def test_two_effects_without_an_equivalent_third_stay(searching):
     hidden = {"turning_drag": {"coefficient": 2.0}}
     search, heldout = searching(hidden, ["turning_drag", "steering_lag"], ["towed_load"])
-    assert not united(search, of_car(["turning_drag", "steering_lag", "towed_load"]), heldout)
+    assert not merge_effects(search, of_car(["turning_drag", "steering_lag", "towed_load"]), heldout)
     assert search.added == ["turning_drag", "steering_lag"]
 
 
@@ -233,7 +245,7 @@ def test_a_towed_load_that_does_not_resist_is_a_payload(searching):
     hidden = {"payload": {"mass_ratio": 0.5}, "steering_lag": {"time_constant": 0.15}}
     search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["viscous_drag", "payload"])
     before = search.error.value
-    fewer_numbers(search, of_car(["towed_load", "steering_lag", "viscous_drag", "payload"]), heldout)
+    exchange_for_fewer_parameters(search, of_car(["towed_load", "steering_lag", "viscous_drag", "payload"]), heldout)
     assert search.added == ["payload", "steering_lag"]
     assert search.error.value <= 1.002 * before
     assert accepted(search) == ["steering_lag + payload"]
@@ -242,7 +254,9 @@ def test_a_towed_load_that_does_not_resist_is_a_payload(searching):
 def test_a_towed_load_that_resists_stays(searching):
     hidden = {"towed_load": TOWED, "steering_lag": {"time_constant": 0.15}}
     search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["payload", "rolling_resistance"])
-    fewer_numbers(search, of_car(["towed_load", "steering_lag", "rolling_resistance", "payload"]), heldout)
+    exchange_for_fewer_parameters(
+        search, of_car(["towed_load", "steering_lag", "rolling_resistance", "payload"]), heldout
+    )
     assert search.added == ["towed_load", "steering_lag"]
 
 
@@ -252,7 +266,7 @@ def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
     names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
     search, heldout = searching(hidden, names, true, servo_car(), 2.5)
     before = search.error.value
-    fewer_numbers(search, of_car([*names, *true]), heldout)
+    exchange_for_fewer_parameters(search, of_car([*names, *true]), heldout)
     assert search.added == true
     assert search.error.value <= 1.002 * before
     assert accepted(search) == [" + ".join(true)]
@@ -262,7 +276,7 @@ def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
     search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag", "payload"])
     before = search.error.value
-    split(search, of_car(["actuator_delay", "steering_lag", "drive_lag", "payload"]), heldout)
+    split_effect(search, of_car(["actuator_delay", "steering_lag", "drive_lag", "payload"]), heldout)
     assert search.added == ["steering_lag", "drive_lag"]
     assert search.error.value < 0.9 * before
     assert accepted(search) == ["steering_lag + drive_lag"]
@@ -271,7 +285,7 @@ def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both
 def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
     hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
     search, heldout = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
-    split(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
+    split_effect(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
     assert search.added == ["steering_lag", "drive_lag"]
     assert bool(search.current.fit.free.all())
     assert accepted(search) == ["steering_lag + drive_lag"]
@@ -280,7 +294,7 @@ def test_an_effect_with_nothing_left_to_do_is_removed_too(searching):
 def test_a_delay_of_all_actuators_stays_one(searching):
     hidden = {"actuator_delay": {"seconds": 0.12}}
     search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag"])
-    split(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
+    split_effect(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
     assert search.added == ["actuator_delay"]
 
 
@@ -289,20 +303,20 @@ def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searchi
     hidden = {"viscous_drag": {"coefficient": 0.4}, "payload": {"mass_ratio": 0.3}}
     names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
     search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
-    same_at_last(search, of_car([*names, *rivals]), heldout)
+    mark_equivalent_rivals(search, of_car([*names, *rivals]), heldout)
     (told,) = [item.equals for item in search.candidates if item.decision == "accepted"]
     assert (told, search.added) == (("viscous_drag",), names)
 
 
 def test_a_single_effect_has_no_equals(searching):
     search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
-    same_at_last(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
+    mark_equivalent_rivals(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
     assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]
 
 
 def test_which_commands_an_effect_makes_late():
     def late(robot, name, *names):
-        return set(late_commands(effect(robot, name), names))
+        return set(delayed_actions(effect(robot, name), names))
 
     assert late("car", "steering_lag", "target_speed", "steer") == {"steer"}
     assert late("car", "actuator_delay", "target_speed", "steer") == {"target_speed", "steer"}
@@ -332,7 +346,7 @@ def test_lateness_that_the_servo_or_another_lateness_may_feign(plain, with_effec
     item = effect("car", name)
     model = model.with_effect(item, {item.parameters[0].name: Setting(seconds)})
     trial = SimpleNamespace(effects=(name,), fit=SimpleNamespace(model=model))
-    assert feigned_lateness(trial, SimpleNamespace(value=after), SimpleNamespace(value=0.1), 0.05) is feigned
+    assert is_spurious_delay(trial, SimpleNamespace(value=after), SimpleNamespace(value=0.1), 0.05) is feigned
 
 
 @pytest.fixture(scope="module")
@@ -357,17 +371,17 @@ def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
         own = shooting.around(made)
         return fit(made, [path for path in made.settings if path.split(".")[0] in names], own, np.full(4, 0.02))
 
-    search = begun(model, shooting, heldout)
+    search = initial_search(model, shooting, heldout)
     less, full = fitted("towed_load"), fitted("towed_load", "drive_lag")
     search.current = SimpleNamespace(fit=full)
     search.error = error_with(full, search.shooting, heldout)
-    near, clear = search.error, SimpleNamespace(value=2.0 * search.error.value)
+    near, is_decisive = search.error, SimpleNamespace(value=2.0 * search.error.value)
     number = full.paths.index("towed_load.mass_ratio")
     apart = abs(full.values[number] - less.values[less.paths.index("towed_load.mass_ratio")])
-    own = max(full.deviations(search.shooting)[number], between_kinds(full, search.shooting)[number])
-    for error, expected in ((near, np.hypot(own, 0.5 * apart)), (clear, own)):
+    own = max(full.deviations(search.shooting)[number], group_jackknife_deviation(full, search.shooting)[number])
+    for error, expected in ((near, np.hypot(own, 0.5 * apart)), (is_decisive, own)):
         search.without = {"drive_lag": (SimpleNamespace(fit=less), error)}
-        assert with_form_in_doubt(full, search).deviations(search.shooting)[number] == pytest.approx(expected)
+        assert with_model_uncertainty(full, search).deviations(search.shooting)[number] == pytest.approx(expected)
     assert apart > full.deviations(search.shooting)[number]
 
 
@@ -398,22 +412,22 @@ def stage(tmp_path_factory):
     case = Case("test", 4, hidden, drive="throttle", hard=True, runs=3, seconds=15)
     log = write_case(case, tmp_path_factory.mktemp("free_gain"))
     model = load_model(str(log.model))
-    evidence = evidence_at([load_run(str(path), model.system) for path in log.runs], 1.0)
-    search = begun(model, evidence.shooting, evidence.heldout)
-    return search, {name: tried(search.current, [effect("car", name)], search.shooting) for name in NAMES}
+    evidence = data_at_horizon([load_run(str(path), model.system) for path in log.runs], 1.0)
+    search = initial_search(model, evidence.shooting, evidence.heldout)
+    return search, {name: fit_trial(search.current, [effect("car", name)], search.shooting) for name in NAMES}
 
 
 def test_of_two_that_explain_the_same_the_one_with_fewer_numbers_is_added(stage):
     """(gain u - m d) / (1 + m) with a free gain is gain u - d."""
     search, trials = stage
-    assert plainest(trials["towed_load"], list(trials.values()), search) is trials["rolling_resistance"]
+    assert fewest_parameters(trials["towed_load"], list(trials.values()), search) is trials["rolling_resistance"]
 
 
 def test_an_effect_that_explains_something_else_stays(stage):
     search, trials = stage
     towed = trials["towed_load"]
-    assert plainest(towed, [towed, trials["viscous_drag"]], search) is towed
-    assert plainest(trials["viscous_drag"], list(trials.values()), search) is trials["viscous_drag"]
+    assert fewest_parameters(towed, [towed, trials["viscous_drag"]], search) is towed
+    assert fewest_parameters(trials["viscous_drag"], list(trials.values()), search) is trials["viscous_drag"]
 
 
 @pytest.fixture(scope="module")
@@ -432,7 +446,7 @@ def test_the_effects_of_the_model_stay_and_their_free_numbers_are_fitted(carpet,
     if given:
         model = model.with_effect(effect("car", "rolling_resistance"), {"deceleration": Setting(given, free=True)})
     runs = [load_run(path, model.system) for path in carpet.runs]
-    search = searched(model, [], shooting_of(runs, 1.0), heldout_of(runs, 1.0))
+    search = run_search(model, [], shooting_of(runs, 1.0), heldout_of(runs, 1.0))
     found = search.current.fit.model
     assert [type(item) for item in found.effects] == [type(item) for item in model.effects]
     assert (search.added, search.candidates) == ([], [])

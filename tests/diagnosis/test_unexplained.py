@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import as_document
-from safedpa.diagnosis.fit.heldout import heldout_of
-from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.conditions import of_patch
-from safedpa.diagnosis.search.places import Strip
+from safedpa.diagnosis.fit.cross_validation import heldout_of
+from safedpa.diagnosis.fit.multiple_shooting import shooting_of
+from safedpa.diagnosis.report_schema import as_document
+from safedpa.diagnosis.search.conditional import region_effect
+from safedpa.diagnosis.search.initial_model import initial_search
+from safedpa.diagnosis.search.regions import StripRegion
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect, effects_of
 from safedpa.fleet.outcome import outcome_of
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
 from safedpa.report.diagnosis_page import report_page
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.experiments.diagnosing import diagnosed
 from safedpa_lab.hidden import Case, cases_of, write_case
@@ -200,10 +200,10 @@ def test_a_strip_open_to_one_side_is_all_beyond_a_line(log):
     """No run crosses its far border, so unseen blocks cannot tell the two apart; the line has two numbers less."""
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
-    search = begun(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
+    search = initial_search(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
     strip = {"angle": 0.0, "offset": 5.4, "half_width": 5.0, "deceleration": 0.9}
-    patch = SimpleNamespace(place=Strip(), values=strip, gain=5.0)
-    found = of_patch(patch, search, effects_of("car").values())
+    patch = SimpleNamespace(place=StripRegion(), values=strip, gain=5.0)
+    found = region_effect(patch, search, effects_of("car").values())
     law = next(item for item in found.fit.model.effects if item.name == "rolling_resistance").law
     assert (law.shape, law.variable) == ("above", "x")
     assert found.fit.model.settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.05)

@@ -10,20 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.compare.bins import angle_edges, merged, round_edges
-from safedpa.compare.comparison import compare_model, residuals
-from safedpa.compare.excerpt import without_repeated
-from safedpa.compare.rollout import predict_run
-from safedpa.compare.summary import (
+from safedpa.comparison.bins import angle_edges, merge_small_bins, round_edges
+from safedpa.comparison.comparison import compare_model, residuals
+from safedpa.comparison.excerpt import without_duplicates
+from safedpa.comparison.rollout import predict_run
+from safedpa.comparison.summary import (
     as_json,
-    decisive,
+    most_influential_factor,
     run_sentence,
     state_sentence,
     where_sentence,
     worse_sentence,
 )
-from safedpa.compare.where import cells, factors, place, window_errors, window_squares
-from safedpa.compare.windows import windows_of
+from safedpa.comparison.where import cells, factors, place, window_errors, window_squares
+from safedpa.comparison.windows import windows_of
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
@@ -54,7 +54,7 @@ def _factor(comparison, name):
 
 def test_hidden_drag_is_worst_at_the_fastest_speed(plain, with_effect, drive):
     comparison = _compared(plain, drive, with_effect(plain, "quadratic_drag", coefficient=0.3))
-    factor = decisive(comparison)
+    factor = most_influential_factor(comparison)
     assert factor.variable == "speed"
     fastest = max((item for item in factor.bins), key=lambda item: abs(item.low + item.high))
     assert max(factor.bins, key=lambda item: item.error) == fastest
@@ -93,9 +93,9 @@ def test_a_fault_in_time_is_named_as_time(plain, with_effect, drive):
     actions[1000:1200, 0] = np.random.default_rng(0).uniform(-1, 1, 200)
     actions[1000:1200, 1] += 0.3
     comparison = compare_model(plain, [type(run)("faulty", run.system, run.t, run.states, actions, run.stretches)])
-    assert decisive(comparison).variable == "time"
+    assert most_influential_factor(comparison).variable == "time"
     assert "of faulty" in where_sentence(comparison)
-    worst = max(decisive(comparison).bins, key=lambda item: item.error)
+    worst = max(most_influential_factor(comparison).bins, key=lambda item: item.error)
     assert worst.low <= 60.0 and worst.high >= 50.0  # noqa: PT018
 
 
@@ -123,7 +123,7 @@ def test_edges_are_round_ordered_and_hold_all_values(numbers, most, smallest):
     assert edges[0] <= values.min()
     assert values.max() <= edges[-1] or np.isclose(values.max(), edges[-1])
     assert len(edges) <= most + 2
-    joined = merged(values, edges, smallest)
+    joined = merge_small_bins(values, edges, smallest)
     counts = np.histogram(values, joined)[0]
     assert len(joined) == 2 or (counts >= smallest).all()
 
@@ -362,7 +362,7 @@ def test_angles_are_binned_in_sectors_of_one_turn():
 )
 def test_a_bin_with_too_few_values_joins_its_right_neighbour_and_the_last_its_left_one(smallest, wanted):
     """One, two, two and two values in bins of width 1."""
-    assert merged(np.array([0.5, 1.2, 1.4, 2.2, 2.4, 3.2, 3.4]), np.arange(5.0), smallest).tolist() == wanted
+    assert merge_small_bins(np.array([0.5, 1.2, 1.4, 2.2, 2.4, 3.2, 3.4]), np.arange(5.0), smallest).tolist() == wanted
 
 
 def test_each_part_of_the_horizon_has_the_change_of_its_own_time(plain: Any, drive: Any) -> None:
@@ -422,7 +422,7 @@ def test_a_table_of_predictions_has_a_row_for_each_measured_one_up_to_the_horizo
 @pytest.mark.parametrize("most", [100, 1000])
 def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(plain, drive, most, monkeypatch):
     """Three runs of ten seconds: a hundred windows lie 0.3 s apart; a thousand would be nearer than requested."""
-    monkeypatch.setattr("safedpa.compare.comparison.MOST_WINDOWS", most)
+    monkeypatch.setattr("safedpa.comparison.comparison.MOST_WINDOWS", most)
     found = compare_model(plain, [drive(plain, 10.0, seed, name=f"run {seed}") for seed in range(3)], 1.0)
     apart = np.diff(found.windows.t[found.windows.start])
     assert np.median(apart) == pytest.approx(0.3 if most == 100 else 0.1)
@@ -441,7 +441,7 @@ def test_a_recording_of_20_rows_is_a_copy_if_more_than_half_of_them_are_in_anoth
     own = {"t": other.t[:rows], "states": states, "actions": actions, "stretches": (Stretch(0, rows),)}
     piece = replace(other, name="piece", **own)
     for runs in ([piece, whole], [whole, piece]):
-        kept, findings = without_repeated(runs)
+        kept, findings = without_duplicates(runs)
         assert [run.name for run in kept] == [run.name for run in runs if not (copy and run.name == "piece")]
         assert [(name, finding.count) for name, finding in findings] == ([("piece", shared)] if copy else [])
 

@@ -59,6 +59,11 @@ def test_what_docstrings_name_is_there() -> None:
 
 
 def test_what_is_gone_is_noticed() -> None:
-    assert _unknown_files("`margin.py`, `safety/margin.py`, `my_robot.py`, `safety/gone.py`") == ["safety/gone.py"]
-    said = "safedpa.safety.margin, safedpa.safety.margin.OnlineMargin.update, safedpa.safety.gone, safedpa.gone.margin"
+    assert _unknown_files("`margin.py`, `safety/margins/conformal.py`, `my_robot.py`, `safety/gone.py`") == [
+        "safety/gone.py"
+    ]
+    said = (
+        "safedpa.safety.margins.conformal, safedpa.safety.margins.conformal.OnlineMargin.update, "
+        "safedpa.safety.gone, safedpa.gone.margin"
+    )
     assert list(_unknown_names(said)) == ["safedpa.safety.gone", "safedpa.gone.margin"]

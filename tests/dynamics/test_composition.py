@@ -12,9 +12,9 @@ from safedpa.diagnosis.diagnose import library_for
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model, parse_model, write_model
 from safedpa.effects import CommandEffect, Context, Parameter, RateEffect, Stage, effect
 from safedpa.errors import ModelFileError
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
-from safedpa.safety.prediction import Prediction
+from safedpa.safety.prediction.predictor import Prediction
 
 
 def pendulum(period: float) -> PhysicsModel:

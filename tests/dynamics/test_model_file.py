@@ -24,7 +24,7 @@ from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.networks import Weights, save_weights
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 CAR = """

@@ -20,7 +20,7 @@ from safedpa.effects import CommandEffect, Context, Parameter, RateEffect, Stage
 from safedpa.effects.library import effects_of
 from safedpa.equations.tape import Recorded, Tape
 from safedpa.operations import COMPLEX, FLOATS, Operations
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 
 MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point", "car_learned", "pendulum_learned")
 

@@ -17,7 +17,7 @@ from safedpa.effects.law import law_of
 from safedpa.effects.memory import delayed, follow, settled
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 INSTANT = 1e-6  # s

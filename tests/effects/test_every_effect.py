@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import AbstractBase, PhysicsModel, Setting
 from safedpa.effects import AbstractEffect, effects_of
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 from safedpa.robots.point.point_mass import PointMass
 

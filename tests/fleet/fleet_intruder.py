@@ -18,10 +18,10 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.authority import Authority
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.messages import ActionMessage, StateMessage
+from safedpa.bus.security.certificate_authority import Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.messages import ActionMessage, StateMessage
 from safedpa.errors import MessageError, SafedpaError
 
 SECONDS = 3.0

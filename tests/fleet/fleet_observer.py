@@ -11,9 +11,9 @@ import time
 from collections import Counter
 from typing import Any
 
-from safedpa.bus import HEALTH, STATE, VERDICT, Received, StateMessage, VerdictMessage
-from safedpa.bus.loop.process import add_bus_options, bus_from
-from safedpa.bus.wire.messages import HealthMessage
+from safedpa.bus import HEALTH, STATE, VERDICT, ReceivedMessage, StateMessage, VerdictMessage
+from safedpa.bus.messages.messages import HealthMessage
+from safedpa.bus.service.process import add_bus_options, bus_from_options
 
 DRIVEN = ("passed", "corrected", "relaxed")
 LONGEST_GAP = 0.5
@@ -96,7 +96,7 @@ class Observer:
         self.robots: dict[str, RobotSeen] = {}
         self.services: dict[str, dict[str, Any]] = {}
 
-    def see(self, item: Received, at: float) -> None:
+    def see(self, item: ReceivedMessage, at: float) -> None:
         message = item.message
         if isinstance(message, StateMessage):
             self.robots.setdefault(item.robot, RobotSeen()).moved(message, at)
@@ -114,12 +114,12 @@ def main() -> None:
     add_bus_options(parser)
     options = parser.parse_args()
     observer = Observer()
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         inbox = bus.inbox((STATE, VERDICT, HEALTH), "*", keep_all=True)
         tell_at = time.monotonic()
         while True:
             for item in inbox.take(0.05):
-                if isinstance(item, Received):
+                if isinstance(item, ReceivedMessage):
                     observer.see(item, time.time() - (time.monotonic() - item.at))
             if time.monotonic() >= tell_at:
                 tell_at = time.monotonic() + 0.1

@@ -7,18 +7,20 @@ from typing import Any
 
 import pytest
 
-from safedpa.fleet.outcome import Number, RobotOutcome, Tried
+from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
 from safedpa_lab.experiments.fleet_diagnosis import fleet_diagnosis_experiment
 
 UNITS = {"deceleration": "m/s2", "mass_ratio": "1", "angle": "rad", "ax": "m/s2", "ay": "m/s2", "coefficient": "1/m"}
 
 
-def tried(effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str, ...] = (), **values: float) -> Tried:
+def tried(
+    effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str, ...] = (), **values: float
+) -> EffectEvidence:
     numbers = {name: Number(value, std, UNITS[name]) for name, value in values.items()}
-    return Tried(effect, numbers, score, equals, {})
+    return EffectEvidence(effect, numbers, score, equals, {})
 
 
-def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> RobotOutcome:
+def robot(name: str, *found: EffectEvidence, status: str = "diagnosed", **more: Any) -> RobotOutcome:
     evidence = min((item.score for item in found), default=0.5)
     common = {
         "evidence": evidence, "trials": 29, "error_before": 0.2 if found else 0.02, "error_after": 0.02, "last": {},
@@ -27,7 +29,7 @@ def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> R
 
 
 @pytest.fixture
-def make_tried() -> Callable[..., Tried]:
+def make_tried() -> Callable[..., EffectEvidence]:
     return tried
 
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage
-from safedpa.bus.wire.topics import STATE, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage
+from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.dynamics import load_model, write_model
 from safedpa.errors import InputError, RecordingError
 from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
-from safedpa.fleet.fleet_diagnosis import clear_others, kept, read_result, write_result
+from safedpa.fleet.fleet_diagnosis import clear_others, has_current_result, read_result, write_result
 from safedpa.fleet.inputs import options_digest
-from safedpa.fleet.one_robot import RobotResult, Task, diagnosed_robot, not_diagnosed
+from safedpa.fleet.one_robot import RobotResult, Task, diagnose_robot, failed_result
 from safedpa.fleet.robot_recordings import robots_in, split_recording
-from safedpa.fleet.robots import RobotsFound, robots_in_folder, robots_of_files
+from safedpa.fleet.robots import DiscoveredRobots, robots_in_folder, robots_of_files
 from safedpa.records import McapRecorder, read_run_from_mcap
 from safedpa.robots.car.system import CAR
 from safedpa_lab.hidden import Case, write_cases
@@ -145,7 +145,7 @@ class Hands:
     def __call__(self, _work: Any, jobs: Sequence[Any], _failed: Callable[..., Any]) -> Iterator[Any]:
         for job in jobs:
             self.did.append(job)
-            document = not_diagnosed(job, "made up").document | {"status": self.status}
+            document = failed_result(job, "made up").document | {"status": self.status}
             yield RobotResult(job.robot.name, document)
 
 
@@ -159,7 +159,7 @@ def asked(tmp_path: Path) -> Fleet:
             path.write_text(f"t,x\n0,{name}\n", encoding="utf-8")
         robots.append(RobotLogs(name, paths))
     (tmp_path / "model.toml").write_text(write_model(load_model("car")), encoding="utf-8")
-    return Fleet(RobotsFound(tuple(robots), "folder"), Options(str(tmp_path / "model.toml")), tmp_path / "out")
+    return Fleet(DiscoveredRobots(tuple(robots), "folder"), Options(str(tmp_path / "model.toml")), tmp_path / "out")
 
 
 def diagnosed(asked: Fleet, *, status: str = "unreadable", anew: bool = False) -> tuple[list[str], Any]:
@@ -194,7 +194,7 @@ def task_of(asked: Fleet, files: Sequence[Path] | None = None, **options: Any) -
 def task(asked: Fleet) -> Task:
     """The task of robot a, which is done."""
     task = task_of(asked)
-    write_result(RobotResult("a", not_diagnosed(task, "").document | {"status": "diagnosed"}), asked.out)
+    write_result(RobotResult("a", failed_result(task, "").document | {"status": "diagnosed"}), asked.out)
     return task
 
 
@@ -206,32 +206,32 @@ def task(asked: Fleet) -> Task:
     ],
 )  # fmt: skip
 def test_a_result_is_kept_with_the_same_inputs_and_a_verdict(asked, task, changes, same):
-    document = not_diagnosed(task, "").document | {"status": "diagnosed"} | changes
+    document = failed_result(task, "").document | {"status": "diagnosed"} | changes
     write_result(RobotResult("a", document), asked.out)
-    assert kept(task, asked.out) is same
+    assert has_current_result(task, asked.out) is same
 
 
 def test_a_result_that_is_missing_or_broken_is_not_kept(asked: Fleet, task: Task) -> None:
-    assert not kept(task_of(asked), asked.out.parent)
+    assert not has_current_result(task_of(asked), asked.out.parent)
     (asked.out / "robots" / "a" / "result.json").write_text("{", encoding="utf-8")
     assert read_result(asked.out / "robots" / "a") is None
-    assert not kept(task, asked.out)
+    assert not has_current_result(task, asked.out)
 
 
 def test_copies_with_another_time_or_in_another_folder_are_the_same_recordings(asked, task, tmp_path):
     os.utime(task.robot.files[0], ns=(1, 1))
-    assert kept(task_of(asked), asked.out)
+    assert has_current_result(task_of(asked), asked.out)
     moved = (tmp_path / "recordings" / "a").rename(tmp_path / "archive")
     (tmp_path / "model.toml").rename(moved / "model.toml")
-    assert kept(task_of(asked, sorted(moved.glob("*.csv")), model=str(moved / "model.toml")), asked.out)
+    assert has_current_result(task_of(asked, sorted(moved.glob("*.csv")), model=str(moved / "model.toml")), asked.out)
 
 
 def test_changed_contents_of_the_same_size_and_fewer_recordings_are_diagnosed_again(asked: Fleet, task: Task) -> None:
     path = task.robot.files[0]
-    assert not kept(task_of(asked, [path]), asked.out)
+    assert not has_current_result(task_of(asked, [path]), asked.out)
     path.write_bytes(path.read_bytes()[:-2] + b"9\n")
     os.utime(path, ns=(1, 1))
-    assert not kept(task_of(asked), asked.out)
+    assert not has_current_result(task_of(asked), asked.out)
 
 
 @pytest.mark.parametrize("options", [{"horizon": 0.5}, {"columns": "dart_car_columns"}, {}])
@@ -241,11 +241,11 @@ def test_another_horizon_column_map_or_model_is_diagnosed_again(asked, task, opt
         Path(asked.options.model).write_text(text, encoding="utf-8")
     other = task_of(asked, **options)
     assert other.digest != task.digest
-    assert not kept(other, asked.out)
+    assert not has_current_result(other, asked.out)
 
 
 def test_half_written_folders_and_robots_that_are_gone_are_removed(asked: Fleet, task: Task) -> None:
-    write_result(RobotResult("z", not_diagnosed(task, "").document), asked.out)
+    write_result(RobotResult("z", failed_result(task, "").document), asked.out)
     for name in (".a.123.part", "mine"):
         (asked.out / "robots" / name).mkdir()
     clear_others([task], asked.out)
@@ -255,11 +255,11 @@ def test_half_written_folders_and_robots_that_are_gone_are_removed(asked: Fleet,
 def test_a_folder_that_cannot_be_written_is_reported_with_the_option(asked: Fleet, tmp_path: Path) -> None:
     (tmp_path / "robots").write_text("in the way", encoding="utf-8")
     with pytest.raises(RecordingError, match="--out"):
-        write_result(not_diagnosed(task_of(asked), ""), tmp_path)
+        write_result(failed_result(task_of(asked), ""), tmp_path)
 
 
 def test_a_robot_without_a_readable_file_has_a_line_with_the_reason(asked: Fleet) -> None:
-    result = diagnosed_robot(task_of(asked))
+    result = diagnose_robot(task_of(asked))
     assert result.document["status"] == "unreadable"
     assert "column" in result.document["reason"]
     assert len(result.document["unreadable_files"]) == 2
@@ -365,7 +365,7 @@ def report(index: int) -> dict:
 def workers(work, jobs, _failed):
     """The search is left out; what is tried on the robots is really tried."""
     for job in jobs:
-        if work is not diagnosed_robot:
+        if work is not diagnose_robot:
             yield work(job)
             continue
         document = {
@@ -377,7 +377,7 @@ def workers(work, jobs, _failed):
 
 def fleet_of(recordings, out):
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
-    return Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), out)
+    return Fleet(DiscoveredRobots(robots, "folder"), Options(str(recordings[0].model)), out)
 
 
 def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
@@ -401,7 +401,7 @@ def test_a_model_of_an_earlier_fleet_does_not_stay(recordings, tmp_path):
 def test_a_model_that_does_not_help_is_not_written(recordings, tmp_path):
 
     def doubtful(work, jobs, failed):
-        if work is diagnosed_robot:
+        if work is diagnose_robot:
             yield from workers(work, jobs, failed)
         else:
             yield from ((job.robot.name, 0.4) for job in jobs)

@@ -12,11 +12,17 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from safedpa.dynamics import load_model
-from safedpa.fleet.alike import apart, clusters, same_effects, with_one_name
-from safedpa.fleet.common import common_effects, confirmed, mended_model, mended_settings, together_effects
+from safedpa.fleet.alike import connected_components, differ_significantly, same_effects, with_one_name
+from safedpa.fleet.common import (
+    common_effects,
+    confirm_correction,
+    corrected_model,
+    corrected_settings,
+    together_effects,
+)
 from safedpa.fleet.discovery import FALSE_SHARE, believed, chance, upper_tail
-from safedpa.fleet.document import analysed, fleet_document
-from safedpa.fleet.outcome import Number, RobotOutcome, Tried, neutral_of, outcome_of
+from safedpa.fleet.document import analyse_fleet, fleet_document
+from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of, outcome_of
 from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
 from safedpa.fleet.story import common_sentence, discovery_sentence, group_title, headline, listed, range_text
 
@@ -110,13 +116,13 @@ def number(value: float, std: float = math.nan) -> Number:
     return Number(value, std, "1")
 
 
-def robot(name: str, *found: Tried, **more: Any) -> RobotOutcome:
+def robot(name: str, *found: EffectEvidence, **more: Any) -> RobotOutcome:
     return RobotOutcome(name, "diagnosed", "", tuple(found), **more)
 
 
 def force(values: tuple[float, ...], stds: tuple[float, ...]) -> RobotOutcome:
     numbers = {axis: number(*pair) for axis, pair in zip(("ax", "ay"), zip(values, stds, strict=True), strict=False)}
-    return robot("r", Tried("constant_force", numbers, 9.0))
+    return robot("r", EffectEvidence("constant_force", numbers, 9.0))
 
 
 @pytest.mark.parametrize(
@@ -136,14 +142,14 @@ def force(values: tuple[float, ...], stds: tuple[float, ...]) -> RobotOutcome:
     ],
 )  # fmt: skip
 def test_two_robots_differ_where_their_numbers_do_widely_and_surely(one: Any, other: Any, differ: bool) -> None:
-    assert apart(force(*one), force(*other), "car") is differ
-    assert apart(force(*other), force(*one), "car") is differ
+    assert differ_significantly(force(*one), force(*other), "car") is differ
+    assert differ_significantly(force(*other), force(*one), "car") is differ
 
 
 @pytest.mark.parametrize(("other", "differ"), [(1.22, False), (1.21, True), (1.40, False), (1.43, True)])
 def test_a_gain_differs_by_its_change_from_one(other: float, differ: bool) -> None:
-    gains = [robot("r", Tried("steering_gain", {"gain": number(value, 1e-4)}, 9.0)) for value in (1.3, other)]
-    assert apart(*gains, "car") is differ
+    gains = [robot("r", EffectEvidence("steering_gain", {"gain": number(value, 1e-4)}, 9.0)) for value in (1.3, other)]
+    assert differ_significantly(*gains, "car") is differ
 
 
 def test_a_pooled_number_and_its_spread() -> None:
@@ -165,9 +171,9 @@ def test_a_robot_with_a_smaller_deviation_counts_more_in_a_pooled_number() -> No
 @pytest.mark.parametrize(("step", "differs"), [(0.060, False), (0.066, True)])
 def test_a_common_number_differs_where_it_spreads_by_half_of_what_sets_two_robots_apart(step, differs):
     """Five robots about 0.6 m/s2: their spread is 1.58 steps, the limit 0.5 * 0.33 * 0.6 = 0.099."""
-    other = Tried("understeer", {"gradient": number(0.0, 1.0)}, 9.0)
+    other = EffectEvidence("understeer", {"gradient": number(0.0, 1.0)}, 9.0)
     every = [
-        robot(f"r{n}", other, Tried("rolling_resistance", {"deceleration": number(0.6 + n * step, 1e-4)}, 9.0))
+        robot(f"r{n}", other, EffectEvidence("rolling_resistance", {"deceleration": number(0.6 + n * step, 1e-4)}, 9.0))
         for n in (-2, -1, 0, 1, 2)
     ]
     found = {item.effect: item for item in common_effects(every, "car")}
@@ -186,10 +192,10 @@ def test_a_corrected_model_is_confirmed_if_a_fair_coin_is_as_good_once_in_a_hund
     before = {f"r{n}": 1.0 for n in range(robots)}
     for better in (enough, enough - 1):
         after = {f"r{n}": 0.5 if n < better else 1.01 for n in range(robots)}
-        found = confirmed(before, after)
+        found = confirm_correction(before, after)
         assert (found.robots, found.better, found.holds) == (robots, better, better == enough)
     large = {name: 0.99 if int(name[1:]) < enough else 9.0 for name in before}
-    assert confirmed(before, large).holds is (enough == robots), "a few large rises outweigh many small falls"
+    assert confirm_correction(before, large).holds is (enough == robots), "a few large rises outweigh many small falls"
 
 
 @pytest.mark.parametrize(
@@ -203,7 +209,9 @@ def tried_by(scores: dict[str, list[float]]) -> list[RobotOutcome]:
     """Robots that tried each effect last, with these scores in turn."""
     count = len(next(iter(scores.values())))
     return [
-        robot(f"r{n}", last={name: Tried(name, {"x": number(1.0, 1.0)}, own[n]) for name, own in scores.items()})
+        robot(
+            f"r{n}", last={name: EffectEvidence(name, {"x": number(1.0, 1.0)}, own[n]) for name, own in scores.items()}
+        )
         for n in range(count)
     ]
 
@@ -345,7 +353,7 @@ def test_what_all_have_belongs_to_the_model_free_where_it_differs(make_tried, ma
     robots = [make_robot(f"r{i}", make_tried("payload", mass_ratio=value)) for i, value in enumerate(values)]
     (found,) = common_effects(robots, "car")
     assert (found.effect, found.found_in, found.differs) == ("payload", 12, differs)
-    model = mended_model(load_model("car"), mended_settings("car", [found]))
+    model = corrected_model(load_model("car"), corrected_settings("car", [found]))
     setting = model.settings["payload.mass_ratio"]
     assert setting.free is differs
     assert 0.2 <= setting.value <= 0.8
@@ -355,15 +363,17 @@ def test_a_robots_own_number_has_no_part_in_the_model_that_is_tried_on_it(make_t
     values = [0.30] * 9 + [0.36]
     robots = [make_robot(f"r{i}", make_tried("payload", mass_ratio=value)) for i, value in enumerate(values)]
     (found,) = common_effects(robots, "car")
-    assert mended_settings("car", [found], "r9")["payload"]["mass_ratio"].value == pytest.approx(0.30)
-    assert mended_settings("car", [found])["payload"]["mass_ratio"].value > 0.30
+    assert corrected_settings("car", [found], "r9")["payload"]["mass_ratio"].value == pytest.approx(0.30)
+    assert corrected_settings("car", [found])["payload"]["mass_ratio"].value > 0.30
 
 
 def test_a_few_robots_or_errors_that_are_no_numbers_confirm_nothing():
     before = dict.fromkeys("abcdefghij", 0.2)
-    assert not confirmed(dict.fromkeys("abcd", 0.2), dict.fromkeys("abcd", 0.1)).holds  # a sixteenth is chance enough
-    assert not confirmed(before, dict.fromkeys(before, math.nan)).holds
-    assert confirmed({"a": 0.2}, {}).robots == 0
+    assert not confirm_correction(
+        dict.fromkeys("abcd", 0.2), dict.fromkeys("abcd", 0.1)
+    ).holds  # a sixteenth is chance enough
+    assert not confirm_correction(before, dict.fromkeys(before, math.nan)).holds
+    assert confirm_correction({"a": 0.2}, {}).robots == 0
 
 
 def test_a_number_that_was_pushed_to_its_bound_speaks_for_nothing(make_tried, make_robot):
@@ -419,9 +429,11 @@ def test_groups_are_a_partition_that_does_not_depend_on_the_order(values, random
     def far(one, other):
         return abs(one - other) > 1.0
 
-    parts = clusters(values, far)
+    parts = connected_components(values, far)
     assert sorted(each for part in parts for each in part) == sorted(values)
-    assert sorted(map(sorted, clusters(random.sample(values, len(values)), far))) == sorted(map(sorted, parts))
+    assert sorted(map(sorted, connected_components(random.sample(values, len(values)), far))) == sorted(
+        map(sorted, parts)
+    )
     for part in parts:
         own = sorted(part)
         assert all(b - a <= 1.0 for a, b in pairwise(own))
@@ -433,7 +445,7 @@ def test_the_fleet_in_one_sentence(make_tried, make_robot):
     weak = make_robot("weak", make_tried("payload", score=3.05, mass_ratio=0.1))
     healthy = [make_robot(f"h{i}") for i in range(40)]
     lost = make_robot("lost", status="unreadable")
-    analysis = analysed([*brakes, slope, weak, *healthy, lost], "car")
+    analysis = analyse_fleet([*brakes, slope, weak, *healthy, lost], "car")
     document = fleet_document(analysis, [])
     assert headline(document) == (
         "46 robots: 3 lack rolling_resistance (deceleration 0.4 to 0.5 m/s2); 1 lacks constant_force (ax 0.4 m/s2, "
@@ -446,5 +458,5 @@ def test_the_fleet_in_one_sentence(make_tried, make_robot):
 
 def test_a_robot_that_does_not_fit_is_named(make_robot):
     healthy = [make_robot(f"h{i}", error_after=0.02 + 0.0005 * i) for i in range(12)]
-    analysis = analysed([*healthy, make_robot("odd", error_after=0.2)], "car")
-    assert ([name for name, _ in analysis.odd], analysed(healthy, "car").odd) == (["odd"], ())
+    analysis = analyse_fleet([*healthy, make_robot("odd", error_after=0.2)], "car")
+    assert ([name for name, _ in analysis.odd], analyse_fleet(healthy, "car").odd) == (["odd"], ())

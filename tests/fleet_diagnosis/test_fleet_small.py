@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from safedpa.fleet.inputs import Options, options_digest
-from safedpa.fleet.one_robot import Task, diagnosed_robot
+from safedpa.fleet.one_robot import Task, diagnose_robot
 from safedpa.fleet.robots import RobotLogs
 from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 from safedpa_services.command_line.group import safedpa
@@ -74,7 +74,7 @@ def test_too_short_data_are_named(small_fleet, tmp_path):
     files, options = tuple(sorted(own.glob("*.csv"))), Options(str(small_fleet.folder / "model.toml"))
     for path in files:
         path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:40]), encoding="utf-8")
-    result = diagnosed_robot(Task(RobotLogs("car_000", files), options, options_digest(options)))
+    result = diagnose_robot(Task(RobotLogs("car_000", files), options, options_digest(options)))
     assert result.document["status"] == "no_verdict"
     assert "too little" in result.document["reason"]
 

@@ -14,15 +14,15 @@ from safedpa.bus import (
     HealthMessage,
     MemoryBroker,
     MemoryTransport,
-    Received,
+    ReceivedMessage,
     ServiceLoop,
     VerdictMessage,
 )
-from safedpa.bus.transport.in_process import JointTransport
+from safedpa.bus.transport.memory import JointTransport
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.fleet_loop import FleetLoop
 
@@ -84,7 +84,7 @@ class Stack:
     def health(self, service: str) -> dict[str, HealthMessage]:
         """The newest heartbeat of a service, by robot."""
         self.drive(0.3)
-        items = [item.message for item in self._healths.take(0.0) if isinstance(item, Received)]
+        items = [item.message for item in self._healths.take(0.0) if isinstance(item, ReceivedMessage)]
         found: dict[str, HealthMessage] = {}
         for item in self._last(items, service):
             found[item[0]] = item[1]
@@ -96,7 +96,7 @@ class Stack:
 
     def verdicts(self) -> dict[str, VerdictMessage]:
         """The newest verdicts since the last call, by robot."""
-        items = [item for item in self._verdicts.take(0.0) if isinstance(item, Received)]
+        items = [item for item in self._verdicts.take(0.0) if isinstance(item, ReceivedMessage)]
         return {item.robot: item.message for item in items if isinstance(item.message, VerdictMessage)}
 
 

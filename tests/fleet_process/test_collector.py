@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from safedpa.bus.loop.collector import GROWTH, settle_collector
+from safedpa.bus.service.process import GROWTH, freeze_garbage_collector
 
 
 class Knot:
@@ -27,7 +27,7 @@ def settled() -> Iterator[list[int]]:
         if phase == "start":
             generations.append(told["generation"])
 
-    settle_collector()
+    freeze_garbage_collector()
     gc.callbacks.append(note)
     yield generations
     assert len(held) == 20 * GROWTH

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import SurroundingsMessage
-from safedpa.bus.wire.codec import decode, decode_by_field
+from safedpa.bus.messages.codec import decode, decode_by_field
 from safedpa.dynamics import AbstractDynamics, load_model
 from safedpa.errors import MessageError
-from safedpa.robots.car.barriers import car_barriers
-from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.margin import OnlineMargin
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.safety.barriers.base import CachingBarrierSet
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.margins.conformal import OnlineMargin
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stacks import stacked
 from safedpa_sim.robots.fleet_loop import Durations
 
 anything = st.one_of(
@@ -124,8 +124,8 @@ def test_a_margin_with_ordered_errors_is_the_one_that_sorts(errors: list[float],
 @given(states=st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 4), min_size=1, max_size=30))
 def test_a_stack_with_a_memory_has_the_values_of_the_stack(states: list[tuple[float, ...]]) -> None:
     obstacles, field = ((0.5, 0.5, 0.2), (1.0, -1.0, 0.3)), (-4.0, 4.0, -4.0, 4.0)
-    stack = stacked(car_barriers(FilterSettings(), (0.08, 0.4, 0.12), obstacles, field))
-    remembering = RememberingStack(stack)
+    stack = make_barrier_set(car_barriers(FilterSettings(), (0.08, 0.4, 0.12), obstacles, field))
+    remembering = CachingBarrierSet(stack)
     for values in (*states, *states[-3:]):
         state = np.array(values)
         h = remembering.values(state)

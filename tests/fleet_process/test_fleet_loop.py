@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import ACTION, VERDICT, Bus, MemoryTransport, Received, VerdictMessage
+from safedpa.bus import ACTION, VERDICT, Bus, MemoryTransport, ReceivedMessage, VerdictMessage
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.fleet_loop import FleetLoop
 
@@ -111,7 +111,7 @@ def test_the_path_is_published_every_fourth_tick_and_the_next_state_every_tick(s
     fleet = stack(NAMES[:1])
     verdicts = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,), keep_all=True)
     fleet.drive(1.0)
-    told = [item.message for item in verdicts.take(0.0) if isinstance(item, Received)]
+    told = [item.message for item in verdicts.take(0.0) if isinstance(item, ReceivedMessage)]
     rows = {verdict.tick: len(verdict.predicted) for verdict in told if isinstance(verdict, VerdictMessage)}
     assert len(rows) >= 15
     assert rows == {tick: 8 if tick % 4 == 0 else 1 for tick in rows}

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus import Inbox, Refused
-from safedpa.bus.transport.inbox import Parcel
-from safedpa.bus.wire.topics import TOPICS
+from safedpa.bus import Inbox, RejectedMessage
+from safedpa.bus.messages.topics import TOPICS
+from safedpa.bus.transport.inbox import SharedPayload
 from safedpa.errors import MessageError
 
 MEBIBYTE = 1024 * 1024
@@ -49,8 +49,8 @@ def test_a_payload_that_is_too_large_is_refused_and_not_kept_until_then() -> Non
     finally:
         tracemalloc.stop()
     taken = inbox.take(0.0)
-    assert [type(item) for item in taken] == [Refused, Refused]
-    assert all("wanted at most" in item.reason for item in taken if isinstance(item, Refused))
+    assert [type(item) for item in taken] == [RejectedMessage, RejectedMessage]
+    assert all("wanted at most" in item.reason for item in taken if isinstance(item, RejectedMessage))
 
 
 @settings(max_examples=60, deadline=None)
@@ -106,11 +106,11 @@ def test_a_message_that_several_inboxes_hold_is_read_once_and_the_whole_of_one_t
     largest = max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == "latest")
     reader, payload = Reader(), bytes(largest + over)
     inboxes, unheld = (Inbox(decode=reader), Inbox(decode=reader)), sys.getrefcount(payload)
-    parcels = [Parcel("safedpa/f/a/state", payload)]
+    parcels = [SharedPayload("safedpa/f/a/state", payload)]
     for inbox in inboxes:
         inbox.keep_parcels(parcels, all_of_them=False)
     parcels.clear()
     assert (sys.getrefcount(payload) > unheld) is (over <= 1), "one byte more is kept to see that it is too large"
     for inbox in inboxes:
-        assert [type(item) for item in inbox.take(0.0)] == [Refused]
+        assert [type(item) for item in inbox.take(0.0)] == [RejectedMessage]
     assert [len(read) for read in reader.read] == [min(largest + over, largest + 1)] * reads

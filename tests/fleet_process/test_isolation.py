@@ -19,13 +19,13 @@ from safedpa.bus import (
     Inputs,
     ModelMessage,
     Outputs,
-    Received,
+    ReceivedMessage,
     StateMessage,
     WishMessage,
     encode,
 )
 from safedpa.errors import BusError
-from safedpa.safety.filtered_robot import FilteredRobot
+from safedpa.runtime.robot_session import RobotSession
 from safedpa_sim.robots import CarRobot
 
 GOOD = ("a", "b", "c")
@@ -74,7 +74,7 @@ def test_what_one_robot_sends_changes_nothing_for_the_others(
     actions = fleet.bus().inbox((ACTION,), "strange")
     fleet.drive(0.2, poison)
     for item in actions.take(0.0):  # every robot that can be answered is ordered to stand
-        assert isinstance(item, Received)
+        assert isinstance(item, ReceivedMessage)
         assert item.message.values == (0.0, 0.0)
 
 
@@ -158,14 +158,14 @@ def test_a_flood_of_models_leaves_the_loop_its_turns(stack: Make, undisturbed: d
 def broken_for(monkeypatch: pytest.MonkeyPatch, fleet: Any, name: str, error: BaseException) -> None:
     """Makes every decision of one robot raise."""
     epoch = fleet.cars[name].guard.epoch
-    original = FilteredRobot.usable_latent
+    original = RobotSession.usable_latent
 
-    def raising(self: FilteredRobot, state: StateMessage, inputs: Inputs) -> Any:
+    def raising(self: RobotSession, state: StateMessage, inputs: Inputs) -> Any:
         if state.epoch == epoch:
             raise error
         return original(self, state, inputs)
 
-    monkeypatch.setattr(FilteredRobot, "usable_latent", raising)
+    monkeypatch.setattr(RobotSession, "usable_latent", raising)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("broken"), ZeroDivisionError(), RecursionError(), AssertionError()])
@@ -278,7 +278,7 @@ def test_actions_of_a_rescue_are_within_the_limits_of_the_robot(stack: Make, mon
     broken_for(monkeypatch, fleet, "a", RuntimeError("broken"))
     inbox = fleet.bus().inbox((ACTION,), "a")
     fleet.drive(0.1)
-    messages = [item.message for item in inbox.take(0.0) if isinstance(item, Received)]
+    messages = [item.message for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)]
     assert messages
     for message in messages:
         assert isinstance(message, ActionMessage)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import HEALTH, STATE, AbstractNode, Bus, MemoryBroker, ServiceLoop
-from safedpa.bus.loop.turning import Agenda
-from safedpa.bus.transport.in_process import MemoryTransport
+from safedpa.bus.service.scheduler import TimerQueue
+from safedpa.bus.transport.memory import MemoryTransport
 from safedpa_sim.robots import CarRobot, Scene
 
 Make = Callable[..., Any]
@@ -55,7 +55,7 @@ def test_what_sending_needed_is_given_back_when_a_robot_leaves() -> None:
 
 @given(moments=st.lists(st.tuples(st.floats(0.0, 10.0), st.sampled_from("abc")), max_size=30), now=st.floats(0.0, 10.0))
 def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[tuple[float, str]], now: float) -> None:
-    agenda = Agenda()
+    agenda = TimerQueue()
     for when, robot in moments:
         agenda.at(when, robot)
     agenda.at(float("inf"), "never")
@@ -69,7 +69,7 @@ def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[
     awaited=st.sets(st.sampled_from("abc")),
 )
 def test_robots_that_are_not_awaited_have_no_moment(moments: list[tuple[float, str]], awaited: set[str]) -> None:
-    agenda = Agenda()
+    agenda = TimerQueue()
     for when, robot in moments:
         agenda.at(when, robot)
     first = min((when for when, robot in moments if robot in awaited), default=float("inf"))

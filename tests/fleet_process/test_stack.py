@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from safedpa.errors import InputError
 from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark
-from safedpa_services.stack.__main__ import serves
+from safedpa_services.stack.__main__ import assigned_robots
 
 Make = Callable[..., Any]
 
@@ -23,12 +23,12 @@ def test_in_one_process_every_trajectory_is_the_same(stack: Make, undisturbed: d
 
 @given(robot=st.text(min_size=1), of=st.integers(1, 9))
 def test_every_robot_is_served_by_exactly_one_stack(robot: str, of: int) -> None:
-    assert sum(serves(f"{number}/{of}")(robot) for number in range(1, of + 1)) == 1
+    assert sum(assigned_robots(f"{number}/{of}")(robot) for number in range(1, of + 1)) == 1
 
 
 def test_the_shares_of_a_fleet_are_alike() -> None:
     names = [f"car{index:04d}" for index in range(200)]
-    shares = [sum(map(serves(f"{number}/2"), names)) for number in (1, 2)]
+    shares = [sum(map(assigned_robots(f"{number}/2"), names)) for number in (1, 2)]
     assert sum(shares) == 200
     assert min(shares) >= 80
 
@@ -36,7 +36,7 @@ def test_the_shares_of_a_fleet_are_alike() -> None:
 @pytest.mark.parametrize("share", ["", "1", "0/2", "3/2", "a/b", "1/0", "-1/2", "1/2/3"])
 def test_a_malformed_share_is_refused(share: str) -> None:
     with pytest.raises(InputError, match="wanted a number and how many"):
-        serves(share)
+        assigned_robots(share)
 
 
 @pytest.mark.processes

@@ -22,7 +22,7 @@ import json, os, signal, sys, time
 from pathlib import Path
 import numpy, pyarrow.parquet, pyarrow.csv, zstandard, lz4.frame, mcap.reader, safetensors
 import rosbags.typesys, pyulog.core
-import safedpa.dynamics, safedpa.records, safedpa.records.mcap_run, safedpa.safety.margin_text
+import safedpa.dynamics, safedpa.records, safedpa.records.readers.mcap, safedpa.safety.margins.calibration
 from safedpa.ros.definitions import known_fields
 known_fields(False), known_fields(True)
 from safedpa_lab.experiments.hostile.bombs import BOMBS, attempt

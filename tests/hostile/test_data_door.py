@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus.transport.ports import free_port
-from safedpa_services.dashboard.doors import DataDoor, Door, own_loopback
+from safedpa_services.dashboard.doors import DataProxy, ViewerServer, private_loopback
 
 OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
 
@@ -21,7 +21,7 @@ OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
 def behind() -> Iterator[tuple[tuple[str, int], list[bytes]]]:
     """A server that says ``data`` to whatever it is asked, and what it heard."""
     heard: list[bytes] = []
-    server = socket.create_server((own_loopback(), 0))
+    server = socket.create_server((private_loopback(), 0))
 
     def answer(link: socket.socket) -> None:
         with link:
@@ -43,9 +43,9 @@ def behind() -> Iterator[tuple[tuple[str, int], list[bytes]]]:
 
 
 @pytest.fixture(scope="module")
-def door(behind: tuple[tuple[str, int], list[bytes]]) -> Iterator[tuple[DataDoor, int]]:
+def door(behind: tuple[tuple[str, int], list[bytes]]) -> Iterator[tuple[DataProxy, int]]:
     port = free_port()  # one of the kernel's own choice may be another connection's by then
-    found = DataDoor("127.0.0.1", port, behind[0], ("robots.example",))
+    found = DataProxy("127.0.0.1", port, behind[0], ("robots.example",))
     yield found, port
     found.close()
 
@@ -59,7 +59,7 @@ def said(port: int, head: bytes) -> bytes:
     return answer
 
 
-def test_the_data_are_given_under_our_names(door: tuple[DataDoor, int]) -> None:
+def test_the_data_are_given_under_our_names(door: tuple[DataProxy, int]) -> None:
     page = OWN.replace(b"\r\n\r\n", b"\r\nOrigin: http://127.0.0.1:9090\r\n\r\n")
     for head in (OWN, page, OWN.replace(b"127.0.0.1", b"localhost"), OWN.replace(b"127.0.0.1", b"robots.example")):
         assert said(door[1], head).endswith(b"data")
@@ -84,7 +84,7 @@ def test_the_data_are_given_under_our_names(door: tuple[DataDoor, int]) -> None:
     ],
 )
 def test_everything_else_is_refused_before_it_is_heard(
-    door: tuple[DataDoor, int], behind: tuple[tuple[str, int], list[bytes]], head: bytes
+    door: tuple[DataProxy, int], behind: tuple[tuple[str, int], list[bytes]], head: bytes
 ) -> None:
     heard = len(behind[1])
     assert said(door[1], head).startswith(b"HTTP/1.1 403")
@@ -92,7 +92,7 @@ def test_everything_else_is_refused_before_it_is_heard(
 
 
 def test_what_follows_the_first_request_is_on_its_own(
-    door: tuple[DataDoor, int], behind: tuple[tuple[str, int], list[bytes]]
+    door: tuple[DataProxy, int], behind: tuple[tuple[str, int], list[bytes]]
 ) -> None:
     """Rerun's server closes after the answer, and is not asked for another protocol."""
     upgrade = OWN.replace(
@@ -105,11 +105,11 @@ def test_what_follows_the_first_request_is_on_its_own(
     assert heard.count(b"connection: close") == 1
 
 
-def test_a_viewer_that_is_installed_speaks_another_protocol(door: tuple[DataDoor, int]) -> None:
+def test_a_viewer_that_is_installed_speaks_another_protocol(door: tuple[DataProxy, int]) -> None:
     assert said(door[1], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").endswith(b"data")
 
 
-def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataDoor, int]) -> None:
+def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataProxy, int]) -> None:
     links = [socket.create_connection(("127.0.0.1", door[1]), timeout=60.0) for _ in range(70)]
     try:
         assert links[-1].recv(1) == b""
@@ -119,9 +119,9 @@ def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataDoor, int]) -
 
 
 @pytest.mark.long
-def test_who_says_nothing_for_ten_seconds_is_sent_away(door: tuple[DataDoor, int]) -> None:
+def test_who_says_nothing_for_ten_seconds_is_sent_away(door: tuple[DataProxy, int]) -> None:
     """From the door of the page as from that of the data; otherwise a few silent ones would keep everybody out."""
-    page = Door("127.0.0.1", port := free_port(), door[1])
+    page = ViewerServer("127.0.0.1", port := free_port(), door[1])
     began = time.monotonic()
     links = [socket.create_connection(("127.0.0.1", number), timeout=40.0) for number in (door[1], port)]
     try:
@@ -135,7 +135,7 @@ def test_who_says_nothing_for_ten_seconds_is_sent_away(door: tuple[DataDoor, int
 
 @given(st.binary(max_size=300))
 def test_no_head_passes_under_a_foreign_name(found: bytes) -> None:
-    door = object.__new__(DataDoor)
+    door = object.__new__(DataProxy)
     from safedpa_services.web.hosts import Hosts
 
     door._hosts = Hosts("127.0.0.1")
@@ -145,6 +145,6 @@ def test_no_head_passes_under_a_foreign_name(found: bytes) -> None:
 
 
 def test_rerun_s_own_server_is_where_no_page_looks(tmp_path: Path) -> None:
-    addresses = {own_loopback() for _ in range(20)}
+    addresses = {private_loopback() for _ in range(20)}
     assert len(addresses) > 15
     assert all(ipaddress.ip_address(address).is_loopback for address in addresses)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from safedpa.bus import ACTION, HEALTH, NO_ROBOT, WISH, ZenohSettings, ZenohTransport, key_of
-from safedpa.bus.security.access import ROLES, rate_limits
+from safedpa.bus.security.access_control import ROLES, rate_limits
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.usefixtures("links_outlive")]
 _MOST = 4000.0

@@ -7,7 +7,7 @@ import pytest
 
 from safedpa.limits import limit
 from safedpa_services.web import guard
-from safedpa_services.web.guard import HEALTHY, Door, Guard
+from safedpa_services.web.guard import HEALTHY, AccessPolicy, Guard
 from safedpa_services.web.hosts import Hosts
 
 TOKEN, PASSWORD = "a-token", "open, sesame"
@@ -32,7 +32,7 @@ class Page:
 
         monkeypatch.setattr(guard, "log_event", log)
         monkeypatch.setattr(asyncio, "sleep", sleep)
-        self.door = Door(Hosts("127.0.0.1"), 8080, token=TOKEN, password=password)
+        self.door = AccessPolicy(Hosts("127.0.0.1"), 8080, token=TOKEN, password=password)
         self.seen: list[Any] = []
         self.sent: list[Any] = []
 

@@ -12,12 +12,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from safedpa.bus import STATE, HealthMessage, key_of
-from safedpa.bus.log import EventLog
-from safedpa.bus.wire.topics import topic_of
+from safedpa.bus.logging import EventLog
+from safedpa.bus.messages.topics import topic_of
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa_services.command_line.group import safedpa
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 from safedpa_services.supervisor.warnings import readable as event_line
 from safedpa_services.terminal import terminal
 
@@ -77,7 +77,7 @@ def test_what_is_readable_is_printable_and_short(text: str) -> None:
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_a_terminal_shows_it_as_text(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    say(text.encode("utf-8", "replace").decode())
+    print_plain(text.encode("utf-8", "replace").decode())
     assert not CONTROL.search(capsys.readouterr().out.replace("\n", ""))
     if text.isascii() and text.isprintable() and len(text) < 300:
         assert text in drawn(text), "markup is text as well"
@@ -87,7 +87,7 @@ def test_a_terminal_shows_it_as_text(text: str, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("text", HOSTILE[:-2])
 def test_the_table_of_processes_shows_it_as_text(text: str) -> None:
     from safedpa_services.supervisor.child import Child
-    from safedpa_services.supervisor.view import view_of
+    from safedpa_services.supervisor.view import render_view
 
     message = HealthMessage(
         epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service="policy", pid=1, state=text, detail=text
@@ -96,7 +96,7 @@ def test_the_table_of_processes_shows_it_as_text(text: str) -> None:
         state=None, verdict=None, finding=None, health={"policy": (message, 0.0)}, silent_for=lambda _: 0.0
     )
     policy, robot = (Child(name, "", (), Path("log")) for name in ("policy", "robot"))
-    shown = drawn(view_of(watch, [policy], robot, [text], [text]))
+    shown = drawn(render_view(watch, [policy], robot, [text], [text]))
     assert "policy" in shown
     assert not CONTROL.search(shown)
 

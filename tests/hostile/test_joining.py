@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.access import roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.access_control import roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.security.doorkeeper import Doorkeeper, defer_accept, listening_ports
+from safedpa.bus.security.connection_reaper import ConnectionReaper, defer_accept, listening_ports
 from safedpa.bus.transport import ports
 from safedpa_services.supervisor.supervisor import Supervisor
 
@@ -134,13 +134,13 @@ def test_members_of_another_session_of_the_process_are_left_alone(
     free_port: int, monkeypatch: pytest.MonkeyPatch, links_outlive: None
 ) -> None:
     """Two sessions in one process each guard their own port."""
-    cut, look = defaultdict[int, list[int]](list), Doorkeeper.look
+    cut, look = defaultdict[int, list[int]](list), ConnectionReaper.look
 
-    def counted(keeper: Doorkeeper) -> int:
+    def counted(keeper: ConnectionReaper) -> int:
         cut[id(keeper)].append(look(keeper))
         return cut[id(keeper)][-1]
 
-    monkeypatch.setattr(Doorkeeper, "look", counted)
+    monkeypatch.setattr(ConnectionReaper, "look", counted)
     doors = [f"tcp/127.0.0.1:{port}" for port in (free_port, ports.free_port())]
     sessions = [ZenohTransport(ZenohSettings("router", (door,))) for door in doors]
     guests = [ZenohTransport(ZenohSettings("client", connect=(door,))) for door in doors]
@@ -170,7 +170,7 @@ def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
         for link in (member, stranger):
             link.send(b"x")
         accepted = [listening.accept()[0] for _ in range(2)]
-        keeper = Doorkeeper({free_port}, lambda: [member.getsockname()], lambda: clock[0])
+        keeper = ConnectionReaper({free_port}, lambda: [member.getsockname()], lambda: clock[0])
         try:
             for link in (member, stranger):
                 link.settimeout(0.3)
@@ -195,7 +195,7 @@ def test_no_doorkeeper_watches_a_socket_in_the_file_system(tmp_path: Path) -> No
     """Whatever may open the folder may connect; looking for strangers ten times a second would find none."""
     listening = ZenohTransport(ZenohSettings(listen=(f"unixsock-stream/{tmp_path}/bus",)))
     try:
-        assert not [thread for thread in threading.enumerate() if thread.name.startswith(Doorkeeper.__name__)]
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith(ConnectionReaper.__name__)]
     finally:
         listening.close()
 

@@ -15,22 +15,22 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.loop.process import add_bus_options, identity_from
-from safedpa.bus.security.access import access_control, roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
-from safedpa.bus.security.certificates import Card, Certificates
+from safedpa.bus.security.access_control import access_control, roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Certificates, PemCredentials
+from safedpa.bus.service.process import add_bus_options, identity_from_options
 from safedpa.errors import BusError, InputError
 from safedpa_services.router import __main__ as router_process
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.router.router import Revoked, Twins
+from safedpa_services.router.router import DuplicateCertificates, RevocationList
 from safedpa_services.supervisor.private_folder import private_folder
-from safedpa_services.supervisor.securing import throw_away_certificates
+from safedpa_services.supervisor.securing import ephemeral_certificates
 
 _HOLDS = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # who starts the tests in the background has it ignored
-from safedpa_services.supervisor.securing import throw_away_certificates
-with throw_away_certificates("f", "r1") as wallet:
+from safedpa_services.supervisor.securing import ephemeral_certificates
+with ephemeral_certificates("f", "r1") as wallet:
     print(wallet.folder, flush=True)
     time.sleep(60)
 """
@@ -92,17 +92,17 @@ def test_no_argument_of_any_process_contains_a_key_or_a_token(tmp_path: Path) ->
 
 
 def test_a_process_reads_its_card_once_and_publishes_nothing_of_it() -> None:
-    with throw_away_certificates("f", "r1") as wallet:
+    with ephemeral_certificates("f", "r1") as wallet:
         card = wallet.cards["workbench"]
     parser = argparse.ArgumentParser()
     add_bus_options(parser)
     descriptor = card.pipe()
     options = parser.parse_args(["--role", "workbench", "--card", str(descriptor)])
-    assert identity_from(options) == card
+    assert identity_from_options(options) == card
     assert "PRIVATE" not in repr(card) + repr(wallet) + repr(options)
     assert options.card is None, "options are told on the bus and handed on"
     with pytest.raises(BusError, match="got no --certificates"):
-        identity_from(options)
+        identity_from_options(options)
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(descriptor)
 
@@ -114,7 +114,7 @@ def test_a_card_that_is_none_is_refused(said: bytes) -> None:
     os.write(writing, said)
     os.close(writing)
     with pytest.raises(BusError, match="no authority, certificate and key"):
-        Card.from_descriptor(reading, "policy")
+        PemCredentials.from_descriptor(reading, "policy")
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(reading)
 
@@ -122,16 +122,16 @@ def test_a_card_that_is_none_is_refused(said: bytes) -> None:
 def test_a_card_where_nothing_is_open_is_refused() -> None:
     """At a number that nothing can have: a number that was closed may be another thread's by now, which reads it."""
     with pytest.raises(BusError, match="Bad file descriptor"):
-        Card.from_descriptor(2**31 - 1, "policy")
+        PemCredentials.from_descriptor(2**31 - 1, "policy")
 
 
 _PRIVATE = """
 import ctypes, os, sys, time
-from safedpa.bus.security.certificates import close_memory
+from safedpa.bus.security.certificates import protect_process_memory
 if os.getuid() == 0:  # who may read everything
     os.setuid(65534)
     ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as every process begins
-print(close_memory() if sys.argv[1] == "closed" else True, flush=True)
+print(protect_process_memory() if sys.argv[1] == "closed" else True, flush=True)
 time.sleep(60)
 """
 _PRIES = """
@@ -183,7 +183,7 @@ def _member(router: ZenohTransport, endpoint: str, folder: Path, role: str) -> Z
 def test_the_later_one_of_two_with_one_certificate_is_cut_off(fleet: tuple[ZenohTransport, str, Path]) -> None:
     router, endpoint, folder = fleet
     first = _member(router, endpoint, folder, "policy")
-    twins = Twins(router.members, router.cut_off)
+    twins = DuplicateCertificates(router.members, router.cut_off)
     for _ in range(9):  # in the first of them it is not known which was there first
         twins.look()
     own = {session for session, name in router.members() if name == "policy"}
@@ -208,7 +208,7 @@ def test_a_revoked_certificate_s_link_ends(fleet: tuple[ZenohTransport, str, Pat
     router, endpoint, folder = fleet
     members = [_member(router, endpoint, folder, role) for role in ("policy", "robot.r1")]
     path = tmp_path / "revoked.txt"
-    revoked = Revoked(path, router.members, router.cut_off)
+    revoked = RevocationList(path, router.members, router.cut_off)
     try:
         assert revoked.look() == 0, "there is no such file"
         path.write_text("# stolen\nrobot.r1\n", encoding="utf-8")
@@ -269,7 +269,7 @@ def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(
 ) -> None:
     """By a folder of certificates, by a card, or by both: each is enough, and its rights are in force."""
     shown = object()
-    monkeypatch.setattr(router_process, "identity_from", lambda options: shown)
+    monkeypatch.setattr(router_process, "identity_from_options", lambda options: shown)
     options = _router_options(
         certificates=tmp_path if known_by != "card" else None, card=3 if known_by != "certificates" else None
     )

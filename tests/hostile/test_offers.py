@@ -14,8 +14,8 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import TAKEOVER, AbstractNode, Answer, ModelMessage, StateMessage
-from safedpa.bus.loop.apart import AbstractTicket, Apart
-from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.service.model_versions import ModelVersions
+from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
@@ -60,8 +60,8 @@ def state_at(tick: int) -> StateMessage:
 
 
 @pytest.fixture
-def apart() -> Iterator[Apart]:
-    found = Apart("safedpa_services.trying:tried", lambda: time.monotonic() / _BEHIND_OTHERS)
+def apart() -> Iterator[JobProcess]:
+    found = JobProcess("safedpa_services.trying:tried", lambda: time.monotonic() / _BEHIND_OTHERS)
     yield found
     found.close()
 
@@ -72,7 +72,7 @@ def turn(node: AbstractNode, tick: int) -> Any:
     return outputs.get(TAKEOVER)
 
 
-def tried_by(apart: Apart, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractTicket]:
+def tried_by(apart: JobProcess, node: AbstractNode) -> Callable[[str, ModelMessage], AbstractJobHandle]:
     """Has offers to a node tried in the process apart, as a service does."""
     return lambda robot, offer: apart.hand_in(
         (node.name, OPTIONS, robot, offer, node.newest(robot), node.agreed(robot))
@@ -80,7 +80,7 @@ def tried_by(apart: Apart, node: AbstractNode) -> Callable[[str, ModelMessage], 
 
 
 def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
-    apart: Apart, offer_of: Callable[..., ModelMessage]
+    apart: JobProcess, offer_of: Callable[..., ModelMessage]
 ) -> None:
     """The best of three goes at each: what a busy machine adds to one turn is not the bomb's."""
     good = math.inf
@@ -108,7 +108,7 @@ def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
     assert node.model_of("r1") == fingerprint(CAR)
 
 
-def test_a_good_offer_is_taken_as_before(apart: Apart, offer_of: Callable[..., ModelMessage]) -> None:
+def test_a_good_offer_is_taken_as_before(apart: JobProcess, offer_of: Callable[..., ModelMessage]) -> None:
     node = AdaptationNode(CAR)
     node.try_apart(tried_by(apart, node))
     turn(node, 0)
@@ -228,7 +228,7 @@ def test_handing_in_waits_two_milliseconds_at_most_even_where_no_process_reads(
 ) -> None:
     slept: list[float] = []
     apart = _apart("spins", tmp_path, clock=lambda: sum(slept))
-    monkeypatch.setattr("safedpa.bus.loop.apart.time.sleep", slept.append)
+    monkeypatch.setattr("safedpa.bus.service.sandbox.time.sleep", slept.append)
     try:
         waited = []
         for _ in range(40):
@@ -286,7 +286,7 @@ def test_many_that_do_not_die_are_not_joined_by_more(tmp_path: Path, monkeypatch
     apart.close()
 
 
-def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monotonic) -> Apart:
+def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monotonic) -> JobProcess:
     """With a function of this file, which the process finds as a module of its own."""
     source = Path(__file__).read_text(encoding="utf-8")
     begin, end = source.index("def spins"), source.index('@pytest.mark.parametrize(\n    ("function"')
@@ -297,14 +297,14 @@ def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monoto
     (folder / "works_apart.py").write_text(head + source[begin:end], encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        return Apart(f"works_apart:{function}", clock)
+        return JobProcess(f"works_apart:{function}", clock)
 
 
 def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMessage]) -> None:
     """Trials that end together do not hold up a turn together: after each load the loop has as long for others."""
     now = [0.0]
 
-    class Tried(AbstractTicket):
+    class Tried(AbstractJobHandle):
         def outcome(self, *, wait: bool = False) -> dict[str, Any]:
             return {"document": "good"}
 
@@ -329,7 +329,7 @@ def test_in_lockstep_the_answer_depends_on_no_clock(offer_of: Callable[..., Mode
     """What a robot in lockstep is answered depends on no clock."""
     versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, lambda *_: "new", clock=time.monotonic)
 
-    class Tried(AbstractTicket):
+    class Tried(AbstractJobHandle):
         def outcome(self, *, wait: bool = False) -> dict[str, Any]:
             assert wait
             return {"document": "good"}

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from safedpa.errors import InputError, RunError
 from safedpa_services.web.hosts import Hosts
-from safedpa_services.web.shelf import Shelf
-from safedpa_services.workbench.page_address import Serving
+from safedpa_services.web.shelf import FileStore
+from safedpa_services.workbench.page_address import PageServerOptions
 
 _PATIENCE = 120.0
 """s; nothing is waited for that long but on a busy machine."""
@@ -261,19 +261,19 @@ def test_with_numbers_for_a_name_nothing_can_be_rebound() -> None:
 def test_other_machines_come_in_with_a_password_or_a_certificate_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SAFEDPA_PAGE_PASSWORD", raising=False)
     with pytest.raises(InputError, match=r"--host 0\.0\.0\.0: every machine"):
-        Serving("0.0.0.0", 8080)
+        PageServerOptions("0.0.0.0", 8080)
     monkeypatch.setenv("SAFEDPA_PAGE_PASSWORD", "short")
     with pytest.raises(InputError, match="got 5 letters"):
-        Serving("0.0.0.0", 8080)
+        PageServerOptions("0.0.0.0", 8080)
     monkeypatch.setenv("SAFEDPA_PAGE_PASSWORD", "correct horse battery")
-    assert "token" not in Serving("0.0.0.0", 8080).address("/")
+    assert "token" not in PageServerOptions("0.0.0.0", 8080).address("/")
 
 
 # files
 
 
 @pytest.fixture
-def shelf(tmp_path: Path) -> Shelf:
+def shelf(tmp_path: Path) -> FileStore:
     named, outside = tmp_path / "named", tmp_path / "outside"
     for folder in (named, named / ".hidden", outside):
         folder.mkdir()
@@ -287,10 +287,10 @@ def shelf(tmp_path: Path) -> Shelf:
     (named / "environment.csv").symlink_to("/proc/self/environ")
     (named / "hosts.csv").symlink_to("/etc/hosts")
     os.mkfifo(named / "pipe.csv")
-    return Shelf([named])
+    return FileStore([named])
 
 
-def test_a_recording_below_the_named_folder_is_opened(shelf: Shelf, tmp_path: Path) -> None:
+def test_a_recording_below_the_named_folder_is_opened(shelf: FileStore, tmp_path: Path) -> None:
     run = str(tmp_path / "named" / "run.csv")
     assert shelf.recordings([run]) == [run]
     assert shelf.recordings([str(tmp_path / "named" / "r*.csv")]) == [run]
@@ -306,7 +306,7 @@ def test_a_recording_below_the_named_folder_is_opened(shelf: Shelf, tmp_path: Pa
         "named/run.csv\0.txt", "named/run.csv/", "named/" + "a" * 5000 + ".csv", "named/run%2ecsv", "named/key*.csv",
     ],
 )  # fmt: skip
-def test_everything_else_is_refused_with_the_same_words(shelf: Shelf, tmp_path: Path, name: str) -> None:
+def test_everything_else_is_refused_with_the_same_words(shelf: FileStore, tmp_path: Path, name: str) -> None:
     if name == "named/run.csv/":
         pytest.skip("the same file")
     with pytest.raises(RunError, match=r"cannot be opened from here; wanted a recording") as refusal:
@@ -328,7 +328,7 @@ def test_everything_else_is_refused_with_the_same_words(shelf: Shelf, tmp_path: 
         "/**/*.csv",
     ],
 )
-def test_files_of_the_machine_are_refused(shelf: Shelf, name: str) -> None:
+def test_files_of_the_machine_are_refused(shelf: FileStore, name: str) -> None:
     with pytest.raises(RunError):
         shelf.recordings([name])
     with pytest.raises(RunError):
@@ -370,7 +370,7 @@ def test_no_fuzzed_name_leads_outside(tmp_path_factory: pytest.TempPathFactory, 
         (named / "way").symlink_to(outside)
         (named / "link.csv").symlink_to(outside / "run.csv")
     try:
-        found = Shelf([named]).recordings(["/".join([str(named), *parts])])
+        found = FileStore([named]).recordings(["/".join([str(named), *parts])])
     except InputError:
         return
     assert all(Path(path).resolve().is_relative_to(named) and stat.S_ISREG(Path(path).stat().st_mode) for path in found)

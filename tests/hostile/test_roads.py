@@ -78,7 +78,7 @@ def test_a_refused_recording_leaves_no_folder_behind(command: str, tmp_path: Pat
 
 
 def test_a_folder_in_which_something_was_written_stays(tmp_path: Path) -> None:
-    from safedpa.compare.output import results_folder
+    from safedpa.comparison.output import results_folder
 
     def fails_late() -> None:
         with results_folder(tmp_path / "out", "compare", "car", (), (), False) as out:

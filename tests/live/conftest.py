@@ -9,7 +9,7 @@ import pytest
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.live.work import AbstractWorker, Work, WorkOutcome
+from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
 
 PERIOD = 0.05
 Row = tuple[int, np.ndarray, np.ndarray]
@@ -103,12 +103,12 @@ class HandedWorker(AbstractWorker):
     """Remembers what it was given; outcomes come when the test says so."""
 
     def __init__(self) -> None:
-        self.begun: list[Work] = []
+        self.begun: list[SearchJob] = []
         self.cancelled = 0
         self.ready: WorkOutcome | None = None
         self._busy = False
 
-    def begin(self, robot: str, work: Work) -> None:
+    def begin(self, robot: str, work: SearchJob) -> None:
         del robot
         self.begun.append(work)
         self._busy = True

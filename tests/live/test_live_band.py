@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, stretch_error
-from safedpa.live.watch import Band, learned_band, moved, place_in_words
+from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, stretch_error
+from safedpa.live.watch import ErrorBand, describe_conditions, has_moved, learned_band
 
 SYSTEM = load_model("car").system
-BAND = Band(scale=np.ones(4), usual=np.ones(2), edges=np.full(4, 0.01), error=0.1)
+BAND = ErrorBand(scale=np.ones(4), usual=np.ones(2), edges=np.full(4, 0.01), error=0.1)
 
 
 def forecast(error, yaw=0.0, speed=1.0) -> Forecast:
@@ -32,9 +32,9 @@ def test_a_robot_moved_if_it_or_its_prediction_did():
     def between(measured, predicted):
         return Forecast(0, 20, np.zeros(4), np.array(measured), np.array(predicted), np.zeros(2), np.ones(2))
 
-    assert not moved(SYSTEM, between((0.0, 0.0, 0.0, 0.01), (0.01, 0.0, 0.0, 0.0)))
-    assert moved(SYSTEM, between((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.5)))
-    assert moved(SYSTEM, between((0.06, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)))
+    assert not has_moved(SYSTEM, between((0.0, 0.0, 0.0, 0.01), (0.01, 0.0, 0.0, 0.0)))
+    assert has_moved(SYSTEM, between((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.5)))
+    assert has_moved(SYSTEM, between((0.06, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -54,7 +54,7 @@ def test_errors_of_either_sign_teach_the_same_band():
 
 
 def test_the_band_is_wider_while_commands_change(car, drive_of):
-    running = Forecasts(car)
+    running = ForecastTracker(car)
     ended = [item for row in drive_of(600) for item in running.observe(*row, None)]
     band = learned_band(car.system, ended)
     assert stretch_error(car.system, ended, band.scale) < band.error
@@ -84,7 +84,7 @@ def test_an_error_below_a_twenty_fifth_of_the_usual_change_is_inside_the_band(sc
 
 
 def sentence(errors, **more):
-    return place_in_words(SYSTEM, BAND, [forecast((0.0, 0.0, 0.0, error), **more) for error in errors], 1.0)
+    return describe_conditions(SYSTEM, BAND, [forecast((0.0, 0.0, 0.0, error), **more) for error in errors], 1.0)
 
 
 @pytest.mark.parametrize(
@@ -113,11 +113,11 @@ def test_the_sentence_names_the_side_of_a_variable_where_errors_are_large_whatev
     slow, fast = (large, small) if large_when == "slow" else (small, large)
     seen = [forecast((0.0, 0.0, error, 0.0), speed=0.5) for error in slow]
     seen += [forecast((0.0, 0.0, error, 0.0), speed=1.5) for error in fast]
-    said = place_in_words(SYSTEM, BAND, seen, 1.0)
+    said = describe_conditions(SYSTEM, BAND, seen, 1.0)
     assert said.startswith("yaw: ")
     assert said.endswith(f"speed is {'below 1' if large_when == 'slow' else 'above 1'} m/s")
     alike = [forecast((0.0, 0.0, error, 0.0), speed=speed) for speed in (0.5, 1.5) for error in (0.2, -0.2) * 4]
-    assert "most where" not in place_in_words(SYSTEM, BAND, alike, 1.0)
+    assert "most where" not in describe_conditions(SYSTEM, BAND, alike, 1.0)
 
 
 @pytest.mark.parametrize("size", [0.02, 50.0])
@@ -130,6 +130,6 @@ def test_an_error_turns_with_the_heading_where_it_correlates_by_four_fifths(turn
     quarters = np.radians([0.0, 90.0, 180.0, 270.0] * 2)
     errors = size * (turning * np.cos(quarters - np.radians(degrees)) + constant)
     seen = [forecast((0.0, 0.0, 0.0, error), yaw) for error, yaw in zip(errors, quarters, strict=True)]
-    said = place_in_words(SYSTEM, BAND, seen, 1.0)
+    said = describe_conditions(SYSTEM, BAND, seen, 1.0)
     towards = [said.endswith(f"(most towards {one} degrees)") for one in (degrees, abs(degrees))]
     assert ("turning with the heading" in said, any(towards)) == (named, named), said

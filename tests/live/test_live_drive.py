@@ -8,12 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import FINDING, MODEL, TAKEOVER, HealthMessage, Received
+from safedpa.bus import FINDING, MODEL, TAKEOVER, HealthMessage, ReceivedMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.records.mcap_messages import read_messages
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.records.readers.mcap import read_messages
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.commands.experiments.live import command
 from safedpa_lab.experiments.live import LiveExperiment, live_experiment
 from safedpa_lab.experiments.live_drive import CASES, drive_live, live_scene
@@ -112,7 +112,7 @@ def test_services_in_one_process_use_the_robots_clock():
     ]
     beats: list[tuple[str, int]] = []
 
-    def hear(item: Received) -> None:
+    def hear(item: ReceivedMessage) -> None:
         if isinstance(item.message, HealthMessage):
             beats.append((item.message.service, item.message.tick))
 

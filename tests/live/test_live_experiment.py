@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.bus import MODEL, STATE, ModelMessage, Received
+from safedpa.bus import MODEL, STATE, ModelMessage, ReceivedMessage
 from safedpa_lab.experiments import live, live_drive
 from safedpa_lab.experiments.live_drive import LiveDrive, drive_live
 
@@ -71,10 +71,10 @@ def scripted(monkeypatch, state_of):
                 state, node.now = state_of((tick, np.zeros(4), np.zeros(2))), tick / 20
                 match script.get(tick):
                     case ModelMessage() as message:
-                        hear(Received(MODEL, "r1", message, b"", "", 0.0))
+                        hear(ReceivedMessage(MODEL, "r1", message, b"", "", 0.0))
                     case event if tick in script:
                         node.finds(event)
-                hear(Received(STATE, "r1", state, b"", "", 0.0))
+                hear(ReceivedMessage(STATE, "r1", state, b"", "", 0.0))
                 yield SimpleNamespace(verdict=SimpleNamespace(h_now=1.0 - 0.001 * tick), state=state)
 
         monkeypatch.setattr(live_drive, "CarRobot", lambda *_, **__: robot)

@@ -11,7 +11,7 @@ from safedpa.dynamics import Setting, fingerprint, load_model, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
 from safedpa.live.named_candidate import named_candidate
-from safedpa.live.work import InlineWorker, Work, WorkOutcome
+from safedpa.live.work import InlineWorker, SearchJob, WorkOutcome
 
 CHANGE = 800
 NUMBERS = {"angle": 0.08}
@@ -261,9 +261,11 @@ def test_the_search_itself_finds_the_bent_steering_in_fifteen_seconds(drive):
     outcome = inline.outcome("r1")
     assert inline.outcome("r1") is None
     assert outcome.effects[0] == "steering_offset"
-    inline.begin("r1", Work("prepare", begun.model, begun.run, effect="steering_offset", footprint=(0.1, 0.4, 0.2)))
+    inline.begin(
+        "r1", SearchJob("prepare", begun.model, begun.run, effect="steering_offset", footprint=(0.1, 0.4, 0.2))
+    )
     made = inline.outcome("r1")
     assert 'name = "steering_offset"' in made.documents["steering_offset"]
     assert "(0.1, 0.4, 0.2)" in made.margin
-    inline.begin("r1", Work("prepare", begun.model, begun.run, effect="flood"))
+    inline.begin("r1", SearchJob("prepare", begun.model, begun.run, effect="flood"))
     assert "flood" in inline.outcome("r1").failure

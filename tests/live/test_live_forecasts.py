@@ -5,19 +5,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.compare.rollout import rollout_at
-from safedpa.compare.windows import windows_of
+from safedpa.comparison.rollout import rollout_at
+from safedpa.comparison.windows import windows_of
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.live.finding import History
-from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, channels, stretch_error
+from safedpa.live.finding import DriveHistory
+from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, channels, stretch_error
 
 CAR = load_model("car")
 
 
 def test_a_forecast_is_the_rollout_of_the_recorded_run(car, drive_of):
     """Computed step by step while the robot drives, and over all windows of the excerpt of its history at once."""
-    running, history = Forecasts(car), History(car.system, car.period)
+    running, history = ForecastTracker(car), DriveHistory(car.system, car.period)
     ended = []
     for tick, state, applied in drive_of(200):
         history.add(tick, state, applied)
@@ -34,7 +34,7 @@ def test_a_forecast_is_the_rollout_of_the_recorded_run(car, drive_of):
 
 
 def test_a_forecast_begins_in_every_half_of_the_horizon_from_the_first_tick_on(car, drive_of):
-    running = Forecasts(car)
+    running = ForecastTracker(car)
     spans = [(item.start, row[0]) for row in drive_of(100) for item in running.observe(*row, None)]
     starts = [start for start, _ in spans]
     assert starts[0] <= 1
@@ -44,7 +44,7 @@ def test_a_forecast_begins_in_every_half_of_the_horizon_from_the_first_tick_on(c
 
 @pytest.mark.parametrize("broken", ["gap", "state", "action"])
 def test_no_forecast_spans_a_gap_or_a_value_that_is_not_a_number(broken):
-    forecasts, ended = Forecasts(CAR), list[tuple[int, int]]()
+    forecasts, ended = ForecastTracker(CAR), list[tuple[int, int]]()
     for tick in range(120):
         if broken == "gap" and tick == 50:
             continue
@@ -57,7 +57,7 @@ def test_no_forecast_spans_a_gap_or_a_value_that_is_not_a_number(broken):
 
 
 def test_a_robot_with_another_period_is_predicted_with_its_own(car):
-    running, state = Forecasts(car, 1.0, period=0.02), np.array([0.0, 0.0, 0.3, 1.0])
+    running, state = ForecastTracker(car, 1.0, period=0.02), np.array([0.0, 0.0, 0.3, 1.0])
     action = np.array([1.5, 0.1])
     memory, ended = car.initial_memory(action), []
     for tick in range(160):
@@ -87,7 +87,7 @@ class Integrator:
 def test_a_forecast_starts_at_a_measured_state_and_applies_the_actions_reported_since():
     """From tick 5, at a period of 0.25 s and over four ticks: 1 + 2 + 3 + 4 quarters of what is applied."""
     model = Integrator()
-    running, ended = Forecasts(model, 1.0, 0.25), []
+    running, ended = ForecastTracker(model, 1.0, 0.25), []
     for tick in range(4, 10):
         ended += running.observe(tick, np.full(4, 0.1 * tick), np.array([tick - 5.0, 0.5 * (-1.0) ** tick]), None)
     (only,) = ended
@@ -101,7 +101,7 @@ def test_a_forecast_starts_at_a_measured_state_and_applies_the_actions_reported_
 
 def test_a_horizon_of_one_period_is_refused(car):
     with pytest.raises(InputError, match="two periods"):
-        Forecasts(car, 0.05)
+        ForecastTracker(car, 0.05)
 
 
 def forecast(error, yaw=0.0):

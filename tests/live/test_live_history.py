@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.live.finding import History
+from safedpa.live.finding import DriveHistory
 
 CAR = load_model("car")
 STRAIGHT, STEERED = (0.0, 0.0, 0.0, 1.0), (1.0, 0.1)
 
 
 def test_the_history_is_bounded_and_cut_where_ticks_are_missing(car, drive_of):
-    history = History(car.system, car.period, longest=5.0)
+    history = DriveHistory(car.system, car.period, longest=5.0)
     rows = list(drive_of(200))
     for row in rows:
         if row[0] != 150:
@@ -29,7 +29,7 @@ def test_the_history_is_bounded_and_cut_where_ticks_are_missing(car, drive_of):
 
 @pytest.mark.parametrize(("tick", "seconds"), [(0, 0.5), (3, 0.35), (9, 0.05), (10, 0.0)])
 def test_seconds_since_a_tick_count_the_recorded_rows(tick, seconds):
-    history = History(CAR.system, 0.05)
+    history = DriveHistory(CAR.system, 0.05)
     for number in range(10):
         history.add(number, np.zeros(4), np.zeros(2))
     assert history.seconds_since(tick) == pytest.approx(seconds)
@@ -46,7 +46,7 @@ def test_seconds_since_a_tick_count_the_recorded_rows(tick, seconds):
     ],
 )
 def test_an_implausible_tick_is_a_gap(state, applied, recorded):
-    history = History(CAR.system, 0.5)
+    history = DriveHistory(CAR.system, 0.5)
     for tick in range(9):
         odd = tick == 4
         history.add(tick, np.array(state if odd else STRAIGHT), np.array(applied if odd else STEERED))
@@ -68,7 +68,7 @@ def test_an_implausible_tick_is_a_gap(state, applied, recorded):
 def test_a_tick_that_cannot_be_believed_leaves_a_gap_in_the_history_of_a_drive(
     state: tuple[float, ...], applied: tuple[float, ...], kept: bool
 ) -> None:
-    history = History(CAR.system, 0.05, longest=0.15)
+    history = DriveHistory(CAR.system, 0.05, longest=0.15)
     history.add(7, np.array(state), np.array(applied))
     assert [tick for tick, *_ in history.last(10.0)] == ([7] if kept else [])
     assert history.seconds_since(7) == pytest.approx(0.05 if kept else 0.0)

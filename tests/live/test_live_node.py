@@ -9,11 +9,10 @@ from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stal
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
-from safedpa.live.foresight import Foresight, foretell_with
+from safedpa.live.foresight import CandidateForecasts, forecast_with
 from safedpa.live.node import DiagnosisNode
 from safedpa.live.work import WorkOutcome
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.margin_text import margin_text
+from safedpa.safety.margins.calibration import MarginCalibration, margin_text
 
 CHANGE = 800
 REPORT = json.dumps(
@@ -105,7 +104,7 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
     car, worker, drive_of, state_of, verdict_of, margin_of
 ):
     rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
-    told = {"margin": margin_of(0.05), "foretell": foretell_with("car")}
+    told = {"margin": margin_of(0.05), "foretell": forecast_with("car")}
     driven = Driven(car, worker, rows, state_of, verdict_of, **told)
     driven.found("steering_offset", "steering_gain")
     assert driven.ask("status").foreseen == ("", "")
@@ -127,7 +126,7 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
 
 
 def test_a_foreseen_model_that_cannot_be_made_and_an_unchanged_margin_are_reported(margin_of):
-    ahead, foretell = Foresight(), foretell_with("car")
+    ahead, foretell = CandidateForecasts(), forecast_with("car")
     ahead.found = {
         "a": WorkOutcome(failure="too few rows"),
         "b": WorkOutcome(margin=margin_of(0.05)),

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from safedpa.adaptation import LatentEstimator
+from safedpa.calibration.from_runs import live_margin
 from safedpa.dynamics import Setting, load_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.live.finding import History
-from safedpa.live.work import Work
+from safedpa.live.finding import DriveHistory
+from safedpa.live.work import SearchJob
 from safedpa.records.run import Run, Stretch
-from safedpa.safety.live_margin import live_margin
-from safedpa.safety.margin_text import margin_from_text
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import margin_from_text
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.diagnosis.work_files import read_work, write_work
 
@@ -39,12 +39,12 @@ def worker():
 
 @pytest.fixture(scope="module")
 def prepare(car, drive_of):
-    history = History(car.system, car.period)
+    history = DriveHistory(car.system, car.period)
     for row in drive_of(300):
         history.add(*row)
     document = write_model(car.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.05)}))
     run = history.excerpt(0, "r1")
-    return Work(
+    return SearchJob(
         "prepare", write_model(car), run, effect="steering_offset", document=document, footprint=(0.1, 0.4, 0.2)
     )
 

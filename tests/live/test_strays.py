@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from safedpa.bus import HealthMessage
-from safedpa.live.under_way import Strays
+from safedpa.live.under_way import ModelMismatchMonitor
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def health(tick: int, model: str, service: str = "policy", epoch: int = 3) -> He
 
 @pytest.mark.parametrize(("tick", "believed"), [(100, False), (109, False), (110, True), (500, True)])
 def test_a_service_on_another_model_is_believed_ten_ticks_after_a_change(state, tick, believed):
-    strays = Strays()
+    strays = ModelMismatchMonitor()
     strays.settle(state(100), anew=True)
     strays.hear(health(tick, "old"))
     strays.hear(health(tick, "new", "adaptation"))
@@ -29,7 +29,7 @@ def test_a_service_on_another_model_is_believed_ten_ticks_after_a_change(state, 
 
 
 def test_health_of_another_drive_or_before_any_state_is_ignored(state):
-    strays = Strays()
+    strays = ModelMismatchMonitor()
     strays.hear(health(200, "old"))
     assert strays.found("new") == ""
     strays.settle(state(0), anew=False)
@@ -40,7 +40,7 @@ def test_health_of_another_drive_or_before_any_state_is_ignored(state):
 
 
 def test_a_repair_that_failed_makes_the_next_one_wait_twice_as_long(state):
-    strays, waited = Strays(), list[int]()
+    strays, waited = ModelMismatchMonitor(), list[int]()
     strays.settle(state(0), anew=False)
     for repair in range(5):
         strays.not_mended()

@@ -19,7 +19,7 @@ from safedpa.bus import (
     StateMessage,
     VerdictMessage,
 )
-from safedpa.bus.overview import FleetOverview
+from safedpa.bus.monitor import FleetOverview
 
 LOOP = ("adaptation", "policy", "safety_filter")
 

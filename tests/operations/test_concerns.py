@@ -7,10 +7,9 @@ import pytest
 from tests.operations.conftest import LOOP, STATE_FIELDS, VERDICT_FIELDS
 
 from safedpa.bus import HealthMessage, StateMessage, SurroundingsMessage, VerdictMessage
-from safedpa.bus.overview import fleet_concerns
-from safedpa.bus.overview.concerns import concerns_of
-from safedpa.bus.overview.robot import RobotOverview
-from safedpa.bus.overview.service import ServiceOverview
+from safedpa.bus.monitor import fleet_alerts
+from safedpa.bus.monitor.alerts import robot_alerts
+from safedpa.bus.monitor.fleet_state import RobotOverview, ServiceOverview
 
 NOW = 200.0
 SILENT = ("trouble", "silent for 9 s")
@@ -41,7 +40,7 @@ def robot_of(**changes: Any) -> RobotOverview:
 
 
 def concerns(robot: RobotOverview) -> list[tuple[str, str]]:
-    return [(concern.level, concern.sentence) for concern in concerns_of(robot, NOW)]
+    return [(concern.level, concern.sentence) for concern in robot_alerts(robot, NOW)]
 
 
 def test_a_healthy_robot_raises_no_concern() -> None:
@@ -182,5 +181,5 @@ def test_concerns_about_a_process(
     for pid, heard, message in ((1, fleet.now - age, beat(name, **changes)), (2, fleet.now, beat(name, pid=2))):
         if pid == 1 or replaced:
             fleet.overview.services[name, pid] = ServiceOverview(name, pid, message, heard, {"-": (message, heard)})
-    found = [f"{own.level}: {own.sentence}" for own in fleet_concerns(fleet.overview) if own.service == name]
+    found = [f"{own.level}: {own.sentence}" for own in fleet_alerts(fleet.overview) if own.service == name]
     assert found == ([reported] if reported else [])

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from safedpa.bus import TAKEOVER, VERDICT, Bus, MemoryBroker, MemoryTransport, ServiceLoop, TakeoverMessage
-from safedpa.bus.events import KINDS
-from safedpa.bus.log import log_event
-from safedpa.bus.loop.journal import Journal
+from safedpa.bus.logging import KINDS, log_event
+from safedpa.bus.service.journal import ServiceLog
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.warnings import Warnings, readable
 
@@ -29,18 +28,18 @@ def test_the_catalogue_lists_exactly_the_events_that_are_written() -> None:
                 first = node.args[0]
                 written |= {first.value} if isinstance(first, ast.Constant) else set()
     assert written
-    assert written <= set(KINDS), "not in the catalogue: add it to safedpa/bus/events.py, run docs/generate.py"
+    assert written <= set(KINDS), "not in the catalogue: add it to safedpa/bus/logging.py, run docs/generate.py"
     everything = "".join(texts.values())
     assert [kind for kind in KINDS if f'"{kind}"' not in everything] == [], "in the catalogue, but never written"
 
 
 @pytest.fixture
-def journal() -> tuple[Journal, list[dict[str, Any]]]:
+def journal() -> tuple[ServiceLog, list[dict[str, Any]]]:
     events: list[dict[str, Any]] = []
-    return Journal("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
+    return ServiceLog("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
 
 
-def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]) -> None:
+def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
     told, events = journal
     heard = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,))
     statuses = ["passed", "fallback", "fallback", "corrected", "passed", "stopped", "stopped", "passed", "disabled"]
@@ -56,7 +55,7 @@ def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[Journa
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
-def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[Journal, list[dict[str, Any]]]) -> None:
+def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
     told, events = journal
     told.met("r1", 0, again=False)
     told.met("r1", 0, again=True)
@@ -72,7 +71,7 @@ def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[Journal, li
 
 
 def test_a_service_logs_the_robots_it_meets_and_what_it_refuses(
-    fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]
+    fleet: Any, journal: tuple[ServiceLog, list[dict[str, Any]]]
 ) -> None:
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
@@ -97,7 +96,7 @@ def test_an_experiment_in_one_process_writes_nothing(fleet: Any, capfd: pytest.C
 
     loop = ServiceLoop(AdaptationNode(load_model("car")), Bus(MemoryTransport(MemoryBroker()), "test"))
     loop.turn(0.0)
-    Journal.silent().met("r1", 0, again=False)
+    ServiceLog.silent().met("r1", 0, again=False)
     assert capfd.readouterr() == ("", "")
 
 

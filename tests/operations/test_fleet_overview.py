@@ -11,25 +11,25 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from safedpa.bus import HEALTH, MemoryTransport, SurroundingsMessage
-from safedpa.bus.overview import Recent, fleet_concerns
+from safedpa.bus.monitor import SlidingCounter, fleet_alerts
 from safedpa_services.command_line.status import document_of
-from safedpa_services.command_line.status_table import picture_of
+from safedpa_services.command_line.status_table import render_status_table
 
 
 def sentences(fleet: Any, level: str) -> list[str]:
-    return [concern.sentence for concern in fleet_concerns(fleet.overview) if concern.level == level]
+    return [concern.sentence for concern in fleet_alerts(fleet.overview) if concern.level == level]
 
 
 def drawn(fleet: Any, width: int, height: int = 0) -> list[str]:
     console = Console(width=width, height=height or 50, record=True, file=None, force_terminal=False)
     with console.capture() as captured:
-        console.print(picture_of(document_of(fleet.overview), width, height))
+        console.print(render_status_table(document_of(fleet.overview), width, height))
     return captured.get().splitlines()
 
 
 def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
     fleet.drive(3)
-    assert fleet_concerns(fleet.overview) == []
+    assert fleet_alerts(fleet.overview) == []
     document = document_of(fleet.overview)
     assert document["healthy"]
     assert [row["robot"] for row in document["robots"]] == ["r1", "r2", "r3"]
@@ -211,7 +211,7 @@ def test_the_same_concern_of_many_robots_is_one_line(fleet: Any) -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.sampled_from("abc")), min_size=1, max_size=80), st.floats(0.0, 15.0))
 def test_recent_counts_are_those_of_the_last_seconds(steps: list[tuple[float, str]], later: float) -> None:
-    recent, now, happened = Recent(5.0), 0.0, []
+    recent, now, happened = SlidingCounter(5.0), 0.0, []
     for step, kind in steps:
         now += step
         recent.add(kind, now)

@@ -5,11 +5,9 @@ from typing import Any
 import pytest
 from tests.operations.conftest import LOOP, STATE_FIELDS
 
-from safedpa.bus import Bus, HealthMessage, MemoryBroker, MemoryTransport, Received, StateMessage
-from safedpa.bus.overview.fleet import FleetOverview
-from safedpa.bus.overview.recent import Recent
-from safedpa.bus.overview.service import ServiceOverview
-from safedpa.bus.wire.topics import HEALTH, STATE
+from safedpa.bus import Bus, HealthMessage, MemoryBroker, MemoryTransport, ReceivedMessage, StateMessage
+from safedpa.bus.messages.topics import HEALTH, STATE
+from safedpa.bus.monitor.fleet_state import FleetOverview, ServiceOverview, SlidingCounter
 from safedpa_services.command_line.status import document_of
 
 
@@ -31,7 +29,7 @@ def state_of() -> StateMessage:
 
 
 def test_counts_are_those_of_the_last_ten_seconds_in_slices_of_half_a_second() -> None:
-    recent = Recent()
+    recent = SlidingCounter()
     for at in (0.0, 0.4, 0.5, 3.0):
         recent.add("late", at)
     recent.add("fine", 3.0)
@@ -46,7 +44,7 @@ def test_counts_are_those_of_the_last_ten_seconds_in_slices_of_half_a_second() -
     ("now", "rate"), [(0.0, 0.0), (0.49, 0.0), (0.5, 4.0), (2.0, 1.0), (9.0, 2.0 / 9.0), (11.0, 0.0)]
 )
 def test_a_rate_is_reported_from_half_a_second_on(now: float, rate: float) -> None:
-    recent = Recent()
+    recent = SlidingCounter()
     assert recent.rate(now) == 0.0
     for at in (0.0, 0.1):
         recent.add("tick", at)
@@ -54,7 +52,7 @@ def test_a_rate_is_reported_from_half_a_second_on(now: float, rate: float) -> No
 
 
 def test_after_more_than_ten_seconds_a_rate_is_that_of_the_last_ten() -> None:
-    recent = Recent()
+    recent = SlidingCounter()
     for second in range(31):
         recent.add("tick", float(second))
     assert recent.rate(30.0) == pytest.approx(1.0)
@@ -170,7 +168,7 @@ def test_a_robots_own_heartbeat_adds_no_service_and_one_without_a_robot_no_robot
     listened = Listened()
     listened.heard("r", service="robot")
     listened.heard("-", service="filter")
-    listened.fleet.hear(Received(STATE, "q", state_of(), b"", "key", listened.now))
+    listened.fleet.hear(ReceivedMessage(STATE, "q", state_of(), b"", "key", listened.now))
     assert (set(listened.fleet.robots), set(listened.fleet.services)) == ({"q", "r"}, {("filter", 1)})
     assert listened.fleet.refused == 0
 

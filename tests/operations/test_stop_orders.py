@@ -13,12 +13,12 @@ from safedpa.bus import Answer, Request, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.stop_orders import EVERYBODY, StopOrders
 from safedpa.safety import FilterSettings, SafetyFilter, Status
-from safedpa.safety.margin import OnlineMargin
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.orders import EVERYBODY, Orders
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.conformal import OnlineMargin
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots import CarRobot, PendulumRobot, Scene, task_named, wind_towards
 
@@ -28,7 +28,7 @@ STATUS = Request(do="status")
 
 
 def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
-    orders = Orders()
+    orders = StopOrders()
     assert orders.reason("r1") == ""
     assert orders.answer("r1", STOP).ok
     assert orders.reason("r1") == "ordered by a test"
@@ -58,26 +58,26 @@ def test_a_filter_that_is_started_again_knows_every_order(
     tmp_path_factory: pytest.TempPathFactory, story: list[tuple[str, str]]
 ) -> None:
     path = tmp_path_factory.mktemp("orders") / "orders.json"
-    orders = Orders(path)
+    orders = StopOrders(path)
     for do, robot in story:
         orders.answer(robot, Request(do=do, who="a test"))
-        assert Orders(path).kept == orders.kept
+        assert StopOrders(path).kept == orders.kept
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"format": 2, "orders": {}}', b'{"format": 1}', b"\xff\xfe"])
 def test_orders_that_cannot_be_read_stop_everybody(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "orders.json"
     path.write_bytes(content)
-    orders = Orders(path)
+    orders = StopOrders(path)
     assert str(path) in orders.reason("anybody")
     assert orders.answer(EVERYBODY, GO).ok
-    assert Orders(path).reason("anybody") == ""
+    assert StopOrders(path).reason("anybody") == ""
 
 
 def test_answers_say_how_long_an_order_holds(tmp_path: Path) -> None:
-    assert "keeps no file" in Orders().answer("r1", STOP).sentence
-    assert Orders(tmp_path / "orders.json").answer("r1", STOP).sentence.endswith("held until 'go'")
-    lost = Orders(tmp_path / "missing" / "orders.json")
+    assert "keeps no file" in StopOrders().answer("r1", STOP).sentence
+    assert StopOrders(tmp_path / "orders.json").answer("r1", STOP).sentence.endswith("held until 'go'")
+    lost = StopOrders(tmp_path / "missing" / "orders.json")
     assert "cannot be written" in lost.answer("r1", STOP).sentence
     assert lost.reason("r1") != "", "in force all the same"
     assert "will stop it anew" in lost.answer("r1", GO).sentence

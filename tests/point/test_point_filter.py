@@ -16,21 +16,21 @@ from safedpa.policy.controller import controller_for
 from safedpa.robots.point.point_scene import PointScene, motion_of
 from safedpa.robots.point.system import POINT
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.batch import STATUSES, BatchFilter
-from safedpa.safety.inputs import Plausible
-from safedpa.safety.many_stopping import ManyStopping
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.stopping_barrier import (
+from safedpa.safety.barriers.stopping import (
     ENDS,
     Motion,
     StoppingBarrier,
+    minimum_clearances,
     nearer_end,
     stopping_action,
     stopping_path,
     stopping_room,
 )
-from safedpa.safety.stopping_walk import least_rooms
-from safedpa_services.dashboard.look import look_of
+from safedpa.safety.batch.barriers import BatchStopping
+from safedpa.safety.batch.filter import STATUSES, BatchFilter
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.validation import Plausible
+from safedpa_services.dashboard.look import display_settings
 from safedpa_services.dashboard.world import body_entries
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 
@@ -71,13 +71,13 @@ def test_many_at_once_are_filtered_as_one_is() -> None:
     own = replace(settings_named("point"), action_low=(-STRONGEST, -FASTEST), action_high=(STRONGEST, FASTEST))
     near = np.c_[random.uniform(-0.8, 0.8, (3000, 2)), random.uniform(-3, 3, 3000), random.uniform(-1, 1, (3000, 2))]
     wind = random.uniform(-1.0, 1.0, (2, 3000))
-    room = ManyStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).values(near)
+    room = BatchStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).values(near)
     close = np.flatnonzero((room.min(axis=1) > -0.01) & (room.min(axis=1) < 0.02))[:40]
     state, motion = near[close], Motion(wind[:, close], DRAG, STRONGEST, FASTEST)
     wish = np.c_[random.uniform(0.3, 1.0, 40), random.uniform(-1.0, 1.0, 40)] * own.high
     pairs = [_affine(row, motion.of(index).wind) for index, row in enumerate(state)]
     affine = np.stack([f for f, _ in pairs]), np.stack([g for _, g in pairs])
-    around = ManyStopping(np.broadcast_to(hazards, (40, 3, 3)), motion)
+    around = BatchStopping(np.broadcast_to(hazards, (40, 3, 3)), motion)
     backup = np.tile([0.1, -0.2], (40, 1))
     many = BatchFilter(POINT, own).decide(state, wish, barriers=around, affine=affine, backup=backup.__getitem__)
     believed = Plausible(POINT.state_low, POINT.state_high, POINT.state_names)
@@ -99,7 +99,7 @@ def test_the_backup_of_each_robot_is_its_own() -> None:
     state, hazards = np.zeros((2, 5)), np.tile([0.1, 0.0, 0.2], (2, 1, 1))
     motion, own = Motion(np.zeros(2), DRAG, STRONGEST, FASTEST), settings_named("point")
     backup, affine = np.array([[0.01, 0.0], [0.0, 1.0]]), (state, np.full((2, 5, 2), np.nan))
-    around = ManyStopping(hazards, motion)
+    around = BatchStopping(hazards, motion)
     found = BatchFilter(POINT, own).decide(
         state, np.zeros((2, 2)), barriers=around, affine=affine, backup=backup.__getitem__
     )
@@ -109,7 +109,7 @@ def test_the_backup_of_each_robot_is_its_own() -> None:
 
 def test_a_filter_without_a_model_wants_f_and_g() -> None:
     around, many = (
-        ManyStopping(np.zeros((1, 1, 3)), Motion(np.zeros(2), 1.0, 1.0, 1.0)),
+        BatchStopping(np.zeros((1, 1, 3)), Motion(np.zeros(2), 1.0, 1.0, 1.0)),
         BatchFilter(POINT, settings_named("point")),
     )
     with pytest.raises(InputError, match="wanted f and g of each robot"):
@@ -146,7 +146,7 @@ Values = NDArray[np.float64]
 ROBOTS, FASTEST_MANY = 60, 3.0
 
 
-def drawn(seed: int, hazards: int) -> tuple[Values, ManyStopping]:
+def drawn(seed: int, hazards: int) -> tuple[Values, BatchStopping]:
     """States of robots that differ in wind, drag and strength, some of them at rest, and the room around them."""
     random = np.random.default_rng(seed)
     state = np.c_[random.uniform(-0.5, 0.5, (ROBOTS, 2)), random.uniform(-3.1, 3.1, ROBOTS), np.zeros((ROBOTS, 2))]
@@ -154,10 +154,10 @@ def drawn(seed: int, hazards: int) -> tuple[Values, ManyStopping]:
     wind = random.uniform(-1.0, 1.0, (2, ROBOTS)) * random.choice([0.0, 1.0], ROBOTS)
     motion = Motion(wind, random.uniform(1.0, 2.0, ROBOTS), random.uniform(2.0, 3.0, ROBOTS), FASTEST_MANY, 0.02)
     places, radii = random.uniform(-1.0, 1.0, (ROBOTS, hazards, 2)), random.uniform(0.2, 0.3, (ROBOTS, hazards, 1))
-    return state, ManyStopping(np.concatenate([places, radii], axis=2), motion)
+    return state, BatchStopping(np.concatenate([places, radii], axis=2), motion)
 
 
-def alone(many: ManyStopping, robot: int) -> StoppingBarrier:
+def alone(many: BatchStopping, robot: int) -> StoppingBarrier:
     (one,) = many.one(robot)
     assert isinstance(one, StoppingBarrier)
     return one
@@ -189,7 +189,7 @@ def test_slopes_are_those_of_the_walk_in_plain_numbers() -> None:
         hazards, motion = many.hazards[robot], many.motion_of(robot)
 
         def rooms(at: Values, hazards: Any = hazards, motion: Motion = motion, robot: int = robot) -> Values:
-            return np.asarray(least_rooms(at, motion, float(end[robot]), hazards[:, :2], hazards[:, 2]))
+            return np.asarray(minimum_clearances(at, motion, float(end[robot]), hazards[:, :2], hazards[:, 2]))
 
         for action, along in enumerate(g[robot].T):
             change = (rooms(state[robot] + far * along) - rooms(state[robot] - far * along)) / (2.0 * far)
@@ -236,7 +236,10 @@ def test_the_end_that_leaves_more_room_is_taken_though_the_other_one_is_nearer()
     gained = 0
     for robot in range(ROBOTS):
         one, hazards, motion = alone(many, robot), many.hazards[robot], many.motion_of(robot)
-        rooms = {end: min(least_rooms(state[robot], motion, end, hazards[:, :2], hazards[:, 2])) for end in (1.0, -1.0)}
+        rooms = {
+            end: min(minimum_clearances(state[robot], motion, end, hazards[:, :2], hazards[:, 2]))
+            for end in (1.0, -1.0)
+        }
         assert one.values(state[robot]).min() >= max(rooms.values()) - 1e-6
         gained += rooms[one.best_end(state[robot])] > rooms[float(nearer_end(state[robot], motion))] + 0.01
     assert gained > 2
@@ -277,7 +280,7 @@ def test_plain_numbers_walk_the_same_way(seed: int, yaw: float, end: float, ahea
     motion = Motion(random.uniform(-1, 1, 2), 1.9, 2.9, 3.0, ahead)
     hazards, radii = random.uniform(-1, 1, (5, 2)), np.full(5, 0.2)
     many = stopping_room(stopping_path(state[:, np.newaxis], motion, np.array([end])), hazards[np.newaxis], radii)[0]
-    np.testing.assert_allclose(least_rooms(state, motion, end, hazards, radii), many, atol=1e-9)
+    np.testing.assert_allclose(minimum_clearances(state, motion, end, hazards, radii), many, atol=1e-9)
 
 
 def test_the_manoeuvre_is_read_off_the_model() -> None:
@@ -328,7 +331,7 @@ def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
 
 
 def test_it_is_drawn_as_a_ball_with_a_nose() -> None:
-    entries = body_entries(message((1.0, 2.0, 0.5, 0.0, 0.0)), look_of(MODEL, SETTINGS))
+    entries = body_entries(message((1.0, 2.0, 0.5, 0.0, 0.0)), display_settings(MODEL, SETTINGS))
     shapes = {entry.path: entry.shape for entry in entries}
     assert set(shapes) == {("world", "nose"), ("world", "ball")}
     assert shapes["world", "ball"].centres == ((1.0, 2.0),)

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
-from safedpa.safety.stopping_barrier import Motion
+from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.world import MujocoPoint
-from safedpa_sim.point.belief import TrueBelief
+from safedpa_sim.point.belief import SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import ETA, PointFilter
@@ -16,7 +16,7 @@ from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS, draw_goals, draw_layo
 from safedpa_sim.point.observation import entries_seen, goal_seen, hazard_lidar, policy_seen
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask, control_of
-from safedpa_sim.point.way import BERTH, Ways, taught
+from safedpa_sim.point.way import BERTH, RoutePlanner, teacher_actions
 
 
 def test_things_lie_apart_within_the_field() -> None:
@@ -159,7 +159,7 @@ def _one(middle: tuple[float, float]) -> np.ndarray:
 
 
 def test_a_free_way_is_straight_and_a_barred_one_goes_around() -> None:
-    ways, place, goal = Ways(1), np.array([[-1.0, 0.0]]), np.array([[1.0, 0.0]])
+    ways, place, goal = RoutePlanner(1), np.array([[-1.0, 0.0]]), np.array([[1.0, 0.0]])
     turn, length = ways.first_turns(place, _one((0.0, 1.0)), goal)
     assert (turn, length) == (pytest.approx(goal), pytest.approx([2.0]))
     turn, length = ways.first_turns(place, _one((0.0, 0.05)), goal)
@@ -173,7 +173,7 @@ def test_a_free_way_is_straight_and_a_barred_one_goes_around() -> None:
 def test_ways_keep_off_hazards_and_are_never_shorter_than_the_straight_line(seed: int) -> None:
     task = PointTask(4, seed)
     place, layout = task.simulation.pose[:2].T, task.layout
-    turn, length = Ways(4).first_turns(place, layout.hazards, layout.goal)
+    turn, length = RoutePlanner(4).first_turns(place, layout.hazards, layout.goal)
     assert np.all(length >= np.linalg.norm(layout.goal - place, axis=1) - 1e-5)
     for share in np.linspace(0.0, 1.0, 21)[:, np.newaxis]:
         on_it = place + share * (turn - place)
@@ -197,10 +197,10 @@ def test_what_is_seen_turns_with_the_world() -> None:
 
 def test_the_teacher_pushes_towards_the_turn_and_against_the_wind() -> None:
     state, motion = np.zeros((2, 5)), Motion(np.array([0.0, 0.0]), 1.93, 2.89, 3.0)
-    ahead = taught(state, np.array([[1.0, 0.0], [0.0, 1.0]]), motion)
+    ahead = teacher_actions(state, np.array([[1.0, 0.0], [0.0, 1.0]]), motion)
     assert ahead[0] == pytest.approx([1.0, 0.0], abs=1e-9)
     assert ahead[1, 1] > 0.9
-    against = taught(np.array([[0.0, 0.0, 0.0, 0.9, 0.0]]), np.array([[1.0, 0.0]]), motion)
+    against = teacher_actions(np.array([[0.0, 0.0, 0.0, 0.9, 0.0]]), np.array([[1.0, 0.0]]), motion)
     assert against[0, 0] == pytest.approx(0.9 * 1.93 / 2.89)
 
 
@@ -213,7 +213,7 @@ def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_next_to
     task.simulation.force[:, 0] = 0.008, 0.0
     mistaken = PointSimulation(1)  # the truth but for 0.2 m/s2 of the wind
     mistaken.force[:, 0] = 0.008 - 0.2 * mistaken.body.mass, 0.0
-    least, shelter, belief = 1.0, PointFilter(0.002), TrueBelief(mistaken)
+    least, shelter, belief = 1.0, PointFilter(0.002), SimulatedPointModel(mistaken)
     for _ in range(300):
         state = centre_state(task.simulation)
         believed = belief.believed(state, np.zeros((1, 0)))

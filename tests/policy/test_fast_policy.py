@@ -10,7 +10,7 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.errors import MessageError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
-from safedpa.robots.car.compensated_seeker import SpeedCompensation
+from safedpa.robots.car.controllers.goal_seeker import SpeedCompensation
 from safedpa.robots.car.observation import observe, padded
 from safedpa.robots.car.perception import observe_one
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from safedpa.errors import InputError
-from safedpa.robots.car.goal_seeker import GoalSeeker, GoalSeekerSettings
+from safedpa.robots.car.controllers.goal_seeker import GoalSeeker, GoalSeekerSettings
 
 PERIOD = 0.05
 REACHED = 0.3

@@ -15,11 +15,11 @@ from safedpa.bus import LATENT, WISH, LatentMessage, Stale, StateMessage, WishMe
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.policy import PolicyNode
-from safedpa.policy.controller import NetworkLatent, RandomWishes, controller_for
-from safedpa.robots.car.goal_seeker import GoalSeekerSettings
-from safedpa.robots.car.planner import Planner, PlannerSettings
-from safedpa.robots.car.planner_time import Grid, TimeToGo, clearance, disc_ways
-from safedpa.safety.shipped import settings_named
+from safedpa.policy.controller import NetworkLatent, RandomActions, controller_for
+from safedpa.robots.car.controllers.goal_seeker import GoalSeekerSettings
+from safedpa.robots.car.controllers.mppi import Planner, PlannerSettings
+from safedpa.robots.car.controllers.time_to_goal import PlanningGrid, TimeToGo, clearance, grid_distances
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.controllers import controllers_experiment
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.plan import Plan
@@ -115,7 +115,7 @@ def state(tick: int, values: tuple[float, ...]) -> StateMessage:
 def test_they_are_uniform_over_the_bounds(model: str, values: tuple[float, ...], low: Any, high: Any) -> None:
     own = load_model(model)
     low, high = (own.system.action_low, own.system.action_high) if low is None else (low, high)
-    wishes = RandomWishes(own)
+    wishes = RandomActions(own)
     values = (*values, *(0.0 for _ in range(len(own.system.state) - len(values))))
     drawn = np.array([wishes.wish(state(tick, values), None)[0] for tick in range(2000)])
     share = (drawn - low) / (np.array(high) - low)
@@ -128,18 +128,18 @@ def test_they_are_uniform_over_the_bounds(model: str, values: tuple[float, ...],
 
 def test_they_repeat_for_the_same_state_and_differ_between_states() -> None:
     model = load_model("pendulum")
-    one = RandomWishes(model).wish(state(7, (0.1, 0.2)), None)
-    assert one == RandomWishes(model).wish(state(7, (0.1, 0.2)), np.zeros(2))
-    assert one != RandomWishes(model).wish(state(8, (0.1, 0.2)), None)
-    assert one != RandomWishes(model).wish(state(7, (0.1, -0.2)), None)
+    one = RandomActions(model).wish(state(7, (0.1, 0.2)), None)
+    assert one == RandomActions(model).wish(state(7, (0.1, 0.2)), np.zeros(2))
+    assert one != RandomActions(model).wish(state(8, (0.1, 0.2)), None)
+    assert one != RandomActions(model).wish(state(7, (0.1, -0.2)), None)
     assert one[1] == "random"
 
 
 def test_a_pendulum_wishes_at_random_until_its_model_has_a_policy() -> None:
     physics, learned = load_model("pendulum"), load_model("pendulum_learned")
-    assert isinstance(controller_for(physics)(), RandomWishes)
+    assert isinstance(controller_for(physics)(), RandomActions)
     assert isinstance(controller_for(learned)(), NetworkLatent), "backing off is what a car does"
-    assert isinstance(controller_for(learned, "random")(), RandomWishes)
+    assert isinstance(controller_for(learned, "random")(), RandomActions)
     for name in ("goal_seeker", "planner"):
         with pytest.raises(InputError, match="known: learned, random"):
             controller_for(physics, name)
@@ -305,8 +305,8 @@ def test_impossible_settings_are_refused(wrong: dict[str, float]) -> None:
 @settings(max_examples=40, deadline=None)
 def test_a_free_way_is_nearly_straight(goal: tuple[float, float]) -> None:
     """Eight neighbours lengthen a way by 8.2 % at most; around the goal it is exact."""
-    grid = Grid(FIELD, 0.2)
-    found = disc_ways(grid, goal, np.ones((len(grid.x), len(grid.y))))
+    grid = PlanningGrid(FIELD, 0.2)
+    found = grid_distances(grid, goal, np.ones((len(grid.x), len(grid.y))))
     straight = np.hypot(grid.x[:, None] - goal[0], grid.y[None, :] - goal[1])
     assert (found >= straight - 0.3).all()
     assert (found <= 1.083 * straight + 0.3).all()

@@ -11,15 +11,15 @@ from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.policy import PolicyNode
-from safedpa.policy.backing_off import BackingOff, BackingOffSettings
-from safedpa.policy.controller import LooksAround, controller_for
-from safedpa.robots.car.seen_room import Room, SeenRoom, SeenSettings, seen_room
-from safedpa.robots.car.way_seeker import WaySeeker
+from safedpa.policy.backing_off import BackOffController, BackOffSettings
+from safedpa.policy.controller import UsesSurroundings, controller_for
+from safedpa.robots.car.controllers.route_cost import Clearances, ClearanceSettings, VisibleObstacles, visible_obstacles
+from safedpa.robots.car.controllers.route_follower import RouteFollower
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 MODEL = load_model("car")
 GOAL = (3.0, 0.0)
@@ -27,7 +27,7 @@ GOAL = (3.0, 0.0)
 
 def state_at(pose: tuple[float, float, float], speed: float = 0.0, tick: int = 0, load: str = "none") -> StateMessage:
     scene = Scene(0, load_named(load), (-6.0, 6.0, -6.0, 6.0), (), (0.0, 0.0, 0.0), (GOAL,))
-    told = CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
+    told = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
     return replace(told, values=(*pose, speed), tick=tick, robot_time=0.05 * tick, goal=GOAL)
 
 
@@ -39,7 +39,7 @@ def around(state: StateMessage, **seen: object) -> SurroundingsMessage:
 
 def driven(seconds: float, **seen: object) -> list[tuple[float, float, float, float]]:
     """x, y, yaw, wished speed of a car that drives as it is wished, kinematically."""
-    seeker, x, y, yaw, found = WaySeeker(MODEL), 0.0, 0.0, 0.0, []
+    seeker, x, y, yaw, found = RouteFollower(MODEL), 0.0, 0.0, 0.0, []
     for tick in range(round(seconds / 0.05)):
         state = state_at((x, y, yaw), tick=tick)
         seeker.look(around(state, **seen))
@@ -60,7 +60,7 @@ def test_it_drives_straight_where_nothing_is_around_a_wall_and_slower_where_a_mo
     way = driven(4.0)
     assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
     assert max(abs(y) for _, y, _, _ in way) < 0.1
-    assert way[5][3] == pytest.approx(SeenSettings().cruise)
+    assert way[5][3] == pytest.approx(ClearanceSettings().cruise)
     points = wall(1.5, -0.8, 0.8)
     way = driven(8.0, points=points)
     assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
@@ -72,14 +72,14 @@ def test_it_drives_straight_where_nothing_is_around_a_wall_and_slower_where_a_mo
     free, careful = driven(6.0), driven(6.0, hidden=corner)
     assert min(y for _, y, _, _ in careful) < min(y for _, y, _, _ in free) - 0.1
     passing = [speed for x, _, _, speed in careful if 1.0 < x < 1.6]
-    assert min(passing) <= SeenSettings().cruise
+    assert min(passing) <= ClearanceSettings().cruise
 
 
 def test_the_same_drive_wishes_the_same_and_without_surroundings_it_drives_to_its_goal() -> None:
     points = wall(1.5, -0.8, 0.8)
     assert driven(2.0, points=points) == driven(2.0, points=points)
-    (speed, steer), said = WaySeeker(MODEL).wish(state_at((0.0, 0.0, 0.0)), None)
-    assert speed == pytest.approx(SeenSettings().cruise)
+    (speed, steer), said = RouteFollower(MODEL).wish(state_at((0.0, 0.0, 0.0)), None)
+    assert speed == pytest.approx(ClearanceSettings().cruise)
     assert steer == pytest.approx(0.0, abs=0.08)
     assert said == "way_seeker:ahead"
 
@@ -89,11 +89,11 @@ def test_the_same_drive_wishes_the_same_and_without_surroundings_it_drives_to_it
 )
 def test_a_state_that_does_not_fit_is_refused(odd: dict[str, object]) -> None:
     with pytest.raises(MessageError, match="wanted"):
-        WaySeeker(MODEL).wish(replace(state_at((0.0, 0.0, 0.0)), **odd), None)  # type: ignore[arg-type]
+        RouteFollower(MODEL).wish(replace(state_at((0.0, 0.0, 0.0)), **odd), None)  # type: ignore[arg-type]
 
 
 def test_where_it_makes_no_headway_the_way_is_closed_for_a_while_and_it_tries_another() -> None:
-    seeker, wishes = WaySeeker(MODEL), []
+    seeker, wishes = RouteFollower(MODEL), []
     for tick in range(120):
         state = state_at((0.0, 0.0, 0.0), tick=tick)
         seeker.look(around(state))
@@ -105,18 +105,18 @@ def test_where_it_makes_no_headway_the_way_is_closed_for_a_while_and_it_tries_an
 
 def test_what_hides_in_the_shadow_of_a_load_stands_in_no_way_but_nobody_sees_what_is_behind() -> None:
     state = state_at((0.0, 0.0, pi / 2), load="chair")
-    room, sees_behind = seen_room(state, around(state, hidden=((0.0, -1.0, 0.27, 1.5),)), SeenSettings())
+    room, sees_behind = visible_obstacles(state, around(state, hidden=((0.0, -1.0, 0.27, 1.5),)), ClearanceSettings())
     assert not sees_behind
     assert not len(room.moves)
-    room, sees_behind = seen_room(state, around(state, hidden=((0.0, 1.5, 0.27, 1.5),)), SeenSettings())
+    room, sees_behind = visible_obstacles(state, around(state, hidden=((0.0, 1.5, 0.27, 1.5),)), ClearanceSettings())
     assert sees_behind
     assert len(room.moves) == 1
 
 
 def test_a_metre_costs_more_the_less_room_there_is() -> None:
-    room = SeenRoom(np.empty((0, 3)), np.empty((0, 3)), 1.5, 0.12, SeenSettings())
+    room = VisibleObstacles(np.empty((0, 3)), np.empty((0, 3)), 1.5, 0.12, ClearanceSettings())
     free = np.full(40, 100.0)
-    for told in (Room(np.linspace(-0.5, 2.5, 40), free), Room(free, np.linspace(-0.5, 2.5, 40))):
+    for told in (Clearances(np.linspace(-0.5, 2.5, 40), free), Clearances(free, np.linspace(-0.5, 2.5, 40))):
         assert (np.diff(room.price(told)) <= 1e-12).all()
         assert (np.diff(room.seconds_each_metre(told, 1.6)) <= 1e-12).all()
         assert room.price(told)[-1] == pytest.approx(1.0)
@@ -125,7 +125,7 @@ def test_a_metre_costs_more_the_less_room_there_is() -> None:
 def test_the_service_hands_the_surroundings_to_a_controller_that_looks_around_and_to_no_other() -> None:
     state = state_at((0.0, 0.0, 0.0))
     looking, other = PolicyNode(MODEL, "way_seeker"), PolicyNode(MODEL, "goal_seeker")
-    assert isinstance(controller_for(MODEL, "way_seeker")(), LooksAround)
+    assert isinstance(controller_for(MODEL, "way_seeker")(), UsesSurroundings)
     assert SURROUNDINGS in looking.needs(state)
     assert SURROUNDINGS not in looking.needs(replace(state, sources=()))
     assert SURROUNDINGS not in other.needs(state)
@@ -151,7 +151,7 @@ def state(tick: int, x: float = 0.0, goal: tuple[float, float] = (3.0, 1.0)) -> 
 
 
 def wishes(states: list[StateMessage]) -> list[tuple[float, ...]]:
-    controller = BackingOff(Stubborn())
+    controller = BackOffController(Stubborn())
     return [controller.wish(item, None)[0] for item in states]
 
 
@@ -170,7 +170,7 @@ def test_a_car_that_moves_is_left_alone_and_one_that_is_held_backs_off_to_one_si
 
 def test_the_controller_is_asked_in_every_tick() -> None:
     inner = Stubborn()
-    controller = BackingOff(inner)
+    controller = BackOffController(inner)
     names = {controller.wish(state(tick), None)[1] for tick in range(60)}
     assert inner.asked == 60
     assert names == {"stubborn", "stubborn:back_off"}
@@ -181,4 +181,4 @@ def test_a_new_goal_ends_backing_off_and_settings_that_would_never_begin_it_are_
     assert wishes([*held, state(30)])[-1][0] < 0.0
     assert wishes([*held, state(30, goal=(-3.0, 0.0))])[-1] == (1.5, 0.1)
     with pytest.raises(InputError, match="speed below 0"):
-        replace(BackingOffSettings(), reverse_speed=0.3)
+        replace(BackOffSettings(), reverse_speed=0.3)

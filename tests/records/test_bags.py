@@ -16,8 +16,8 @@ from tests.records.ros_logs import LATE, PERIOD, START, bag, truth
 from safedpa.errors import InputError, RunError
 from safedpa.limits import LimitError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.bags import kind_of, read_log_table, topic_log
-from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.column_map.file import parse_column_map
+from safedpa.records.readers.bags import kind_of, read_log_table, topic_log
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 from safedpa_services.command_line.group import safedpa
 
@@ -126,7 +126,7 @@ def test_the_clock_of_receipt_is_another_than_that_of_the_stamps(tmp_path: Path)
 
 
 def map_text() -> str:
-    from safedpa.records.column_map_file import shipped_column_maps
+    from safedpa.records.column_map.file import shipped_column_maps
 
     return shipped_column_maps()["f1tenth_bag"].read_text(encoding="utf-8")
 

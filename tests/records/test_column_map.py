@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from safedpa.errors import ColumnMapError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.apply_map import Rows, check_map, keep_rows
-from safedpa.records.column_map import ColumnMap, DerivedColumn, SourceColumn, TrackedPoint, native_map
-from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
-from safedpa.records.derive import slope
+from safedpa.records.column_map.apply import Rows, check_map, resample_rows
+from safedpa.records.column_map.column_map import ColumnMap, DerivedColumn, SourceColumn, TrackedPoint, native_map
+from safedpa.records.column_map.derive import slope
+from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
+from safedpa.records.column_map.units import UNITS, factor_to_si
 from safedpa.records.run import Stretch
-from safedpa.records.units import UNITS, factor_to_si
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.systems import System
@@ -155,7 +155,7 @@ def test_kept_rows_are_picked_and_their_actions_keep_the_impulse(seed: int, peri
     random = np.random.default_rng(seed)
     t = np.cumsum(random.uniform(0.009, 0.011, 400))
     rows = Rows(t, random.standard_normal((400, 2)), random.standard_normal((400, 1)))
-    kept, stretches = keep_rows(rows, [Stretch(0, 150), Stretch(160, 400)], period)
+    kept, stretches = resample_rows(rows, [Stretch(0, 150), Stretch(160, 400)], period)
     assert set(kept.t) <= set(t)
     assert len(stretches) == 2
     for stretch, whole in zip(stretches, (slice(0, 150), slice(160, 400)), strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from safedpa.records import load_column_map, load_run
-from safedpa.records.units import UNITS
+from safedpa.records.column_map.units import UNITS
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa_services.command_line.group import safedpa
 

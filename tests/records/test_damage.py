@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage
-from safedpa.bus.wire.topics import STATE, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage
+from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder, Run, load_run
 from safedpa.robots.car.system import CAR

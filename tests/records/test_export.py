@@ -6,13 +6,13 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage, VerdictMessage
-from safedpa.bus.wire.topics import STATE, VERDICT, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage, VerdictMessage
+from safedpa.bus.messages.topics import STATE, VERDICT, key_of
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder, load_run, read_run_from_mcap
-from safedpa.records.mcap_messages import read_payloads
-from safedpa.records.write import export_recording
+from safedpa.records.readers.mcap import read_payloads
+from safedpa.records.writers.tables import export_recording
 from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa
 

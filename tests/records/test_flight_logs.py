@@ -11,8 +11,8 @@ import pytest
 
 from safedpa.errors import InputError, RunError
 from safedpa.limits import LimitError
-from safedpa.records.bags import topic_log
-from safedpa.records.bags.ulog_log import UlogLog
+from safedpa.records.readers.bags import topic_log
+from safedpa.records.readers.bags.ulog import UlogLog
 
 STAMPS = (1_000_001, 1_020_003, 3_500_007)
 """us since the flight controller's start."""

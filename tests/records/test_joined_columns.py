@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from safedpa.records import load_run
-from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.column_map.file import parse_column_map
 from safedpa.systems import System, Variable
 
 CART = System(

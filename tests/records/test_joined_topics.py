@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from safedpa.errors import ColumnMapError, RunError
-from safedpa.records.bags import AbstractLog, LoggedTopic, Series, read_log_table
-from safedpa.records.column_map import ColumnMap
-from safedpa.records.column_map_file import parse_column_map
-from safedpa.records.table import Table
+from safedpa.records.column_map.column_map import ColumnMap
+from safedpa.records.column_map.file import parse_column_map
+from safedpa.records.readers.bags import AbstractLog, LoggedTopic, Series, read_log_table
+from safedpa.records.readers.table import Table
 from safedpa.robots.pendulum.system import PENDULUM
 
 SECOND = 1_000_000_000

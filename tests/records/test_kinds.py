@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.errors import RunError
-from safedpa.records.bags.kinds import kind_of
+from safedpa.records.readers.bags.detect import kind_of
 
 OTHERS = {
     "#ROSBAG V1": "is a ROS 1 bag of format 1; bring it up to format 2.0: rosbag fix",

@@ -10,9 +10,9 @@ from tests.records.ros_logs import bag
 
 from safedpa.limits import LimitError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.bags import topic_log
+from safedpa.records.readers.bags import topic_log
 from safedpa.robots.car.system import CAR
-from safedpa.ros.definitions import parsed, what_it_says
+from safedpa.ros.definitions import parsed, summarize_definition
 
 FORMS = ("mcap", "mcap-zstd", "mcap-file", "db3", "db3-file", "db3-message", "bag", "bag-lz4")
 _MEBI = 1 << 20
@@ -47,7 +47,7 @@ def test_the_longest_definitions_are_not_listed(tmp_path: Path, monkeypatch: pyt
     path = next(bag(tmp_path / "drive", "db3", 5).glob("*.db3"))
     with sqlite3.connect(path) as base:
         rows = base.execute("SELECT encoded_message_definition FROM message_definitions").fetchall()
-    lines = sum(what_it_says(text, "ros2msg")[1] for (text,) in rows)
+    lines = sum(summarize_definition(text, "ros2msg")[1] for (text,) in rows)
     monkeypatch.setenv("SAFEDPA_LIMITS", f"definitions_lines={lines}")
     assert not any(topic.problem for topic in topic_log(path).topics().values())
     monkeypatch.setenv("SAFEDPA_LIMITS", f"definitions_lines={lines - 1}")
@@ -61,7 +61,7 @@ def test_a_line_of_blanks_costs_as_much_as_one_of_letters(form: str) -> None:
     def seconds(text: str) -> float:
         began = time.process_time()
         for _ in range(5):
-            what_it_says(text, form)
+            summarize_definition(text, form)
         return time.process_time() - began
 
     assert seconds("x" + " " * 60_000 + "y") < 1000.0 * (seconds("x" * 60_000) + 1e-6)

@@ -10,9 +10,9 @@ from pyarrow import parquet
 from tests.records.ros_logs import bag
 
 from safedpa.limits import LimitError
-from safedpa.records.bags import topic_log
-from safedpa.records.csv_table import read_csv_table
-from safedpa.records.parquet_table import read_parquet_table
+from safedpa.records.readers.bags import topic_log
+from safedpa.records.readers.csv import read_csv_table
+from safedpa.records.readers.parquet import read_parquet_table
 
 FORMS = ("mcap", "db3", "bag")
 ROWS = 20

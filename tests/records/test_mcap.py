@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage, VerdictMessage
-from safedpa.bus.wire.topics import STATE, VERDICT, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage, VerdictMessage
+from safedpa.bus.messages.topics import STATE, VERDICT, key_of
 from safedpa.errors import ColumnMapError, InputError, RecordingError, RunError
 from safedpa.records import Finding, McapRecorder, load_run, read_messages, read_run_from_mcap, write_csv, write_parquet
-from safedpa.records.column_map import native_map
+from safedpa.records.column_map.column_map import native_map
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 

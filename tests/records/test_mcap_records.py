@@ -15,8 +15,8 @@ import zstandard
 
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
-from safedpa.records.mcap_records import DamageError, records_of
-from safedpa.records.mcap_run import read_run_from_mcap
+from safedpa.records.readers.mcap import read_run_from_mcap
+from safedpa.records.readers.mcap_recovery import DamageError, records_of
 from safedpa.robots.car.system import CAR
 
 START = b"\x89MCAP0\r\n"

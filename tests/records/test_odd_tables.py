@@ -9,7 +9,7 @@ from pyarrow import parquet
 
 from safedpa.errors import RunError
 from safedpa.records import Run, load_run
-from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.column_map.file import parse_column_map
 from safedpa.robots.car.system import CAR
 
 HEADER = "t,x,y,yaw,speed,target_speed,steer"

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from safedpa.errors import RunError
 from safedpa.records import Run
-from safedpa.records.apply_map import Rows
-from safedpa.records.column_map import native_map
-from safedpa.records.quality import run_of_rows
+from safedpa.records.column_map.apply import Rows
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.quality.quality import run_of_rows
 from safedpa.robots.car.system import CAR
 from safedpa.robots.differential_drive.system import DIFFERENTIAL_DRIVE
 from safedpa.robots.pendulum.system import PENDULUM

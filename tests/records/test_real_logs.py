@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safedpa.records import Run, load_column_map, load_run
-from safedpa.records.derive import slope
+from safedpa.records.column_map.derive import slope
 from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.robots.pendulum.system import PENDULUM
 

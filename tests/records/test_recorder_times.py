@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 
 from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, StateMessage
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
 from safedpa_services.recorder import recorder as module
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_sim.robots.core import CarRobot

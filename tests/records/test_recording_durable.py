@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import HEALTH, SETUP, STATE, Bus, MemoryBroker, MemoryTransport, Received, encode
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus import HEALTH, SETUP, STATE, Bus, MemoryBroker, MemoryTransport, ReceivedMessage, encode
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
-from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.readers.mcap import read_payloads
 from safedpa_services.recorder import recorder as module
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_sim.robots.core import CarRobot
@@ -164,7 +164,7 @@ def test_a_recorder_waits_for_room_on_a_full_disk_and_reports_a_broken_one(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=room[0]))
 
     def reported() -> Any:
-        return [item.message for item in health.take(0.0) if isinstance(item, Received)][-1]
+        return [item.message for item in health.take(0.0) if isinstance(item, ReceivedMessage)][-1]
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", failing(number))

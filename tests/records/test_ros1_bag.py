@@ -11,7 +11,7 @@ import pytest
 
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
-from safedpa.records.bags.ros1_bag import Ros1Bag
+from safedpa.records.readers.bags.rosbag1 import Ros1Bag
 
 MAGIC = b"#ROSBAG V2.0\n"
 PACKED = {"none": bytes, "bz2": bz2.compress}

@@ -15,10 +15,9 @@ from tests.records.test_ros1_bag import connection, message
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
 from safedpa.records import load_run
-from safedpa.records.bags import read_log_table, topic_log
-from safedpa.records.bags.folder_bag import FolderBag, PackedBag
-from safedpa.records.bags.sqlite_bag import SqliteBag
-from safedpa.records.column_map import native_map
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.readers.bags import read_log_table, topic_log
+from safedpa.records.readers.bags.rosbag2 import FolderBag, PackedBag, SqliteBag
 from safedpa.robots.car.system import CAR
 
 TOPICS = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"

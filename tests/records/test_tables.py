@@ -10,9 +10,9 @@ from pyarrow import parquet
 
 from safedpa.errors import RunError
 from safedpa.limits import LimitError
-from safedpa.records.csv_table import read_csv_table
-from safedpa.records.parquet_table import read_parquet_table
-from safedpa.records.table import require_columns, require_file
+from safedpa.records.readers.csv import read_csv_table
+from safedpa.records.readers.parquet import read_parquet_table
+from safedpa.records.readers.table import require_columns, require_file
 
 
 def written(folder: Path, text: str | bytes) -> Path:

@@ -8,9 +8,9 @@ from scipy import constants
 from tests.records.test_quality import car_rows, judge
 
 from safedpa.errors import ColumnMapError
-from safedpa.records.consistency import consistency_findings
+from safedpa.records.column_map.units import UNITS, factor_to_si
+from safedpa.records.quality.consistency import consistency_findings
 from safedpa.records.run import Stretch
-from safedpa.records.units import UNITS, factor_to_si
 from safedpa.robots.car.system import CAR
 
 SCIPY = {

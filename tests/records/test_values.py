@@ -8,13 +8,13 @@ import pytest
 from tests.records.test_quality import car_rows
 
 from safedpa.errors import RunError
-from safedpa.records.apply_map import Rows, joined, mapped_rows
-from safedpa.records.column_map import SourceColumn, TrackedPoint, native_map
-from safedpa.records.quality import run_of_rows
+from safedpa.records.column_map.apply import Rows, joined_column, mapped_rows
+from safedpa.records.column_map.column_map import SourceColumn, TrackedPoint, native_map
+from safedpa.records.quality.findings import finding
+from safedpa.records.quality.quality import run_of_rows
+from safedpa.records.quality.values import degrees_for_radians, other_units, out_of_bounds
+from safedpa.records.readers.table import Table
 from safedpa.records.run import Finding
-from safedpa.records.sentences import finding
-from safedpa.records.table import Table
-from safedpa.records.values import degrees_for_radians, other_units, out_of_bounds
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
 NONE = float("nan")
@@ -130,4 +130,4 @@ def test_a_table_without_a_row_is_refused_with_the_findings(findings: tuple[Find
 )
 def test_two_columns_become_one(join: str, found: list[float]) -> None:
     table = Table({"a": np.array([3.0, 5.0, NONE, NONE]), "b": np.array([4.0, NONE, 2.0, NONE])}, ())
-    np.testing.assert_array_equal(joined(table, SourceColumn("a", others=("b",), join=join)), found)
+    np.testing.assert_array_equal(joined_column(table, SourceColumn("a", others=("b",), join=join)), found)

@@ -23,25 +23,25 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     ModelMessage,
-    Received,
+    ReceivedMessage,
     ServiceLoop,
     SetupMessage,
     TakeoverMessage,
 )
-from safedpa.bus.wire.requests import Request
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.requests import Request
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_text
 from safedpa.safety.settings import write_settings
-from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 PERIOD = 0.05
 ROBOT = "r1"
@@ -95,7 +95,7 @@ class Fleet:
         load: str = "box",
         controller: str | None = None,
         seed: int = 3,
-        senses: Callable[[], Senses] | None = None,
+        senses: Callable[[], SimulatedSensors] | None = None,
         zones: str = "",
     ) -> None:
         self.now = 0.0
@@ -106,7 +106,7 @@ class Fleet:
         self._bus = Bus(MemoryTransport(self._broker), "test")
         self._actions = self._bus.inbox((ACTION, TAKEOVER), keep_all=True)
         self._recorded = self._bus.inbox(tuple(TOPICS.values()), keep_all=True, clock=lambda: self.now)
-        self.heard: list[Received] = []
+        self.heard: list[ReceivedMessage] = []
         self.takeovers: list[TakeoverMessage] = []
         self._loops: dict[str, tuple[Bus, ServiceLoop]] = {}
         self._nodes: dict[str, AbstractNode] = {}
@@ -165,16 +165,16 @@ class Fleet:
                 if service in self._loops and service not in stalled:
                     self._loops[service][1].turn(0.0)
         for item in self._actions.take(0.0):
-            message = item.message if isinstance(item, Received) else None
+            message = item.message if isinstance(item, ReceivedMessage) else None
             if isinstance(message, ActionMessage):
                 self.robot.receive(message)
             elif isinstance(message, TakeoverMessage):
                 self.takeovers.append(message)
         self.robot.advance()
         self.now = begin + PERIOD
-        self.heard += [item for item in self._recorded.take(0.0) if isinstance(item, Received)]
+        self.heard += [item for item in self._recorded.take(0.0) if isinstance(item, ReceivedMessage)]
 
-    def record(self, path: Path, keep: Callable[[Received], bool] = lambda _: True) -> Path:
+    def record(self, path: Path, keep: Callable[[ReceivedMessage], bool] = lambda _: True) -> Path:
         """Writes what was heard, or what a recorder would have got of it."""
         with McapRecorder(path) as recorder:
             for item in self.heard:

@@ -15,8 +15,18 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import HEALTH, NO_ROBOT, SETUP, STATE, Bus, HealthMessage, MemoryBroker, MemoryTransport, Received
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus import (
+    HEALTH,
+    NO_ROBOT,
+    SETUP,
+    STATE,
+    Bus,
+    HealthMessage,
+    MemoryBroker,
+    MemoryTransport,
+    ReceivedMessage,
+)
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.records import Finding, read_messages
 from safedpa_services.recorder.recorder import Recorder
 
@@ -24,7 +34,7 @@ RECORDING = """
 import itertools, sys, time
 from pathlib import Path
 from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
@@ -116,7 +126,7 @@ class Fleet:
         self.bus.publish(STATE, "r1", message)
 
     def health(self) -> HealthMessage:
-        items = [item.message for item in self._health.take(0.0) if isinstance(item, Received)]
+        items = [item.message for item in self._health.take(0.0) if isinstance(item, ReceivedMessage)]
         message = items[-1]
         assert isinstance(message, HealthMessage)
         return message

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ACTION, LATENT, VERDICT, ActionMessage, LatentMessage, VerdictMessage
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.replay.comparison import Difference
-from safedpa.replay.driver import Driven, Driver
+from safedpa.replay.driver import Driver, ReplayedStep
 from safedpa.replay.replay import Replay, ServiceReplay, replay
-from safedpa.replay.tape import Entry, RobotTape
+from safedpa.replay.tape import RecordedMessage, RobotTape
 
 FIELDS = {topic.message: frozenset(item.name for item in fields(topic.message)) for topic in (LATENT, VERDICT, ACTION)}
 EVERYWHERE = (float("-inf"), float("inf"))
@@ -39,9 +39,9 @@ def action(tick: int, steer: float = 0.0) -> ActionMessage:
     return ActionMessage(**stamp(tick), values=(1.0, steer))
 
 
-def step(tick: int, recorded: Any, outputs: dict[Any, Any], unknown: str = "", anew: bool = False) -> Driven:
+def step(tick: int, recorded: Any, outputs: dict[Any, Any], unknown: str = "", anew: bool = False) -> ReplayedStep:
     state: Any = SimpleNamespace(epoch=3, tick=tick, robot_time=0.05 * tick)
-    return Driven(state, recorded, outputs, unknown, anew)
+    return ReplayedStep(state, recorded, outputs, unknown, anew)
 
 
 @pytest.fixture
@@ -50,13 +50,13 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> Judged:
 
     def of(
         service: str,
-        steps: list[Driven],
+        steps: list[ReplayedStep],
         window: tuple[float, float] = EVERYWHERE,
         actions: dict[Any, Any] | None = None,
     ) -> ServiceReplay:
         tape = RobotTape("r1", (Path("a.mcap"),), actions=actions or {}, fields=FIELDS)
         tape.setups[service] = [(0, setup_message(service, {}))]
-        tape.computed[service] = [Entry(0, step.recorded) for step in steps if step.recorded is not None]
+        tape.computed[service] = [RecordedMessage(0, step.recorded) for step in steps if step.recorded is not None]
         monkeypatch.setattr(Driver, "run", lambda _: iter(steps))
         (found,) = replay(tape, window).services
         return found

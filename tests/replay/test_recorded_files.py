@@ -18,14 +18,14 @@ from safedpa.bus import (
     Bus,
     MemoryBroker,
     MemoryTransport,
-    Received,
+    ReceivedMessage,
     Request,
     request_key,
 )
-from safedpa.bus.wire.requests import asked_message
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.requests import asked_message
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.errors import InputError
-from safedpa.records.mcap_recorder import schema_of
+from safedpa.records.writers.mcap import schema_of
 from safedpa_services.recorder.recorder import Recorder
 
 PAGE = Path(__file__).parents[2] / "docs" / "replay.md"
@@ -84,7 +84,7 @@ def test_a_refused_request_is_recorded_with_its_reason() -> None:
     for effect in ("gravity", "payload"):
         person.request("r1", Request(do="accept", effect=effect, who="a person", finding=2))
     MemoryTransport(broker).ask(request_key("test", "r1"), b"\xc1", 1.0)
-    refused, done, nonsense = (item.message for item in inbox.take(0.0) if isinstance(item, Received))
+    refused, done, nonsense = (item.message for item in inbox.take(0.0) if isinstance(item, ReceivedMessage))
     assert isinstance(refused, AskedMessage)
     assert isinstance(done, AskedMessage)
     assert isinstance(nonsense, AskedMessage)

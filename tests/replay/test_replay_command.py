@@ -10,7 +10,7 @@ import pytest
 from safedpa.bus import SETUP, VERDICT, SetupMessage, VerdictMessage, decode, encode
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
-from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.readers.mcap import read_payloads
 from safedpa.safety.settings import parse_settings
 from safedpa_services.command_line.group import safedpa
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import VERDICT, VerdictMessage, decode
-from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.readers.mcap import read_payloads
 from safedpa_services.command_line.group import safedpa
 
 BOX = str(Path(__file__).parent / "golden" / "car_box.mcap")

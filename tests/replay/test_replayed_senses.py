@@ -9,14 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.replay.conftest import driven
 
-from safedpa.bus import SCAN, SURROUNDINGS, Received, ScanMessage, SurroundingsMessage, decode, encode
-from safedpa.bus.log import counted_events
+from safedpa.bus import SCAN, SURROUNDINGS, ReceivedMessage, ScanMessage, SurroundingsMessage, decode, encode
+from safedpa.bus.logging import counted_events
 from safedpa.replay.replay import Replay, ServiceReplay, replay
-from safedpa.replay.report import Saved
+from safedpa.replay.report import ReplayOutputs
 from safedpa.replay.setups import complete_setups
 from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 ZONES = """
 [[zones]]
@@ -50,9 +50,11 @@ EVENTS = st.lists(
 )
 
 
-def two_lasers() -> Senses:
+def two_lasers() -> SimulatedSensors:
     """One that turns quickly, and one that looks ahead and is late."""
-    return Senses((Laser(LaserSettings(), 3), Laser(LaserSettings(name="front", rays=90, rate=15.0, latency=0.12), 4)))
+    return SimulatedSensors(
+        (Laser(LaserSettings(), 3), Laser(LaserSettings(name="front", rays=90, rate=15.0, latency=0.12), 4))
+    )
 
 
 @pytest.fixture
@@ -134,7 +136,7 @@ def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_t
 def test_a_scan_that_was_not_recorded_is_reported_and_is_no_difference_of_perception(
     fleet: Any, tmp_path: Path
 ) -> None:
-    def keep(item: Received) -> bool:
+    def keep(item: ReceivedMessage) -> bool:
         scan = item.topic is SCAN and decode(ScanMessage, item.payload)
         return not (isinstance(scan, ScanMessage) and scan.source == "front" and scan.number == 12)
 
@@ -170,7 +172,7 @@ def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any
 
 def replayed_again(tape: RobotTape, path: Path) -> tuple[Replay, RobotTape]:
     """A replay, and what it writes as a recording."""
-    saved = Saved()
+    saved = ReplayOutputs()
     found = replay(tape, tell=saved.take)
     saved.write(tape, path)
     return found, read_tape([path])
@@ -191,12 +193,12 @@ def test_what_was_replayed_with_scans_can_be_replayed(fleet: Any, tmp_path: Path
 
 
 def test_as_many_borders_are_sent_as_fit_into_a_message() -> None:
-    from safedpa.perception.zones import InForce, Zone
+    from safedpa.perception.zones import ActiveZones, Zone
 
     ring = tuple((0.1 * number, float(number % 2)) for number in range(0, 40))
     wave = (*ring, (4.0, 9.0), (0.0, 9.0))
     zones = tuple(Zone(f"z{number}", "ignored", wave) for number in range(64))
-    counting = InForce(zones=zones)
+    counting = ActiveZones(zones=zones)
     borders = counting.borders((0.0, 0.0, 0.0))
     assert 400 < len(borders) <= 512
     assert {row[0] for row in borders} == set(map(float, range(len(borders) // len(wave))))

@@ -10,10 +10,10 @@ from safedpa.bus import StateMessage, VerdictMessage
 from safedpa.records import Finding
 from safedpa.replay.comparison import Difference
 from safedpa.replay.gaps import TickGap
-from safedpa.replay.replay import Replay, ServiceReplay, Span
+from safedpa.replay.replay import Replay, ServiceReplay, UnknownStateSpan
 from safedpa.replay.report import document_of, lines_of, what_if_document, what_if_lines
 from safedpa.replay.tape import RobotTape
-from safedpa.replay.what_if import DecisionTwice, summary_of
+from safedpa.replay.what_if import DecisionPair, summary_of
 
 
 def stamp(tick: int) -> dict[str, Any]:
@@ -80,7 +80,8 @@ def test_a_replay_is_not_confirmed_while_a_memory_is_unknown_at_the_end(
 ) -> None:
     found = replay_of(0)
     found.services[which].spans = [
-        Span("a gap", 3, 1, 0.5, agrees_from=2), Span("another", 3, 5, 2.5, agrees_from, anew_from, steps=2),
+        UnknownStateSpan("a gap", 3, 1, 0.5, agrees_from=2),
+        UnknownStateSpan("another", 3, 5, 2.5, agrees_from, anew_from, steps=2),
     ]  # fmt: skip
     settled = agrees_from is not None or anew_from is not None
     assert (found.unsettled is None, found.agrees) == (settled, settled)
@@ -150,10 +151,10 @@ def test_the_line_of_a_service_counts_every_topic() -> None:
 USUAL = (0.9, 0.8, 0.7, 0.6)
 
 
-def decided(h: list[tuple[float, float, float, float]], **changes: Any) -> list[DecisionTwice]:
+def decided(h: list[tuple[float, float, float, float]], **changes: Any) -> list[DecisionPair]:
     """By tick: h now and next as recorded, and of the other filter."""
     return [
-        DecisionTwice(
+        DecisionPair(
             state_of(tick),
             verdict_of(tick, h_now=then_now, h_next=then_next),
             verdict_of(tick, h_now=now_now, h_next=now_next, **changes),

@@ -10,12 +10,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Received, Stale, VerdictMessage, WishMessage
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    VERDICT,
+    WISH,
+    ActionMessage,
+    ReceivedMessage,
+    Stale,
+    VerdictMessage,
+    WishMessage,
+)
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots import PendulumRobot, PendulumWorld, task_named, wind_towards
 from safedpa_sim.robots.account import account_of
@@ -171,9 +181,9 @@ def test_seeds_draw_starts_and_what_is_no_pendulum_is_refused() -> None:
 
 def swung(
     robot: PendulumRobot, ticks: int, model: str = "pendulum", *, filtered: bool = True, settings: str = "pendulum"
-) -> tuple[list[Tick], list[Received]]:
+) -> tuple[list[Tick], list[ReceivedMessage]]:
     own, chosen = load_model(model), dataclasses.replace(settings_named(settings), enabled=filtered)
-    heard: list[Received] = []
+    heard: list[ReceivedMessage] = []
     nodes = [AdaptationNode(own), PolicyNode(own), SafetyFilterNode(own, chosen)]
     return list(drive(robot, nodes, ticks, hear=heard.append)), heard
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.messages import ActionMessage, StateMessage
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots import BRAKE, LOADS, ActionGuard, CarRobot, Scene, footprint
-from safedpa_sim.robots.core import LateCommands
+from safedpa_sim.robots.core import DelayedCommands
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -210,22 +210,22 @@ def test_whatever_arrives_only_valid_actions_act_and_otherwise_the_robot_brakes(
     assert sum(robot.guard.refusals.values()) + robot.tick - robot.watchdog_ticks == sum(map(len, periods))
 
 
-def felt(late: LateCommands, *commands: tuple[float, float]) -> list[tuple[float, float, float]]:
+def felt(late: DelayedCommands, *commands: tuple[float, float]) -> list[tuple[float, float, float]]:
     return [(drive, steer, round(seconds, 9)) for each in commands for drive, steer, seconds in late.felt(each, 0.05)]
 
 
 def test_commands_come_whole_periods_or_a_part_of_one_late_each_channel_by_its_own_delay() -> None:
-    assert felt(LateCommands(0.0, 0.0), (1.0, 0.1), (2.0, 0.2)) == [(1.0, 0.1, 0.05), (2.0, 0.2, 0.05)]
-    found = felt(LateCommands(0.1, 0.1), (1.0, 0.1), (2.0, 0.2), (0.5, 0.3), (0.0, 0.0))
+    assert felt(DelayedCommands(0.0, 0.0), (1.0, 0.1), (2.0, 0.2)) == [(1.0, 0.1, 0.05), (2.0, 0.2, 0.05)]
+    found = felt(DelayedCommands(0.1, 0.1), (1.0, 0.1), (2.0, 0.2), (0.5, 0.3), (0.0, 0.0))
     assert found == [(0.0, 0.0, 0.05), (0.0, 0.0, 0.05), (1.0, 0.1, 0.05), (2.0, 0.2, 0.05)]
-    found = felt(LateCommands(0.02, 0.02), (1.0, 0.1), (2.0, 0.2))
+    found = felt(DelayedCommands(0.02, 0.02), (1.0, 0.1), (2.0, 0.2))
     assert found == [(0.0, 0.0, 0.02), (1.0, 0.1, 0.03), (1.0, 0.1, 0.02), (2.0, 0.2, 0.03)]
-    found = felt(LateCommands(0.01, 0.05), (1.0, 0.1), (2.0, 0.2))
+    found = felt(DelayedCommands(0.01, 0.05), (1.0, 0.1), (2.0, 0.2))
     assert found == [(0.0, 0.0, 0.01), (1.0, 0.0, 0.04), (1.0, 0.1, 0.01), (2.0, 0.1, 0.04)]
 
 
 def test_periods_add_up_for_a_long_time() -> None:
-    late = LateCommands(0.13, 0.07)
+    late = DelayedCommands(0.13, 0.07)
     for tick in range(2000):
         parts = list(late.felt((float(tick), -float(tick)), 0.05))
         assert sum(seconds for _, _, seconds in parts) == pytest.approx(0.05)
@@ -236,4 +236,4 @@ def test_periods_add_up_for_a_long_time() -> None:
 @pytest.mark.parametrize("seconds", [-0.1, nan, inf])
 def test_a_delay_is_a_number_of_seconds(seconds: float) -> None:
     with pytest.raises(InputError, match=r"steer_seconds: got .*, wanted a finite number of seconds, 0 or more"):
-        LateCommands(0.0, seconds)
+        DelayedCommands(0.0, seconds)

@@ -19,11 +19,11 @@ from safedpa.bus import (
     HealthMessage,
     MemoryBroker,
     MemoryTransport,
-    Received,
-    Refused,
+    ReceivedMessage,
+    RejectedMessage,
 )
-from safedpa.bus.wire.codec import decode
-from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.messages.codec import decode
+from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import BusError
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.account import account_of, percentile
@@ -70,7 +70,7 @@ class Fleet:
             def inbox(self, *given: Any, **named: Any) -> Any:
                 inbox = super().inbox(*given, **named)
 
-                def take(longest_wait: float) -> list[Received | Refused]:
+                def take(longest_wait: float) -> list[ReceivedMessage | RejectedMessage]:
                     found = inbox.take(0.0)
                     now[0] += 0.0 if found else longest_wait
                     return found

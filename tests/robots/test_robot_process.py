@@ -10,7 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Inbox, Received, StateMessage, ZenohSettings, ZenohTransport
+from safedpa.bus import (
+    ACTION,
+    STATE,
+    ActionMessage,
+    Bus,
+    Inbox,
+    ReceivedMessage,
+    StateMessage,
+    ZenohSettings,
+    ZenohTransport,
+)
 from safedpa.bus.transport.ports import free_port
 
 pytestmark = pytest.mark.processes
@@ -51,7 +61,7 @@ def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int, speed: float = -i
     inbox, states = bus.inbox((STATE,), "r1"), []
     for _ in range(600):
         for item in inbox.take(0.1):
-            assert isinstance(item, Received)
+            assert isinstance(item, ReceivedMessage)
             state = item.message
             assert isinstance(state, StateMessage)
             states.append(state)
@@ -70,7 +80,7 @@ def slower_than(speed: float, inbox: Inbox) -> bool:
     patience = time.monotonic() + 60.0
     while time.monotonic() < patience:
         for item in inbox.take(0.1):
-            assert isinstance(item, Received)
+            assert isinstance(item, ReceivedMessage)
             assert isinstance(item.message, StateMessage)
             if abs(item.message.values[3]) < speed:
                 return True

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from safedpa.bus import LATENT, VERDICT, WISH
-from safedpa.bus.wire.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus.messages.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.car_scene import CarScene
-from safedpa.robots.car.reversed_way import ReversedWay
-from safedpa.safety.equation_barrier import AbstractEquationBarrier
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
+from safedpa.robots.car.scenes.perceived import CarScene
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots import (
     CHANGES,
     GOAL_RADIUS,
@@ -322,7 +322,7 @@ def drive(robot: CarRobot, ticks: int, speed: float, steer: float) -> None:
 
 
 def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
-    robot, way = CarRobot(Scene.random(3, "box")), ReversedWay()
+    robot, way = CarRobot(Scene.random(3, "box")), ReverseOdometer()
     told = []
     for number, speed in enumerate([0.0, *[1.0] * 20, *[-0.5] * 15, *[0.6] * 5]):
         state = robot.state_message()

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 import pytest
 
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus.messages.messages import ActionMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.core import CarRobot
@@ -15,7 +15,7 @@ from safedpa_sim.robots.loads import LOADS, load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person, Walks
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point, box, cast
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -25,7 +25,7 @@ Pose = tuple[float, float, float]
 
 
 def car(pose: Pose, load: str = "none", laser: LaserSettings | None = None, seed: int = 1) -> CarRobot:
-    senses = None if laser is None else Senses((Laser(laser, seed),))
+    senses = None if laser is None else SimulatedSensors((Laser(laser, seed),))
     return CarRobot(Scene(0, load_named(load), FIELD, PILLARS, pose), senses=senses)
 
 
@@ -176,7 +176,7 @@ def test_what_cannot_share_a_field_is_refused() -> None:
     slower = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), period=0.1)
     with pytest.raises(InputError, match=r"period: got 0.05 and 0.1 s"):
         SharedField([car((0.0, 0.0, 0.0)), slower])
-    among = Senses((Laser(EXACT),), (Walks((0.0, 2.0), 1.0, 1),))
+    among = SimulatedSensors((Laser(EXACT),), (Walks((0.0, 2.0), 1.0, 1),))
     alone = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), senses=among)
     with pytest.raises(InputError, match="people: got 1 around one car, wanted none"):
         SharedField([car((0.0, 0.0, 0.0)), alone])
@@ -207,7 +207,7 @@ def test_only_who_drives_into_something_was_driven_towards_it_with_its_speed() -
     assert hit.towards > 0.8
     person = Runs((-3.0, 0.0), 1.5)
     scene = Scene(0, load_named("box"), WIDE, (), (0.0, 0.0, 0.0))
-    hit = first_contact(CarRobot(scene, senses=Senses((Laser(LaserSettings(), 0),), (person,))), 0.5)
+    hit = first_contact(CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 0),), (person,))), 0.5)
     assert (hit.part, hit.what) == ("load", "person 0")
     assert hit.speed > 0.2
     assert hit.towards == pytest.approx(-hit.speed, abs=1e-3), "it drove away from him"

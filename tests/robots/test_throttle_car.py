@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa.robot import robot_named
 from safedpa.robots.differential_drive.barriers import Shape, wheeled_barriers
 from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.wheels import WheelsDrive, run_drive
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.differential_drive.stand_in import WORLDS, WheeledStandIn

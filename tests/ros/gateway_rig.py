@@ -17,24 +17,31 @@ from safedpa.bus import (
     Bus,
     MemoryBroker,
     MemoryTransport,
-    Received,
+    ReceivedMessage,
     Topic,
 )
-from safedpa.robots.car.ros_face import CarFace
+from safedpa.robots.car.adapters.ros import CarFace
 from safedpa_services.ros_gateway.gateway import Gateway
-from safedpa_services.ros_gateway.overheard import Overheard
-from safedpa_services.ros_gateway.robot_file import Command, Odometry, RobotFile, Surroundings, Wire, Wish
-from safedpa_services.ros_gateway.senses import Senses
-from safedpa_services.ros_gateway.voice import Voice
+from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
+from safedpa_services.ros_gateway.robot_file import (
+    CommandTopic,
+    NominalActionTopic,
+    ObstaclesTopic,
+    OdometryTopic,
+    RobotFile,
+    RosConnection,
+)
+from safedpa_services.ros_gateway.senses import SensorInputs
+from safedpa_services.ros_gateway.voice import HealthPublisher
 
 DRIVE = "ackermann_msgs/msg/AckermannDriveStamped"
 ASKED = RobotFile(
     robot="car",
-    odometry=Odometry("/odom"),
-    wish=Wish("/drive_in"),
-    command=Command("/drive", DRIVE),
-    surroundings=Surroundings((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
-    wire=Wire(form="bridge"),
+    odometry=OdometryTopic("/odom"),
+    wish=NominalActionTopic("/drive_in"),
+    command=CommandTopic("/drive", DRIVE),
+    surroundings=ObstaclesTopic((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
+    wire=RosConnection(form="bridge"),
 )
 LIMITS = ((-0.6, -0.34), (2.0, 0.34), (0.0, 0.0))
 POSE = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -82,21 +89,21 @@ class Rig:
     now: list[float]
     drive: Publisher
     odometry: Sense
-    driver: Overheard
+    driver: CommandEchoMonitor
     gateway: Gateway = field(init=False)
     heard: Any = field(init=False)
-    answer: Callable[[], list[Received]] | None = None
+    answer: Callable[[], list[ReceivedMessage]] | None = None
     """What the filter sends when it is waited for; it advances the clock."""
     answers_after: float = 0.0
 
     def act(self, *values: float, seconds: float = 0.01, held_up: float = 0.0, **changes: Any) -> None:
         """The filter answers each state after ``seconds``; the process is held up for ``held_up`` after that."""
 
-        def answer() -> list[Received]:
+        def answer() -> list[ReceivedMessage]:
             self.now[0] += seconds + held_up
             stamp = {"epoch": self.gateway.epoch, "tick": self.gateway.tick}
             message = ActionMessage(**{**stamp, "robot_time": 0.0, "publish_time": 0.0, "values": values, **changes})
-            return [Received(ACTION, "r1", message, b"", "", self.now[0])]
+            return [ReceivedMessage(ACTION, "r1", message, b"", "", self.now[0])]
 
         self.answer, self.answers_after = answer, seconds
 
@@ -118,7 +125,7 @@ class Rig:
 
     def messages(self) -> list[Any]:
         """What the bus heard since."""
-        return [item.message for item in self.heard.take(0.0) if isinstance(item, Received)]
+        return [item.message for item in self.heard.take(0.0) if isinstance(item, ReceivedMessage)]
 
 
 class Waiting:
@@ -129,7 +136,7 @@ class Waiting:
     def __init__(self, rig: Rig, topic: Topic) -> None:
         self.rig, self.acts = rig, topic is ACTION
 
-    def take(self, longest: float) -> list[Received]:
+    def take(self, longest: float) -> list[ReceivedMessage]:
         if self.acts and self.rig.answer is not None and self.rig.answers_after < longest:
             return self.rig.answer()
         self.rig.now[0] += longest + 1e-6 if longest > 0.0 else 0.0
@@ -156,14 +163,14 @@ def rig_of(
     driver: Any = None,
     **senses: Any,
 ) -> Iterator[Rig]:
-    """A gateway at 20 Hz from 100 s on; ``senses`` as ``Senses`` names them."""
+    """A gateway at 20 Hz from 100 s on; ``senses`` as ``SensorInputs`` names them."""
     clock, broker = now or [100.0], MemoryBroker()
-    rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or Overheard("/drive", lambda: clock[0]))
+    rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or CommandEchoMonitor("/drive", lambda: clock[0]))
     with SteppedBus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as ear:
         bus.rig = rig
         rig.heard = ear.inbox((STATE, SCAN, WISH, HEALTH), "r1", keep_all=True)
-        known = Senses(rig.odometry, rig.driver, **{"wish": None, **senses})  # type: ignore[arg-type]
-        said = voice or Voice("r1", "odom", CarFace(), None, None)
+        known = SensorInputs(rig.odometry, rig.driver, **{"wish": None, **senses})  # type: ignore[arg-type]
+        said = voice or HealthPublisher("r1", "odom", CarFace(), None, None)
         made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, said, 0.05, lambda: clock[0])
         rig.gateway = Gateway(bus, *made)
         yield rig

@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa.ros.encoding import hash_of
 from safedpa.ros.graph import SUBSCRIBER
 from safedpa_services.ros_gateway import __main__ as gateway
-from safedpa_services.ros_gateway.robot_file import Wire
+from safedpa_services.ros_gateway.robot_file import RosConnection
 
 OTHER = "geometry_msgs/msg/Twist"
 
@@ -76,8 +76,8 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def hash_used(now: list[float], monkeypatch: pytest.MonkeyPatch) -> Any:
     def of(link: Link, form: str = "rmw_zenoh") -> str:
         monkeypatch.setattr(gateway, "RosLink", link)
-        asked = replace(ASKED, wire=Wire(form=form))
-        with Bus(MemoryTransport(MemoryBroker()), "fleet") as bus, gateway.made(asked, bus):
+        asked = replace(ASKED, wire=RosConnection(form=form))
+        with Bus(MemoryTransport(MemoryBroker()), "fleet") as bus, gateway.make_gateway(asked, bus):
             return link.hashes["/drive"]
 
     return of

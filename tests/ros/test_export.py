@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage, VerdictMessage
-from safedpa.bus.wire.topics import STATE, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage, VerdictMessage
+from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.errors import InputError, RunError
 from safedpa.records import McapRecorder, load_run, read_messages
-from safedpa.records.column_map_file import parse_column_map
-from safedpa.records.mcap_run import read_recording
+from safedpa.records.column_map.file import parse_column_map
+from safedpa.records.readers.mcap import read_recording
 from safedpa.replay.ros2_bag import export_bag
 from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa
@@ -73,7 +73,7 @@ def test_the_bag_comes_in_again_as_a_run(drive: Path, tmp_path: Path) -> None:
     export_bag(drive, tmp_path / "bag")
     ticks = read_recording(drive)
     columns = parse_column_map(MAP)
-    from safedpa.records.bags import read_log_table, topic_log
+    from safedpa.records.readers.bags import read_log_table, topic_log
 
     table = read_log_table(topic_log(tmp_path / "bag"), columns, CAR)
     assert table.columns["/r1/odom:pose.pose.position.x"].tolist() == ticks.states[:, 0].tolist()

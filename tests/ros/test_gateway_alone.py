@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from tests.ros.gateway_rig import ASKED, Link, Rig, Sense, rig_of
 
-from safedpa.bus import HealthMessage, ScanMessage, StateMessage, WishMessage, log
+from safedpa.bus import HealthMessage, ScanMessage, StateMessage, WishMessage, logging
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
-from safedpa_services.ros_gateway.robot_file import Localisation, Scan
-from safedpa_services.ros_gateway.senses import Newest
+from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
+from safedpa_services.ros_gateway.senses import LatestMessage
 
 BRAKE = (0.0, 0.0)
 LATE = "no action of the filter came in time"
@@ -101,7 +101,7 @@ def test_an_odometry_older_than_a_tenth_of_a_second_brakes(rig: Rig, age: float,
     ("age", "why"), [(1.0, ""), (1.01, "1.01 s old"), (9.0, "9.00 s old"), (math.inf, "never there")]
 )
 def test_a_localisation_older_than_a_second_brakes(age: float, why: str) -> None:
-    asked = replace(ASKED, localisation=Localisation("/tf"))
+    asked = replace(ASKED, localisation=LocalisationTopic("/tf"))
     with rig_of(asked=asked, localised=Sense((0.0, 0.0, 0.0), age)) as rig:
         assert rig.turns() == [BRAKE]
         assert kinds(rig.messages()) == (set() if why else {"StateMessage"})
@@ -158,7 +158,7 @@ def test_each_reason_to_brake_is_logged_once_and_driving_again_too(
     ages = (0.0, 0.0, 0.11, 0.16, 0.0, 0.0)
 
     def before(turn: int) -> None:
-        log.EVENT_LOG.reset_rate_limits()
+        logging.EVENT_LOG.reset_rate_limits()
         rig.odometry.age = ages[turn]
         rig.act(*((0.5, 0.1) if turn != 4 else (9.0, 9.0)))
 
@@ -204,7 +204,7 @@ def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(
         arrived=100.0 + arrived, first_angle=0.0, angle_step=0.1, ranges=(1.0, 2.0), nearest=0.1, farthest=9.0
     )
     scanner = SimpleNamespace(taken=lambda: [turn], refused=0, why="")
-    asked = replace(ASKED, scans=(Scan("/scan", delay=delay),))
+    asked = replace(ASKED, scans=(ScanTopic("/scan", delay=delay),))
     with rig_of(asked=asked, scanners=(scanner,)) as rig:
         rig.gateway.tick = 20
         rig.turns()
@@ -253,7 +253,7 @@ def test_a_gateway_brakes_for_a_second_at_its_end_whatever_ended_it(
 
 
 def test_of_two_publishers_of_one_topic_neither_is_believed() -> None:
-    now, newest = [10.0], Newest("geometry_msgs/msg/Twist", ("linear.x", "angular.z"), clock=lambda: now[0])
+    now, newest = [10.0], LatestMessage("geometry_msgs/msg/Twist", ("linear.x", "angular.z"), clock=lambda: now[0])
     type_name = "geometry_msgs/msg/Twist"
 
     def heard(sender: bytes, seconds: float) -> float:

@@ -11,19 +11,25 @@ from hypothesis import strategies as some
 from tests.ros.gateway_rig import ASKED, rig_of
 
 from safedpa.bus import ScanMessage, StateMessage
-from safedpa.bus.wire.messages import VerdictMessage
+from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.errors import InputError
-from safedpa.robots.car.ros_face import CarFace
+from safedpa.robots.car.adapters.ros import CarFace
 from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
-from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
-from safedpa_services.ros_gateway.overheard import Overheard
-from safedpa_services.ros_gateway.robot_file import Localisation, RobotFile, Scan, Surroundings, load_robot_file
+from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
+from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
+from safedpa_services.ros_gateway.robot_file import (
+    LocalisationTopic,
+    ObstaclesTopic,
+    RobotFile,
+    ScanTopic,
+    load_robot_file,
+)
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.senses import Newest, Pose, Senses, goal_paths, pose_paths
-from safedpa_services.ros_gateway.voice import Voice
+from safedpa_services.ros_gateway.senses import LatestMessage, PoseAndTwist, SensorInputs, goal_paths, pose_paths
+from safedpa_services.ros_gateway.voice import HealthPublisher
 
 INFINITE, NONE = math.inf, math.nan
 
@@ -76,7 +82,7 @@ def test_mutated_messages_end_no_sense(data: some.DataObject) -> None:
     for _ in range(data.draw(some.integers(1, 6))):
         message[data.draw(some.integers(0, len(message) - 1))] = data.draw(some.integers(0, 255))
     cut = data.draw(some.integers(0, len(message)))
-    scanner, localised = Scanner(), Localised("map", "odom")
+    scanner, localised = Scanner(), TransformListener("map", "odom")
     for sense in (scanner, localised):
         sense.take(bytes(message[:cut]) if data.draw(some.booleans()) else bytes(message))
     for turn in scanner.taken():
@@ -86,7 +92,7 @@ def test_mutated_messages_end_no_sense(data: some.DataObject) -> None:
 
 def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_frames() -> None:
     now = [5.0]
-    localised = Localised("map", "/odom", clock=lambda: now[0])
+    localised = TransformListener("map", "/odom", clock=lambda: now[0])
     assert localised.read()[1] == INFINITE
 
     def told(frame: str, child: str, x: float, yaw: float) -> None:
@@ -99,7 +105,7 @@ def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_fra
     now[0] = 5.5
     frame, age = localised.read()
     assert age == 0.5
-    moved = Pose(1.0, 0.0, 0.25, 0.7, 0.1).seen_from(frame)
+    moved = PoseAndTwist(1.0, 0.0, 0.25, 0.7, 0.1).seen_from(frame)
     assert (moved.x, moved.y, moved.yaw) == (pytest.approx(1.0), pytest.approx(3.0), pytest.approx(0.25 + math.pi / 2))
     told("map", "odom", NONE, 0.0)
     assert localised.read() == (frame, 0.5)
@@ -108,7 +114,7 @@ def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_fra
 
 def test_a_publisher_without_a_token_on_the_driver_s_topic_is_reported_and_answered() -> None:
     now, answers = [1.0], [0]
-    heard = Overheard("/drive", clock=lambda: now[0])
+    heard = CommandEchoMonitor("/drive", clock=lambda: now[0])
 
     def answer() -> None:
         answers[0] += 1
@@ -150,8 +156,8 @@ def transform_at(x: float, nanoseconds: int) -> bytes:
 def test_of_two_that_speak_neither_is_believed_though_one_signs_nothing() -> None:
     now = [5.0]
     clock = lambda: now[0]  # noqa: E731
-    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
-    localised, scanner = Localised("map", "odom", clock), Scanner("laser", clock)
+    odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
+    localised, scanner = TransformListener("map", "odom", clock), Scanner("laser", clock)
     for turn, beside in enumerate((signed(b"a"), None, signed(b"a"), None)):
         odometry.take(odometry_at(float(turn), turn), beside)
         now[0] += 0.02
@@ -176,7 +182,7 @@ def _head(nanoseconds: int) -> dict[str, Any]:
 
 def test_transforms_of_other_frames_are_no_second_publisher_and_repeated_ones_age() -> None:
     now = [5.0]
-    localised = Localised("map", "odom", lambda: now[0])
+    localised = TransformListener("map", "odom", lambda: now[0])
     head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "odom"}
     other = encode(TRANSFORMS, {"transforms": [transform_of(head, "base_link", 9.0, 0.0, 0.0)]})
     for _ in range(3):
@@ -187,15 +193,15 @@ def test_transforms_of_other_frames_are_no_second_publisher_and_repeated_ones_ag
 
 
 def test_a_number_that_the_bus_would_refuse_is_refused_where_it_is_heard() -> None:
-    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom")
+    odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom")
     odometry.take(odometry_at(1e13, 1))
-    goal = Newest("geometry_msgs/msg/PoseStamped", goal_paths(), "")
+    goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "")
     goal.take(encode("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"x": 1e300}}}))
-    localised, scanner = Localised("map", "odom"), Scanner("laser")
+    localised, scanner = TransformListener("map", "odom"), Scanner("laser")
     localised.take(transform_at(-1e15, 1))
     scanner.take(scan_of([1.0] * 7, angle_min=1e30))
     assert [one.refused for one in (odometry, goal, localised, scanner)] == [1, 1, 1, 1]
-    senses = Senses(odometry, Overheard("/drive"), None, goal, localised, (scanner,))
+    senses = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, (scanner,))
     assert sorted(senses.not_believed(["laser"])) == ["goal_refused", "laser_refused"]
 
 
@@ -212,7 +218,7 @@ class Markers:
 def test_a_path_of_another_model_is_ignored() -> None:
     markers: Any = Markers()
     now = [7.0]
-    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
+    voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
         epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
@@ -228,7 +234,7 @@ def test_a_path_of_another_model_is_ignored() -> None:
 def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_nothing() -> None:
     markers: Any = Markers()
     now = [7.0]
-    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
+    voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
         epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
@@ -239,7 +245,7 @@ def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_noth
         voice.verdict(replace(verdict, predicted=()) if hundredth < 50 else verdict)
     assert 5 <= len(markers.said) <= 6
     assert all(said["markers"][0]["points"] for said in markers.said)
-    Voice("r1", "odom", DifferentialDriveFace(), None, None, clock=lambda: 7.0).verdict(verdict)
+    HealthPublisher("r1", "odom", DifferentialDriveFace(), None, None, clock=lambda: 7.0).verdict(verdict)
 
 
 class Diagnostics:
@@ -256,15 +262,15 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
     now = [100.0]
     file = RobotFile(
         robot="car", odometry=ASKED.odometry, command=ASKED.command, wire=ASKED.wire,
-        surroundings=Surroundings((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
-        localisation=Localisation("/tf"), scans=(Scan("/scan", mount=(0.2, 0.0, 0.0), delay=0.02),),
+        surroundings=ObstaclesTopic((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
+        localisation=LocalisationTopic("/tf"), scans=(ScanTopic("/scan", mount=(0.2, 0.0, 0.0), delay=0.02),),
     )  # fmt: skip
     clock = lambda: now[0]  # noqa: E731
-    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
-    goal = Newest("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
-    localised, scanner, diagnostics = Localised("map", "odom", clock), Scanner("", clock), Diagnostics()
+    odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
+    goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
+    localised, scanner, diagnostics = TransformListener("map", "odom", clock), Scanner("", clock), Diagnostics()
     shown: Any = diagnostics
-    voice = Voice("r1", file.frame, CarFace(), shown, None, clock)
+    voice = HealthPublisher("r1", file.frame, CarFace(), shown, None, clock)
     senses = {"goal": goal, "localised": localised, "scanners": (scanner,)}
     with rig_of(asked=file, voice=voice, now=now, odometry=odometry, **senses) as rig:
 

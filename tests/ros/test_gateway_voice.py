@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from safedpa.bus import VerdictMessage
-from safedpa.robots.car.ros_face import CarFace
-from safedpa_services.ros_gateway.voice import Voice
+from safedpa.robots.car.adapters.ros import CarFace
+from safedpa_services.ros_gateway.voice import HealthPublisher
 
 STATES = ((1.0, 2.0, 0.5, 0.1), (1.5, 2.5, 0.5, 0.1))
 
@@ -26,7 +26,7 @@ class Told:
 
     def __init__(self, diagnostics: bool = True, markers: bool = True) -> None:
         self.now, self.diagnostics, self.markers = 100.0, Heard(), Heard()
-        self.voice = Voice(
+        self.voice = HealthPublisher(
             "r1",
             "odom",
             CarFace(),

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.bus.transport import ports
-from safedpa.bus.wire.messages import VerdictMessage
-from safedpa.robots.car.ros_face import CarFace
+from safedpa.robots.car.adapters.ros import CarFace
 from safedpa.ros.encoding import encode, type_store
 from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
 from safedpa_lab.ros.side import Loop

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk.attachment import Attachment as TheirAttachment
 
 from safedpa.errors import InputError
-from safedpa.robots.car.ros_face import CarFace, ThrottleCarFace
+from safedpa.robots.car.adapters.ros import CarFace, ThrottleCarFace
 from safedpa.ros.decoding import Decoder
 from safedpa.ros.definitions import Definitions
 from safedpa.ros.encoding import encode, hash_of
@@ -20,7 +20,7 @@ from safedpa.ros.graph import NO_HASH, Attachment, Endpoint, data_key, node_toke
 from safedpa.ros.outgoing import odometry_of, transform_of
 from safedpa_services.ros_gateway.__main__ import checked_face
 from safedpa_services.ros_gateway.robot_file import load_robot_file
-from safedpa_services.ros_gateway.senses import Newest, Pose, pose_paths
+from safedpa_services.ros_gateway.senses import LatestMessage, PoseAndTwist, pose_paths
 
 GOLDEN = {
     "ackermann_msgs/msg/AckermannDriveStamped": "48ca7612a08d3bb72744fd98b71b7cf2ea24c6ad50fa4e1aa0bbad963c90d8cf",
@@ -75,9 +75,9 @@ def test_another_library_reads_what_is_encoded() -> None:
     assert (message.pose.pose.position.x, message.twist.twist.linear.x) == (1.5, 0.75)
     with pytest.raises(InputError, match="field 'speed' of geometry_msgs/msg/Twist: known: angular, linear"):
         encode("geometry_msgs/msg/Twist", {"speed": 1.0})
-    newest = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom")
+    newest = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom")
     newest.take(data)
-    pose = Pose.of(newest.read()[0], 0.1)
+    pose = PoseAndTwist.of(newest.read()[0], 0.1)
     assert pose.yaw == pytest.approx(0.5)
     assert (pose.x, pose.speed, pose.yaw_rate) == (pytest.approx(1.5 - 0.1 * 0.8775825618903728), 0.75, 0.125)
 
@@ -95,7 +95,7 @@ def test_a_stamp_is_decoded_to_whole_nanoseconds(seconds: int, nanoseconds: int)
 
 def test_foreign_messages_and_non_numbers_are_refused_and_a_repeated_stamp_is_not_new() -> None:
     now = [0.0]
-    newest = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock=lambda: now[0])
+    newest = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock=lambda: now[0])
 
     def told(x: float, frame: str = "odom", nanoseconds: int = 1) -> bytes:
         head = {"stamp": {"sec": 5, "nanosec": nanoseconds}, "frame_id": frame}

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
-from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.highest import HighestProgram
-from safedpa.safety.lattice import lattice
-from safedpa.safety.least_unsafe import least_unsafe
+from safedpa.safety.solver.candidates import action_grid
+from safedpa.safety.solver.constraints import ActionCandidate, Constraints
+from safedpa.safety.solver.least_violation import least_violation
+from safedpa.safety.solver.maximin_lp import MaxMinProgram
 
 Values = NDArray[np.float64]
 
@@ -48,9 +48,9 @@ class Case:
         names = tuple(f"h{row}" for row in range(len(now)))
         low, high = np.full(actions, -limit), np.full(actions, limit)
         self.program = QuadraticProgram(low, high, np.ones(actions)) if program is None else program
-        self.highest = HighestProgram(actions) if highest is None else highest
+        self.highest = MaxMinProgram(actions) if highest is None else highest
         self.sides = QuadraticProgram(low, high, np.ones(actions)).sides
-        self.conditions = Conditions(
+        self.conditions = Constraints(
             Barriers([FunctionBarrier(heights, names=names)]), self._prediction(), start, None, None, eta,
             [epsilon] * len(now), self.sides,
         )  # fmt: skip
@@ -66,12 +66,12 @@ class Case:
         return action
 
     @property
-    def backup(self) -> Outcome:
+    def backup(self) -> ActionCandidate:
         return self.conditions.outcome(tuple(self.wish if self.resting is None else self.resting))
 
-    def run(self, *known: Sequence[float]) -> Outcome:
+    def run(self, *known: Sequence[float]) -> ActionCandidate:
         begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
-        spread = [self.conditions.outcome(action) for action in lattice(self.sides, affine=self.affine)]
+        spread = [self.conditions.outcome(action) for action in action_grid(self.sides, affine=self.affine)]
         known = [*begun, *spread]
-        found, self.stuck = least_unsafe(self.conditions, self.program, self.highest, self.wish, self.backup, known)
+        found, self.stuck = least_violation(self.conditions, self.program, self.highest, self.wish, self.backup, known)
         return found

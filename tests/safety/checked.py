@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa.safety.check_probes import Checked, Probe
-from safedpa.safety.stacks import stacked
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.checks.probes import FilterUnderTest, Probe
 
 Values = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def made(
     *barriers: AbstractBarrier | Callable[[Values], Any], model: Callable[..., Any] = slide, epsilon: Any = 0.002,
     eta: float = 0.1, actions: int = 1, backup: Any = None, latent: Values | None = None,
     limits: tuple[float, float] = (-1.0, 2.0),
-) -> Checked:  # fmt: skip
+) -> FilterUnderTest:  # fmt: skip
     """A filter of some barriers, asked directly; no backup: the settings' action, 0."""
     parts = [
         one if isinstance(one, AbstractBarrier) else FunctionBarrier(one, names=(f"h{at}",))
@@ -32,7 +32,7 @@ def made(
         epsilon=epsilon if isinstance(epsilon, dict) else {"default": epsilon},
     )  # fmt: skip
     safe = SafetyFilter(model, parts, settings, backup=backup)
-    return Checked(safe, stacked(parts), settings.epsilon, latent)
+    return FilterUnderTest(safe, make_barrier_set(parts), settings.epsilon, latent)
 
 
 def probe(

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, Setting
-from safedpa.robots.car.barriers import car_barriers
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter
 
 FOOTPRINT = (0.08, 0.40, 0.12)

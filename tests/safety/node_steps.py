@@ -5,8 +5,8 @@ from typing import Any
 from safedpa.bus import LATENT, VERDICT, WISH, LatentMessage, Stale, StateMessage, VerdictMessage, WishMessage
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
 
 CAR, SETTINGS = load_model("car"), settings_named("car")
 LATE = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})

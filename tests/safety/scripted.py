@@ -1,20 +1,20 @@
 """Scripted outcomes, slopes and solutions for tests of the search."""
 
 from safedpa.safety import Solution
-from safedpa.safety.conditions import Outcome
+from safedpa.safety.solver.constraints import ActionCandidate
 
 GIVEN_UP = Solution((0.0,), (0.0,), False, "max iter reached")
 
 
-def outcome(action: float, *residual: float, unsafe: bool = False) -> Outcome:
+def outcome(action: float, *residual: float, unsafe: bool = False) -> ActionCandidate:
     """Each barrier's scale is 1."""
     broken = [row for row, value in enumerate(residual) if value < 0.0]
     h_next = [-1.0 if unsafe else 0.0] * len(residual)
-    return Outcome((action,), [0.0], h_next, list(residual), broken)
+    return ActionCandidate((action,), [0.0], h_next, list(residual), broken)
 
 
-def about(*action: float) -> Outcome:
-    return Outcome(action, [0.0], [0.0], [0.0], [])
+def about(*action: float) -> ActionCandidate:
+    return ActionCandidate(action, [0.0], [0.0], [0.0], [])
 
 
 class Slopes:

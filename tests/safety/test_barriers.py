@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.safety.dual_numbers import DUALS, Dual, dual
 
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import FieldBarrier, ObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import FieldBarrier, ObstacleBarrier
 from safedpa.safety import (
     AbstractBarrier,
     Barriers,
@@ -23,7 +23,7 @@ from safedpa.safety import (
     SpeedBarrier,
     Status,
 )
-from safedpa.safety.braking import Braking, stopping_distance
+from safedpa.safety.barriers.stopping import Braking, stopping_distance
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 BRAKING = Braking(2.0, 2.5)

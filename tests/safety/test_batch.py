@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
-from safedpa.robots.car.counter_braking import CounterBraking
-from safedpa.robots.car.many_barriers import barriers_of_cars
-from safedpa.robots.car.sensed_barrier import MoverBarrier
+from safedpa.robots.car.barriers.batch import barriers_of_cars
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
+from safedpa.robots.car.dynamics.limits import ReversalBraking
 from safedpa.safety import AbstractBarrier, CorridorBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status
-from safedpa.safety.batch import STATUSES, BatchFilter, ManyVerdicts
-from safedpa.safety.many_barriers import OneByOne, many_barriers
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.speed_barrier import SpeedBarrier
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.batch.barriers import SequentialBarriers, batch_barriers
+from safedpa.safety.batch.filter import STATUSES, BatchFilter, BatchVerdicts
+from safedpa.safety.defaults import settings_named
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -42,7 +42,7 @@ def drawn(seed: int, robots: int, obstacles: int, latent: np.ndarray[Any, Any]) 
 def decided(
     many: BatchFilter, *, obstacles: Any, footprint: Any = FOOTPRINT, field: Any = None,
     epsilon: dict[str, Any] | None = None, **inputs: Any,
-) -> ManyVerdicts:  # fmt: skip
+) -> BatchVerdicts:  # fmt: skip
     return many.decide(**inputs, barriers=barriers_of_cars(many.settings, obstacles, footprint, field), epsilon=epsilon)
 
 
@@ -163,7 +163,7 @@ def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_re
     f[1, 2], f[2, 2] = np.nan, np.inf
     for wish in (-0.5, 1.9):
         found = many.decide(
-            state, np.full((robots, 2), (wish, 0.0)), barriers=many_barriers([[own]] * robots, 4), affine=(f, g)
+            state, np.full((robots, 2), (wish, 0.0)), barriers=batch_barriers([[own]] * robots, 4), affine=(f, g)
         )
         wanted = Status.passed if wish < 0.0 else Status.corrected
         assert [STATUSES[index] for index in found.status] == [wanted, Status.fallback, Status.fallback]
@@ -173,14 +173,14 @@ def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_re
 def test_what_may_be_used_up_at_once_may_be_so_by_many(slowly: bool) -> None:
     """In one function and one by one: as the filter of one robot has it."""
     settings = settings_named("car")
-    braking, counter = braking_of(settings), CounterBraking(2.0, 2.5, 0.6)
+    braking, counter = braking_of(settings), ReversalBraking(2.0, 2.5, 0.6)
     state = np.array([(0.0, 0.0, 0.0, 0.8), (0.1, 0.0, 0.0, 0.8)])
     wish, latent = np.tile((1.2, 0.0), (2, 1)), np.tile(FILTERS["car"].model.latent, (2, 1))
     discs = [[(ahead, 0.0, 0.1, 1.5)] for ahead in (1.5, 1.8)]
     parts: list[list[AbstractBarrier]] = [
-        [MoverBarrier(disc, [False], FOOTPRINT, braking, counter), SpeedBarrier(-0.8, 2.2)] for disc in discs
+        [MovingObstacleBarrier(disc, [False], FOOTPRINT, braking, counter), SpeedBarrier(-0.8, 2.2)] for disc in discs
     ]
-    around = OneByOne(parts) if slowly else many_barriers(parts, 4)
+    around = SequentialBarriers(parts) if slowly else batch_barriers(parts, 4)
     found = FILTERS["car"].decide(state, wish, latent, barriers=around)
     one = SafetyFilter.for_model(FILTERS["car"].model, FILTERS["car"].settings)
     for robot, own in enumerate(parts):
@@ -194,7 +194,7 @@ def test_what_may_be_used_up_at_once_may_be_so_by_many(slowly: bool) -> None:
 def test_where_there_is_no_barrier_all_fall_back_and_say_so(own: list[AbstractBarrier]) -> None:
     given_ = drawn(2, 3, 0, FILTERS["car"].model.latent)
     del given_["obstacles"]
-    found = FILTERS["car"].decide(**given_, barriers=many_barriers([own] * 3, 4))
+    found = FILTERS["car"].decide(**given_, barriers=batch_barriers([own] * 3, 4))
     assert found.count(Status.fallback) == 3
     np.testing.assert_array_equal(found.action, np.zeros((3, 2)))
 
@@ -242,7 +242,7 @@ def test_other_robots_are_refused() -> None:
     barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
     with pytest.raises(InputError, match="those of 1 robots, wanted 2"):
         FILTERS["car"].decide(**given_, barriers=barriers.only(np.array([0])))
-    corridor = many_barriers([[CorridorBarrier(-1.0, 1.0, 0.2)]] * 2, 4)
+    corridor = batch_barriers([[CorridorBarrier(-1.0, 1.0, 0.2)]] * 2, 4)
     with pytest.raises(InputError, match="those of angle, rate"):
         FILTERS["car"].decide(**given_, barriers=corridor)
 
@@ -257,7 +257,7 @@ def test_a_robot_of_one_action_and_barriers_that_are_functions() -> None:
     edges, names = CorridorBarrier(-0.5, 0.5, 0.25), ("lower", "upper")
     own = FunctionBarrier(lambda x: (x @ [1.0, 0.25] + 0.5, 0.5 - x @ [1.0, 0.25]), names=names, kind="corridor")
     parts: list[list[AbstractBarrier]] = [[edges] if robot % 2 else [own] for robot in range(40)]
-    found = many.decide(state, wish, latent, barriers=many_barriers(parts, 2))
+    found = many.decide(state, wish, latent, barriers=batch_barriers(parts, 2))
     for robot, around in enumerate(parts):
         verdict = one.decide(state[robot], wish[robot], latent[robot], barriers=around)
         assert STATUSES[found.status[robot]] is verdict.status

@@ -12,16 +12,17 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
-from safedpa.robots.car.many_barriers import barriers_of_cars
-from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier, Prediction, SafetyFilter, Status, batch
-from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.batch import STATUSES, BatchFilter, ManyVerdicts
-from safedpa.safety.batch_search import search_by_many
-from safedpa.safety.inputs import Plausible
-from safedpa.safety.many_barriers import ManyEquations, OneByOne
-from safedpa.safety.many_predictions import AffinePredictions, ManyPredictions
-from safedpa.safety.speed_barrier import SpeedBarrier
+from safedpa.robots.car.barriers.batch import barriers_of_cars
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
+from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier, Prediction, SafetyFilter, Status
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.batch import filter as batch
+from safedpa.safety.batch.barriers import CompiledBatchBarriers, SequentialBarriers
+from safedpa.safety.batch.constraints import search_batch
+from safedpa.safety.batch.filter import STATUSES, BatchFilter, BatchVerdicts
+from safedpa.safety.batch.predictor import AffineBatchPredictor, BatchPredictor
+from safedpa.safety.validation import Plausible
 from safedpa.systems import System, Variable
 
 Values = NDArray[np.float64]
@@ -69,9 +70,9 @@ class Drawn:
         """Another action for each."""
         return np.array([0.01 * robot, 1.0])
 
-    def together(self) -> ManyVerdicts:
+    def together(self) -> BatchVerdicts:
         """What the filter of many says."""
-        around = OneByOne([[self.barrier(robot)] for robot in range(ROBOTS)])
+        around = SequentialBarriers([[self.barrier(robot)] for robot in range(ROBOTS)])
         return BatchFilter(SYSTEM, OWN).decide(
             self.state, self.wish, barriers=around, epsilon=self.epsilon, affine=(self.f, self.g), backup=self.backup
         )
@@ -117,7 +118,7 @@ def test_what_lies_on_a_limit_is_answered_with_the_others() -> None:
     names = ("left",)
     for state, epsilon in ((0.0, 0.0), (0.0, 0), (50.0, 0.01)):
         at = np.array([[state, 50.0, -50.0]] * 2)
-        around = OneByOne([[FunctionBarrier(lambda x, s=state: x[0] - s, names=names)]] * 2)
+        around = SequentialBarriers([[FunctionBarrier(lambda x, s=state: x[0] - s, names=names)]] * 2)
         g = np.zeros((2, 3, 2))
         g[:, 0, 0] = 0.1
         wish = np.array([[1.0, 1.0], [-0.5, 1.0]])
@@ -136,9 +137,9 @@ def test_conditions_are_posed_with_the_scales_that_those_of_one_have(monkeypatch
 
     def searched(conditions: Any, wish: Values, start: Any) -> Any:
         posed.append((conditions.scale.copy(), conditions.barriers.values(conditions.predictions.state)))
-        return search_by_many(conditions, wish, start)
+        return search_batch(conditions, wish, start)
 
-    monkeypatch.setattr(batch, "search_by_many", searched)
+    monkeypatch.setattr(batch, "search_batch", searched)
     drawn.epsilon["function"] = np.full(ROBOTS, 0.2)
     drawn.together()
     ((scale, h),) = posed
@@ -149,7 +150,7 @@ def test_conditions_are_posed_with_the_scales_that_those_of_one_have(monkeypatch
 
 def test_latents_say_nothing_where_there_is_no_model() -> None:
     drawn = Drawn(7, 2, 0.0)
-    around = OneByOne([[drawn.barrier(robot)] for robot in range(ROBOTS)])
+    around = SequentialBarriers([[drawn.barrier(robot)] for robot in range(ROBOTS)])
     many, known = BatchFilter(SYSTEM, OWN), {"barriers": around, "affine": (drawn.f, drawn.g)}
     with_latent = many.decide(drawn.state, drawn.wish, drawn.latent, **known)
     without = many.decide(drawn.state, drawn.wish, **known)
@@ -174,7 +175,7 @@ def test_a_model_of_one_latent_or_none(free: tuple[str, ...]) -> None:
     model = whole.with_settings(held)
     assert model.latent_names == free
     state, wish = np.array([[0.1, 0.0]] * 3), np.array([[0.0], [1e6], [1.0]])
-    around = OneByOne([[CorridorBarrier(-3.0, 3.0, 0.25)]] * 3)
+    around = SequentialBarriers([[CorridorBarrier(-3.0, 3.0, 0.25)]] * 3)
     many = BatchFilter(model, settings)
     found = many.decide(state, wish, barriers=around)
     assert found.alone.tolist() == ([True] * 3 if free else [False, True, False])
@@ -202,7 +203,7 @@ def test_predictions_and_slopes_are_those_of_one(name: str) -> None:
     action = random.uniform((0.1, -0.3), (1.9, 0.3), (20, 2))
     latent = model.latent * random.uniform(0.8, 1.2, (20, len(model.latent)))
     given = latent if len(model.latent_names) else None
-    many = ManyPredictions(model, state, given)
+    many = BatchPredictor(model, state, given)
     assert many.affine is one.affine
     some = many.only(np.array([3, 11]))
     for robot in range(20):
@@ -228,7 +229,7 @@ def test_networks_are_asked_once_for_all_actions(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(networks, "increment", counted)
     state = np.zeros((5, 4))
-    many = ManyPredictions(model, state, np.tile(model.latent, (5, 1)))
+    many = BatchPredictor(model, state, np.tile(model.latent, (5, 1)))
     for action in (np.zeros((5, 2)), np.full((5, 2), 0.1)):
         many.next_state(action)
         many.slopes(action)
@@ -238,7 +239,7 @@ def test_networks_are_asked_once_for_all_actions(monkeypatch: pytest.MonkeyPatch
 
 def test_what_is_given_as_f_and_g_is_affine() -> None:
     f, g = np.ones((2, 3)), np.zeros((2, 3, 2))
-    known = AffinePredictions(f, f, g)
+    known = AffineBatchPredictor(f, f, g)
     assert known.affine
     known.slopes(np.zeros((2, 2)))[:] = 1.0
     assert not known.g.any()
@@ -252,13 +253,13 @@ def test_barriers_that_differ_between_robots_are_refused() -> None:
     ]
     for parts in ([[speed], [speed], [corridor]], [[few[0]], [few[0]], [few[1]]]):
         with pytest.raises(InputError, match="got others for one robot than for another"):
-            ManyEquations.of(parts, 4)
+            CompiledBatchBarriers.of(parts, 4)
         with pytest.raises(InputError, match="got others for one robot than for another"):
-            OneByOne(parts)
+            SequentialBarriers(parts)
     patient, hasty = (FunctionBarrier(lambda x: 1.0) for _ in range(2))
     hasty.at_once = True
     with pytest.raises(InputError, match="used up at once for one robot"):
-        OneByOne([[patient], [patient], [hasty]])
+        SequentialBarriers([[patient], [patient], [hasty]])
 
 
 def bodies(random: np.random.Generator, cars: int) -> Values:

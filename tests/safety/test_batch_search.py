@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, QuadraticProgram
-from safedpa.safety.batch_search import ManyConditions, ManyOutcomes
-from safedpa.safety.conditions import Conditions
+from safedpa.safety.batch.constraints import BatchCandidates, BatchConstraints
+from safedpa.safety.solver.constraints import Constraints
 
 Values = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def moved(state: Values, action: Values) -> Values:
 
 
 class Moving:
-    """What ``ManyConditions`` needs of many predictions."""
+    """What ``BatchConstraints`` needs of many predictions."""
 
     affine = False
 
@@ -62,7 +62,7 @@ class Rows:
         return np.asarray(SLOPES @ g)
 
 
-def of_one(state: Values) -> Conditions:
+def of_one(state: Values) -> Constraints:
     def step(x: Values, action: Values) -> Values:
         return moved(x, action)
 
@@ -73,11 +73,11 @@ def of_one(state: Values) -> Conditions:
     barrier = FunctionBarrier(lambda x: SLOPES @ x + 5.0, names=("a", "b", "c"))
     sides = QuadraticProgram(np.array(LOW), np.array(HIGH), np.ones(2)).sides
     prediction = Prediction(affine, step)
-    return Conditions(Barriers([barrier]), prediction, tuple(state.tolist()), None, None, 0.3, [0.01] * 3, sides)
+    return Constraints(Barriers([barrier]), prediction, tuple(state.tolist()), None, None, 0.3, [0.01] * 3, sides)
 
 
-def many(states: Values, ones: list[Conditions]) -> ManyConditions:
-    return ManyConditions(
+def many(states: Values, ones: list[Constraints]) -> BatchConstraints:
+    return BatchConstraints(
         SETTINGS,
         Rows(),  # type: ignore[arg-type]
         Moving(states),  # type: ignore[arg-type]
@@ -88,7 +88,7 @@ def many(states: Values, ones: list[Conditions]) -> ManyConditions:
 
 
 @pytest.fixture
-def drawn() -> tuple[Values, Values, list[Conditions]]:
+def drawn() -> tuple[Values, Values, list[Constraints]]:
     random = np.random.default_rng(11)
     states = random.uniform(-1.0, 1.0, (200, 2))
     return states, random.uniform(LOW, HIGH, (200, 2)), [of_one(state) for state in states]
@@ -114,11 +114,11 @@ def test_what_is_missed_by_rounding_is_kept_and_what_is_no_number_is_not(drawn: 
     h, following = np.array([[5.0, 0.0, 5.0]]), states[:1]
     for share, kept in ((0.0, True), (-0.5e-10, True), (-2e-10, False)):
         residual = share * conditions.scale
-        assert conditions.kept(ManyOutcomes(states[:1], following, h, residual)).tolist() == [kept]
+        assert conditions.kept(BatchCandidates(states[:1], following, h, residual)).tolist() == [kept]
     good = np.zeros((1, 3))
-    assert not conditions.kept(ManyOutcomes(states[:1], following, np.array([[5.0, -1e-3, 5.0]]), good)).any()
+    assert not conditions.kept(BatchCandidates(states[:1], following, np.array([[5.0, -1e-3, 5.0]]), good)).any()
     for broken in (np.nan, np.inf):
-        spoiled = ManyOutcomes(states[:1], np.array([[0.0, broken]]), h, good)
+        spoiled = BatchCandidates(states[:1], np.array([[0.0, broken]]), h, good)
         assert not conditions.kept(spoiled).any()
 
 
@@ -167,7 +167,7 @@ class Given:
         return self.g.copy()
 
 
-def of_given(given: Given, robot: int) -> Conditions:
+def of_given(given: Given, robot: int) -> Constraints:
     """The conditions of one of them."""
     g, far = given.g[robot], given.far[robot]
 
@@ -180,7 +180,7 @@ def of_given(given: Given, robot: int) -> Conditions:
     barrier = FunctionBarrier(lambda x: SLOPES @ x + 5.0, lambda x: SLOPES, names=("a", "b", "c"))
     sides = QuadraticProgram(np.array(LOW), np.array(HIGH), np.ones(2)).sides
     state = tuple(given.state[robot].tolist())
-    return Conditions(Barriers([barrier]), Prediction(affine, step), state, None, None, 0.3, [0.01] * 3, sides)
+    return Constraints(Barriers([barrier]), Prediction(affine, step), state, None, None, 0.3, [0.01] * 3, sides)
 
 
 def test_a_slope_is_taken_for_rounding_where_that_of_one_robot_is() -> None:

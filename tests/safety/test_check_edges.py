@@ -10,12 +10,11 @@ from tests.safety.checked import Values, first, made, probe, slide
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter, check_filter
-from safedpa.safety.check_backup import backup_issues, horizon_issues
-from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_issues, tick_issues
-from safedpa.safety.check_influence import condition_issues
-from safedpa.safety.check_probes import Checked, probed
-from safedpa.safety.inputs import Plausible
-from safedpa.safety.prediction import Prediction
+from safedpa.safety.checks.backup import backup_issues, horizon_issues
+from safedpa.safety.checks.barriers import condition_issues, gradient_issues, margin_issues, scale_issues, tick_issues
+from safedpa.safety.checks.probes import FilterUnderTest, probed
+from safedpa.safety.prediction.predictor import Prediction
+from safedpa.safety.validation import Plausible
 from safedpa.safety.verdict import Status, resting_verdict
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.001)
@@ -72,7 +71,7 @@ def test_of_a_rollout_with_two_values_both_count() -> None:
     assert horizon_issues(checked, [probe(8.0, h=[9.0, 0.99])]) == []
 
 
-def recorded(checked: Checked) -> tuple[Checked, list[float]]:
+def recorded(checked: FilterUnderTest) -> tuple[FilterUnderTest, list[float]]:
     asked: list[float] = []
 
     def step(state: Values, action: Values) -> Values:
@@ -82,7 +81,7 @@ def recorded(checked: Checked) -> tuple[Checked, list[float]]:
 
     tools = replace(checked.safe.tools, prediction=Prediction(slide, step))
     safe: Any = type("Safe", (), {"settings": checked.safe.settings, "tools": tools})()
-    return Checked(safe, checked.barriers, checked.margins, None), asked
+    return FilterUnderTest(safe, checked.barriers, checked.margins, None), asked
 
 
 def curving(x: Values) -> tuple[Values, Values]:
@@ -131,7 +130,7 @@ def test_a_kind_without_a_margin_has_none_and_the_middle_lies_between_the_ends()
 class Refuses:
     """Stands for a filter that finds no action, or lets every wish pass."""
 
-    def __init__(self, checked: Checked, *, passes: bool) -> None:
+    def __init__(self, checked: FilterUnderTest, *, passes: bool) -> None:
         self.settings, self.tools, self._passes = checked.safe.settings, checked.safe.tools, passes
         self.wishes: list[tuple[float, ...]] = []
 
@@ -140,9 +139,9 @@ class Refuses:
         return replace(resting_verdict(np.array(wish), ""), status=Status.passed if self._passes else Status.relaxed)
 
 
-def refused(checked: Checked, *, passes: bool = False) -> tuple[Checked, Refuses]:
+def refused(checked: FilterUnderTest, *, passes: bool = False) -> tuple[FilterUnderTest, Refuses]:
     safe: Any = Refuses(checked, passes=passes)
-    return Checked(safe, checked.barriers, checked.margins, None), safe
+    return FilterUnderTest(safe, checked.barriers, checked.margins, None), safe
 
 
 @pytest.mark.parametrize(("missed", "kept"), [(-0.001, True), (0.0005, True), (0.0015, False)])

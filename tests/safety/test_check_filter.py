@@ -14,7 +14,7 @@ from tests.safety.checked import first, made, probe
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.robots.point.point_scene import PointScene
 from safedpa.safety import (
     AbstractBarrier,
@@ -28,10 +28,10 @@ from safedpa.safety import (
     SafetyFilter,
     check_filter,
 )
-from safedpa.safety.check_backup import backup_issues
-from safedpa.safety.check_report import FilterIssue, gathered, shown
-from safedpa.safety.compatibility import check_backup
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.checks.backup import backup_issues
+from safedpa.safety.checks.compatibility import check_backup
+from safedpa.safety.checks.report import FilterIssue, gathered, shown
+from safedpa.safety.defaults import settings_named
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE, EXAMPLES = (DOCS / "safety.md").read_text(encoding="utf-8"), DOCS / "examples"

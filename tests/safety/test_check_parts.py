@@ -11,11 +11,10 @@ from tests.safety.checked import Values, first, made, probe
 
 from safedpa.errors import InputError
 from safedpa.safety import FunctionBarrier, RolloutBarrier, Verdict, check_filter
-from safedpa.safety.check_backup import backup_issues, horizon_issues
-from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_issues, tick_issues
-from safedpa.safety.check_influence import condition_issues
-from safedpa.safety.check_probes import Checked, probed
-from safedpa.safety.check_report import FilterIssue
+from safedpa.safety.checks.backup import backup_issues, horizon_issues
+from safedpa.safety.checks.barriers import condition_issues, gradient_issues, margin_issues, scale_issues, tick_issues
+from safedpa.safety.checks.probes import FilterUnderTest, probed
+from safedpa.safety.checks.report import FilterIssue
 from safedpa.safety.verdict import Status, resting_verdict
 
 # what is asked of a filter without a verdict
@@ -44,7 +43,7 @@ def test_corners_and_the_middle(actions: int, corners: int) -> None:
 class Open:
     """A filter that lets every wish pass, or none beyond a state."""
 
-    def __init__(self, checked: Checked, end: float = np.inf) -> None:
+    def __init__(self, checked: FilterUnderTest, end: float = np.inf) -> None:
         self.settings, self.tools, self.end = checked.safe.settings, checked.safe.tools, end
         self.asked: list[tuple[float, float]] = []
         self.beyond = Status.relaxed
@@ -55,10 +54,10 @@ class Open:
         return replace(resting_verdict(np.array(wish), ""), status=status)
 
 
-def opened(end: float = np.inf) -> tuple[Checked, Open]:
+def opened(end: float = np.inf) -> tuple[FilterUnderTest, Open]:
     checked = made(lambda x: 100.0 - x[0])
     safe = Open(checked, end)
-    return Checked(safe, checked.barriers, checked.margins, None), safe  # type: ignore[arg-type]
+    return FilterUnderTest(safe, checked.barriers, checked.margins, None), safe  # type: ignore[arg-type]
 
 
 def test_sixty_states_are_probed_and_twelve_drives_from_them() -> None:

@@ -18,15 +18,15 @@ from safedpa.equations.rows import RowGroup, RowTape
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, Operations
 from safedpa.robots.car import written_barriers
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
-from safedpa.robots.car.towed_reach import TowedReach
-from safedpa.robots.car.write_barriers import text
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.generate_barriers import text
 from safedpa.safety import FilterSettings, FunctionBarrier
-from safedpa.safety.barrier import AbstractBarrier, Barriers
-from safedpa.safety.braking import Braking
-from safedpa.safety.equation_barrier import AbstractEquationBarrier
-from safedpa.safety.many_barriers import ManyEquations, OneByOne, many_barriers
-from safedpa.safety.stacks import EquationStack, Stacks, stacked
+from safedpa.safety.barriers.base import AbstractBarrier, Barriers
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
+from safedpa.safety.barriers.stack import BarrierSetCache, CompiledBarrierSet, make_barrier_set
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.batch.barriers import CompiledBatchBarriers, SequentialBarriers, batch_barriers
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -59,7 +59,9 @@ def slopes_by_hand(parts: Sequence[Any], state: Sequence[float]) -> np.ndarray:
 def scene_of(
     scene: list[tuple[float, float, float]], walls: bool, way: float | None, pose: Sequence[float]
 ) -> list[Any]:
-    towed = None if way is None else TowedReach(0.1, 0.5, 0.2, way, (pose[0] + 0.03, pose[1] - 0.02, pose[2] + 0.05))
+    towed = (
+        None if way is None else TrailerEnvelope(0.1, 0.5, 0.2, way, (pose[0] + 0.03, pose[1] - 0.02, pose[2] + 0.05))
+    )
     return car_barriers(FilterSettings(), FOOTPRINT, scene, FIELD if walls else None, towed)
 
 
@@ -71,8 +73,8 @@ def test_values_and_slopes_are_those_of_the_equation_itself(
     if on_it:  # an obstacle's centre on the body itself, where there is no direction
         scene = [*scene, (*state[:2], 0.3)]
     parts = scene_of(scene, walls, way, state)
-    stack = stacked(parts)
-    assert isinstance(stack, EquationStack)
+    stack = make_barrier_set(parts)
+    assert isinstance(stack, CompiledBarrierSet)
     assert stack.heights(state) == pytest.approx(by_hand(parts, state, FLOATS), rel=0.0, abs=1e-14)
     gradient, rows = stack.gradient(np.array(state)), range(len(stack.names))
     np.testing.assert_allclose(gradient, slopes_by_hand(parts, state), rtol=0.0, atol=1e-12)
@@ -90,8 +92,8 @@ def test_many_robots_at_once_have_what_each_has_alone(
     scene: list[tuple[float, float, float]], drive: list[tuple[float, ...]], walls: bool, way: float | None
 ) -> None:
     parts = [scene_of(scene, walls, way, state) for state in drive]
-    many, reference = many_barriers(parts, 4), OneByOne(parts)
-    assert isinstance(many, ManyEquations)
+    many, reference = batch_barriers(parts, 4), SequentialBarriers(parts)
+    assert isinstance(many, CompiledBatchBarriers)
     assert many.kinds == reference.kinds
     state, widths = np.array(drive), np.array([2.0, 1.0])
     g = np.random.default_rng(0).normal(size=(len(drive), 4, 2))
@@ -104,7 +106,7 @@ def test_many_robots_at_once_have_what_each_has_alone(
 
 def test_a_longer_state_has_no_slope_over_what_is_not_read() -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
-    state, stack = [0.1, 0.2, 0.3, 0.4], stacked(parts)
+    state, stack = [0.1, 0.2, 0.3, 0.4], make_barrier_set(parts)
     assert stack.heights([*state, 9.0]) == stack.heights(state)
     np.testing.assert_array_equal(stack.gradient(np.array([*state, 9.0]))[:, :4], stack.gradient(np.array(state)))
     assert not stack.gradient(np.array([*state, 9.0]))[:, 4].any()
@@ -114,15 +116,15 @@ def test_a_longer_state_has_no_slope_over_what_is_not_read() -> None:
 def test_any_equations_in_any_order_make_a_stack(which: slice) -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2), (2.0, 0.3, 0.1)], FIELD)[which]
     state = (0.1, 0.2, 0.3, 0.4)
-    assert isinstance(stacked(parts), EquationStack)
-    assert stacked(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
+    assert isinstance(make_barrier_set(parts), CompiledBarrierSet)
+    assert make_barrier_set(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_together_with_a_users_function_all_barriers_are_asked_one_by_one() -> None:
     parts = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
-    assert isinstance(stacked([*parts, FunctionBarrier(lambda x: 1.0)]), Barriers)
-    assert isinstance(stacked([]), Barriers)
-    assert isinstance(many_barriers([[FunctionBarrier(lambda x: 1.0)]], 4), OneByOne)
+    assert isinstance(make_barrier_set([*parts, FunctionBarrier(lambda x: 1.0)]), Barriers)
+    assert isinstance(make_barrier_set([]), Barriers)
+    assert isinstance(batch_barriers([[FunctionBarrier(lambda x: 1.0)]], 4), SequentialBarriers)
 
 
 def test_bodies_that_differ_keep_their_own_numbers() -> None:
@@ -131,11 +133,11 @@ def test_bodies_that_differ_keep_their_own_numbers() -> None:
     for body, braking in (((0.08, 0.5, 0.12), braking_of(FilterSettings())), (FOOTPRINT, Braking(1.0, 2.5))):
         other = ObstacleBarrier([(1.0, 1.0, 0.2)], body, braking)
         parts = [other, field, speed]
-        assert stacked(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
+        assert make_barrier_set(parts).heights(state) == pytest.approx(by_hand(parts, state, FLOATS), abs=1e-15)
 
 
 def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None:
-    stacks, settings = Stacks(), FilterSettings()
+    stacks, settings = BarrierSetCache(), FilterSettings()
     parts: list[AbstractBarrier] = car_barriers(settings, FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
     first = stacks.of(parts, 4)
     assert stacks.of(tuple(parts), 4) is first
@@ -148,7 +150,7 @@ def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None
 
 
 def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_made_of_them() -> None:
-    stack = stacked(car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)]))
+    stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)]))
     state = (0.1, 0.2, 0.3, 0.4)
     expected = stack.heights(state)
     assert pickle.loads(pickle.dumps(stack)).heights(state) == expected
@@ -163,7 +165,7 @@ def test_a_stack_and_a_barrier_travel_to_another_process_without_the_functions_m
 
 def test_what_was_written_ahead_of_time_is_what_recording_gives_today_and_no_branch_on_a_number_is_recorded() -> None:
     source = Path(written_barriers.__file__).with_name("written_barriers.py")
-    assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.robots.car.write_barriers"
+    assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.robots.car.generate_barriers"
     with pytest.raises(NotStraightError, match="branch"):
         Branching().values(np.zeros(2))
 
@@ -171,7 +173,7 @@ def test_what_was_written_ahead_of_time_is_what_recording_gives_today_and_no_bra
 @pytest.mark.parametrize("way", [None, 0.3])
 @pytest.mark.parametrize("walls", [False, True])
 def test_no_service_records_the_cars_barriers(walls: bool, way: float | None) -> None:
-    plain = stacked(scene_of([(1.0, 1.0, 0.2)], walls, way, (0.0, 0.0, 0.0))).plain(4)
+    plain = make_barrier_set(scene_of([(1.0, 1.0, 0.2)], walls, way, (0.0, 0.0, 0.0))).plain(4)
     assert type(plain).__module__ == written_barriers.__name__
 
 
@@ -186,7 +188,7 @@ class Branching(AbstractEquationBarrier):
 
 
 def test_the_same_parts_are_refused_again_for_a_state_of_another_size() -> None:
-    parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), Stacks()
+    parts, stacks = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 0.5, 0.3)], FIELD), BarrierSetCache()
     for scene in (parts, stacks.of(parts, 4)):
         assert stacks.of(scene, 4).names
         with pytest.raises(InputError, match="got a state of 5 entries"):

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction
-from safedpa.safety.conditions import ROUNDING, Conditions, Outcome
-from safedpa.safety.inputs import Plausible, Unusable, checked_input
-from safedpa.safety.stacks import stacked
-from safedpa.safety.tangent import Tangent
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.solver.constraints import ROUNDING, ActionCandidate, Constraints
+from safedpa.safety.solver.linearization import Linearization
+from safedpa.safety.validation import InvalidInput, Plausible, checked_input
 
 
 def conditions(
     step: Callable[[np.ndarray, np.ndarray], object], g: object, low: float = 0.0, high: float = 2.0
-) -> Conditions:
+) -> Constraints:
     """h = x_0; the model's step and its tangent g (2, 1) are given apart, so that they may disagree."""
-    return Conditions(
+    return Constraints(
         Barriers([FunctionBarrier(lambda x: x[0], lambda x: [1.0, 0.0])]),
         Prediction(lambda x: (x, np.array(g)), step),
         (1.0, 0.5),
@@ -31,7 +31,7 @@ def conditions(
     )
 
 
-def slope_at(posed: Conditions, action: float) -> float:
+def slope_at(posed: Constraints, action: float) -> float:
     about = posed.outcome((action,))
     return posed.linearised(about).at(about.residual, about.action, 0.0)[0][0][0]
 
@@ -108,12 +108,12 @@ def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
         parts = car_barriers(settings, (0.08, 0.4, 0.12), obstacles, (-5.0, 5.0, -5.0, 5.0))
         state, g = tuple(random.uniform(-2.0, 2.0, 4).tolist()), random.normal(0.0, 0.1, (4, 2)).tolist()
         posed = [
-            Conditions(stack, Prediction(lambda x: (x, np.zeros((4, 2)))), state, None, None, 0.2, [0.0] * 18, sides)
-            for stack in (stacked(parts), Barriers(parts))
+            Constraints(stack, Prediction(lambda x: (x, np.zeros((4, 2)))), state, None, None, 0.2, [0.0] * 18, sides)
+            for stack in (make_barrier_set(parts), Barriers(parts))
         ]
         widths, about = [width for _, _, width in sides], posed[0].outcome(settings.resting_action.tolist())
         found, every = (
-            Tangent(one.barriers, g, about.next_state, widths, [0.0] * 18).at(about.residual, about.action, 0.0)
+            Linearization(one.barriers, g, about.next_state, widths, [0.0] * 18).at(about.residual, about.action, 0.0)
             for one in posed
         )
         assert len(every[0]) == 18
@@ -125,10 +125,10 @@ def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
     assert left_out > 100
 
 
-def several(h: Callable[[np.ndarray], list[float]], epsilon: list[float], eta: float = 0.5) -> Conditions:
+def several(h: Callable[[np.ndarray], list[float]], epsilon: list[float], eta: float = 0.5) -> Constraints:
     """x[t+1] = x + a from x = 0, -4 <= a <= 4; as many barriers as margins."""
     names = tuple(f"h{index}" for index in range(len(epsilon)))
-    return Conditions(
+    return Constraints(
         Barriers([FunctionBarrier(h, names=names)]),
         Prediction(lambda x: (x, np.eye(1)), lambda x, a: x + a),
         (0.0,),
@@ -219,16 +219,16 @@ def test_binding_names_come_tightest_first_as_shares_of_their_scales() -> None:
     """After a = 0 half of each h is left over: all residuals are half of their scale."""
     posed = several(lambda x: [8.0 - x[0], 4.0 - x[0], 2.0 - x[0], 1.0], [0.0] * 4)
     outcome = posed.outcome((2.0,))  # residuals 2, 0, -1, 0.5: shares 0.25, 0, -0.5, 0.5
-    assert posed.binding(outcome, 1.0) == ("h2", "h1", "h0", "h3")
-    assert posed.binding(outcome, 0.25) == ("h2", "h1", "h0")
-    assert posed.binding(outcome, 0.249) == ("h2", "h1")
-    assert posed.binding(outcome, 0.0) == ("h2", "h1")
-    assert posed.binding(posed.outcome((0.0,)), 0.0) == ()
+    assert posed.active_names(outcome, 1.0) == ("h2", "h1", "h0", "h3")
+    assert posed.active_names(outcome, 0.25) == ("h2", "h1", "h0")
+    assert posed.active_names(outcome, 0.249) == ("h2", "h1")
+    assert posed.active_names(outcome, 0.0) == ("h2", "h1")
+    assert posed.active_names(posed.outcome((0.0,)), 0.0) == ()
 
 
 def test_as_many_margins_and_values_as_barriers() -> None:
     with pytest.raises(ValueError, match="1 margins for 2 barriers"):
-        Conditions(
+        Constraints(
             Barriers([FunctionBarrier(lambda x: [1.0, 2.0], names=("a", "b"))]),
             Prediction(lambda x: (x, np.eye(1))),
             (0.0,),
@@ -241,10 +241,10 @@ def test_as_many_margins_and_values_as_barriers() -> None:
 
 
 def test_an_outcome_with_nothing_broken_may_still_be_unsafe() -> None:
-    assert Outcome((0.0,), [0.0], [1.0], [1.0], []).kept
-    assert Outcome((0.0,), [0.0], [0.0], [0.0], []).kept
-    assert not Outcome((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
-    assert not Outcome((0.0,), [0.0], [1.0], [-1.0], [0]).kept
+    assert ActionCandidate((0.0,), [0.0], [1.0], [1.0], []).kept
+    assert ActionCandidate((0.0,), [0.0], [0.0], [0.0], []).kept
+    assert not ActionCandidate((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
+    assert not ActionCandidate((0.0,), [0.0], [1.0], [-1.0], [0]).kept
 
 
 def test_the_second_of_two_actions_has_its_chord_too() -> None:
@@ -254,7 +254,7 @@ def test_the_second_of_two_actions_has_its_chord_too() -> None:
         assert a.shape == (2,)
         return np.array([a[0], min(a[1], 1.0)])
 
-    posed = Conditions(
+    posed = Constraints(
         Barriers([FunctionBarrier(lambda x: x[0] + x[1], lambda x: [1.0, 1.0])]),
         Prediction(lambda x: (x, np.array([[1.0, 0.0], [0.0, 0.0]])), step),
         (1.0, 0.5), None, None, 0.2, [0.1], [(-1.0, 3.0, 4.0)] * 2,
@@ -265,7 +265,7 @@ def test_the_second_of_two_actions_has_its_chord_too() -> None:
 def test_numbers_whose_sum_is_too_large_are_numbers() -> None:
     """As large as a float can be, but finite: of the state, and of h."""
     large = 1.5e308
-    posed = Conditions(
+    posed = Constraints(
         Barriers([FunctionBarrier(lambda x: np.where(x > 1.0, x, 0.0), names=("a", "b"))]),
         Prediction(lambda x: (x, np.eye(2)), lambda x, a: np.array([large, large])),
         (0.5, 0.5), None, None, 0.2, [0.0, 0.0], [(0.0, 1.0, 1.0)] * 2,
@@ -295,15 +295,15 @@ def test_the_entry_that_is_out_of_its_range_is_named_and_what_is_no_number_is_no
             values = [0.0] * 5
             values[entry] = side * (entry + 1.5)
             told = checked_input("state", made(values), BELIEVED)
-            assert isinstance(told, Unusable)
+            assert isinstance(told, InvalidInput)
             assert f" {name} = {values[entry]:g}, wanted {-entry - 1:g} to {entry + 1:g}" in told.reason
         for number in (np.nan, np.inf, -np.inf):
             values = [9.0] * 5
             values[entry] = number
-            assert checked_input("state", made(values), BELIEVED) == Unusable("state holds NaN or infinity")
+            assert checked_input("state", made(values), BELIEVED) == InvalidInput("state holds NaN or infinity")
 
 
 @pytest.mark.parametrize("value", [np.array(1.0), np.zeros((5, 5)), np.zeros((1, 5)), np.zeros(4), [0.0] * 6, []])
 def test_another_shape_is_refused_and_reported(value: Any) -> None:
     told = checked_input("state", value, BELIEVED)
-    assert told == Unusable(f"state has shape {np.shape(value)}, wanted (5,)")
+    assert told == InvalidInput(f"state has shape {np.shape(value)}, wanted (5,)")

@@ -11,6 +11,8 @@ from tests.internals.safety.test_batch_search import TWO, Problems
 
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
+from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
+from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -23,12 +25,10 @@ from safedpa.safety import (
 )
 from safedpa.safety import decision as decision_module
 from safedpa.safety import decision as decisions
-from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.finite_clock import FiniteClock
-from safedpa.safety.held_model import HeldModel, uncalibrated
-from safedpa.safety.on_its_way import Pending
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.prediction.dead_time import InFlightCommands
+from safedpa.safety.solver.constraints import ActionCandidate, Constraints
+from safedpa.safety.validation import FiniteClock
 from safedpa.safety.verdict import resting_verdict
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
@@ -68,7 +68,7 @@ def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPa
 
 
 def test_search_result_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(conditions: Conditions, *_: object) -> tuple[Outcome, str]:
+    def found(conditions: Constraints, *_: object) -> tuple[ActionCandidate, str]:
         return conditions.outcome((1.0,)), "solved"
 
     monkeypatch.setattr(decision_module, "search", found)
@@ -250,7 +250,7 @@ def decided(low: float, state: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> tupl
     free = FunctionBarrier(lambda x: 1.0)
     found = [
         SafetyFilter.for_model(LATE, FilterSettings(epsilon=0.0), barriers=[barrier]).decide(
-            state, HELD, LATE.latent, memory=Pending(memory, HELD)
+            state, HELD, LATE.latent, memory=InFlightCommands(memory, HELD)
         )
         for barrier in (inside, free)
     ]
@@ -341,11 +341,11 @@ def test_with_a_delay_the_next_tick_says_nothing_of_the_wish(late: bool, monkeyp
     """What is on its way raises h; the wish, which begins to act later, would be handed on for that."""
     model, settings = delayed() if late else load_model("car"), settings_named("car")
     own = fingerprint(model)
-    memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
+    memory = RobotSession.begun(CalibratedModel(model, own, uncalibrated(settings, own)), settings)
     state = CarRobot(Scene.random(3, "none"), 0.05).state_message()
     memory.barriers = memory.scene.of(state)
     if late:
-        memory.pending = Pending(model.initial_memory(np.array([0.0, 0.0])), (0.0, 0.0))
+        memory.pending = InFlightCommands(model.initial_memory(np.array([0.0, 0.0])), (0.0, 0.0))
     resting: Any = resting_verdict(np.zeros(2), "none")
     relaxed = type(resting)(**{**vars(resting), "status": Status.relaxed, "wish": np.array([0.5, 0.0])})
     found = memory.out_of_the_layer(state, relaxed, model.latent)

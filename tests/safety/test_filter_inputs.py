@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.dynamics import PhysicsModel, Setting
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier, Plausible, SafetyFilter, Solution, Status, Verdict
 from safedpa.safety import decision as decision_module
-from safedpa.safety.inputs import Unusable, checked_input
+from safedpa.safety.validation import InvalidInput, checked_input
 
 GOOD = np.array([0.0, 0.0, 0.0, 0.5])
 WISH = np.array([0.4, 0.1])
@@ -390,17 +390,19 @@ def test_checked_input_gives_plain_numbers_or_a_reason() -> None:
     assert checked == (1.0, 2.0)
     assert isinstance(checked, tuple)
     assert all(type(entry) is float for entry in checked)
-    assert checked_input("it", [[1.0]], None) == Unusable("it has shape (1, 1), wanted one axis")
+    assert checked_input("it", [[1.0]], None) == InvalidInput("it has shape (1, 1), wanted one axis")
     narrow = Plausible(np.array([0.0]), np.array([1.0]), ("a",))
     assert checked_input("it", [0.0], narrow) == (0.0,)
     assert checked_input("it", [1.0], narrow) == (1.0,)
-    assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")
+    assert checked_input("it", [1.5], narrow) == InvalidInput(
+        "it is out of its plausible range: a = 1.5, wanted 0 to 1"
+    )
 
 
 def test_one_range_may_be_given_for_all_entries_but_none_that_leaves_entries_out() -> None:
     broad = Plausible(np.array([0.0]), np.array([1.0]), ("a", "b"))
     assert checked_input("x", [0.5, 1.0], broad) == (0.5, 1.0)
     refused = checked_input("x", [0.5, 1.5], broad)
-    assert refused == Unusable("x is out of its plausible range: b = 1.5, wanted 0 to 1")
+    assert refused == InvalidInput("x is out of its plausible range: b = 1.5, wanted 0 to 1")
     with pytest.raises(ValueError, match="broadcast"):
         checked_input("x", [0.5, 0.5, 0.5], Plausible(np.zeros(2), np.ones(2), ("a", "b", "c")))

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import PhysicsModel, parse_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status
-from safedpa.safety.batch import BatchFilter
+from safedpa.safety.batch.filter import BatchFilter
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
-from safedpa.safety.conditions import ROUNDING
+from safedpa.safety.solver.constraints import ROUNDING
 
 Values = NDArray[np.float64]
 DRAWN = hypothesis_settings(derandomize=True, deadline=None, database=None, max_examples=150)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Verdict
 
 RECORDING = Path(__file__).with_name("recorded_verdicts.json")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import braking_of
+from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 from safedpa.safety.settings import without_former_keys
 

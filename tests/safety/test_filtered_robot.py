@@ -23,9 +23,9 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.orders import Orders
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.stop_orders import StopOrders
+from safedpa.safety.defaults import settings_named
 
 AT_REST = (0.0, 0.0, 0.0, 0.0)
 
@@ -183,7 +183,7 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
 def test_a_robot_stands_only_while_a_wish_should_move_it(
     changed: dict[str, Any], wish: tuple[float, float], status: str, stands: float
 ) -> None:
-    orders = Orders()
+    orders = StopOrders()
     if "order" in changed:
         orders.answer("r", Request(do=changed["order"], who="me"))
     node = SafetyFilterNode(CAR, replace(SETTINGS, enabled=changed.get("enabled", True)), orders=orders)
@@ -315,13 +315,13 @@ def test_it_decides_half_way_through_a_period_at_the_latest_with_a_latent_of_the
 
 
 def test_the_end_of_the_filter_stops_every_robot_until_the_next_one_starts(tmp_path: Path) -> None:
-    orders = Orders(tmp_path / "orders.json")
+    orders = StopOrders(tmp_path / "orders.json")
     node, state = SafetyFilterNode(CAR, SETTINGS, orders=orders), state_at(0)
     assert asked(node, state, latent_at(state)).status == "passed"
     node.wind_up()
     verdict = asked(node, state_at(1), latent_at(state_at(1)))
     assert (verdict.status, verdict.action) == ("stopped", (0.0, 0.0))
-    again = SafetyFilterNode(CAR, SETTINGS, orders=Orders(tmp_path / "orders.json"))
+    again = SafetyFilterNode(CAR, SETTINGS, orders=StopOrders(tmp_path / "orders.json"))
     assert asked(again, state, latent_at(state)).status == "passed"
 
 

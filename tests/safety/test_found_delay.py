@@ -9,13 +9,13 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.found_delay import MOST, TOLERATED, USUAL, FoundDelay, Passed
-from safedpa.safety.held_model import HeldModel, uncalibrated
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.prediction import Prediction
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.trail import Trail
+from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.robot_session import RobotSession
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.prediction.command_history import CommandHistory
+from safedpa.safety.prediction.delay_estimator import MOST, TOLERATED, USUAL, DelayEstimator, Transition
+from safedpa.safety.prediction.predictor import Prediction
 from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives
 from safedpa_sim.closed_loop import drive
 
@@ -24,9 +24,9 @@ LATENT_VALUES = tuple(CAR.latent.tolist())
 RANGES = (2.6, 0.68)
 
 
-def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float = 0.0) -> list[Passed]:
+def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float = 0.0) -> list[Transition]:
     """The periods of a robot whose commands act ``delay`` periods late; commands change every few ticks."""
-    random, state, trail, found = np.random.default_rng(seed), np.array([0.0, 0.0, 0.3, 0.5]), Trail(model), []
+    random, state, trail, found = np.random.default_rng(seed), np.array([0.0, 0.0, 0.3, 0.5]), CommandHistory(model), []
     commands = [(0.0, 0.0)]
     for tick in range(ticks):
         trail.add(tick, tuple(state.tolist()), commands[-1], ())
@@ -40,8 +40,8 @@ def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float
     return found
 
 
-def after(periods: list[Passed], scale: float = 1.0, ranges: tuple[float, ...] = RANGES) -> FoundDelay:
-    delay = FoundDelay(Prediction.of_model(CAR), [scale * width for width in ranges], CAR.period)
+def after(periods: list[Transition], scale: float = 1.0, ranges: tuple[float, ...] = RANGES) -> DelayEstimator:
+    delay = DelayEstimator(Prediction.of_model(CAR), [scale * width for width in ranges], CAR.period)
     for passed in periods:
         delay.observe(passed, LATENT_VALUES)
     return delay
@@ -57,17 +57,17 @@ def test_each_delay_is_found_within_a_second(late: int) -> None:
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_the_unit_of_the_state_does_not_matter(unit: float) -> None:
-    delay = FoundDelay(Prediction(lambda x: (x, np.array([[0.05 * unit]]))), [2.0], 0.05)
+    delay = DelayEstimator(Prediction(lambda x: (x, np.array([[0.05 * unit]]))), [2.0], 0.05)
     random, x, commands = np.random.default_rng(5), 0.0, [0.0] * (MOST + 1)
     for tick in range(60):
         commands.append(float(random.uniform(-1.0, 1.0)) if tick % 3 == 0 else commands[-1])
         before, x = x, x + 0.05 * unit * commands[-4]
         known = tuple(((commands[-1 - n],), None) for n in range(MOST + 1))
-        delay.observe(Passed((before,), (x,), known), None)
+        delay.observe(Transition((before,), (x,), known), None)
     assert delay.periods == 3
 
 
-def refuted_by_all_that_was_seen(periods: list[Passed]) -> list[int]:
+def refuted_by_all_that_was_seen(periods: list[Transition]) -> list[int]:
     """What is to be believed after each period, from the whole past at once.
 
     Of the periods in which a command differs from another one by more than a hundredth of its range the last counts
@@ -94,7 +94,7 @@ def refuted_by_all_that_was_seen(periods: list[Passed]) -> list[int]:
 @pytest.mark.parametrize(("seed", "noise"), list(enumerate((0.01, 0.02, 0.03, 0.05, 0.08, 0.03, 1e-5))))
 def test_what_is_believed_is_what_the_whole_past_at_once_says(seed: int, noise: float) -> None:
     """Delays that change, with pauses in which commands tell nothing; noise makes the evidence come slowly."""
-    at_rest = Passed((1.0, 0.0, 0.0, 0.7), (1.0, 0.1, 0.0, 0.7), (((0.7, 0.0), None),) * (MOST + 1))
+    at_rest = Transition((1.0, 0.0, 0.0, 0.7), (1.0, 0.1, 0.0, 0.7), (((0.7, 0.0), None),) * (MOST + 1))
     periods = [
         period
         for place, late in enumerate((1, 5, 7, 3))
@@ -118,7 +118,7 @@ def test_three_periods_are_acted_upon_two_are_not_and_the_only_one_that_explains
     assert MOST * CAR.period == pytest.approx(0.4)
     # The car stands, exactly, and of the last commands none but the one of three periods ago is to stand.
     commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MOST + 1))
-    assert after([Passed((0.0,) * 4, (0.0,) * 4, commands)] * 20).periods == 3
+    assert after([Transition((0.0,) * 4, (0.0,) * 4, commands)] * 20).periods == 3
 
 
 def test_commands_of_either_sign_tell_as_much_and_less_than_a_hundredth_of_their_range_nothing() -> None:
@@ -131,7 +131,7 @@ def test_commands_of_either_sign_tell_as_much_and_less_than_a_hundredth_of_their
     for tick in range(MOST + 4, 60):
         commands = tuple(((speeds[tick - n], 0.0), None) for n in range(MOST + 1))
         reached = np.asarray(CAR.step(state, np.array(commands[4][0]), CAR.latent))
-        periods.append(Passed(tuple(state.tolist()), tuple(reached.tolist()), commands))
+        periods.append(Transition(tuple(state.tolist()), tuple(reached.tolist()), commands))
         state = reached
     assert after(periods).periods == 4
 
@@ -157,7 +157,7 @@ def test_what_is_believed_stays_until_it_is_refuted() -> None:
     found = after(way(CAR, 4, 40, noise=1e-3))
     assert found.periods == 4
     at_rest = ((0.0, 0.0), None)
-    still = Passed((0.0,) * 4, (0.0,) * 4, (at_rest,) * (MOST + 1))
+    still = Transition((0.0,) * 4, (0.0,) * 4, (at_rest,) * (MOST + 1))
     for _ in range(200):
         found.observe(still, LATENT_VALUES)
     assert found.periods == 4, "commands that do not differ tell nothing"
@@ -178,7 +178,7 @@ def test_a_delay_that_explains_everything_counts_for_it() -> None:
     """Of a state that is exactly 0 all the time the right delay has no error at all: no reason to doubt it."""
     still, push = (0.0, 0.0), (1.0, 0.0)
     commands = tuple((still if n == 0 else push, None) for n in range(MOST + 1))
-    found = after([Passed((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), commands)] * 20)
+    found = after([Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), commands)] * 20)
     assert found.periods == 0
 
 
@@ -202,7 +202,7 @@ def test_what_does_not_fit_says_nothing() -> None:
 
 
 def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a_gap() -> None:
-    trail = Trail(CAR)
+    trail = CommandHistory(CAR)
     for tick, speed in enumerate((0.0, 0.1, 0.2)):
         trail.add(tick, (0.0, 0.0, 0.0, speed), (speed, 0.0), ())
     passed = trail.passed(4)
@@ -220,12 +220,12 @@ def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a
 
 def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = settings_named("car")
-    held = HeldModel(CAR, "m", uncalibrated(settings, "m"))
-    robot = FilteredRobot.begun(held, settings)
+    held = CalibratedModel(CAR, "m", uncalibrated(settings, "m"))
+    robot = RobotSession.begun(held, settings)
     assert robot.delay.beyond(0.0) == 0.0
     monkeypatch.setattr(robot.delay, "periods", 4)
     drives = Lateness(0.15, told="nobody").robot(900, "none")
-    robot.take_up(drives.state_message())
+    robot.observe_state(drives.state_message())
     assert robot.until_action == pytest.approx(3 * CAR.period)
     assert robot.pending.sent, "what is on its way is known"
 
@@ -272,13 +272,13 @@ def moved(state: Any, action: Any) -> Any:
     return np.array([entry + action[0] for entry in state])
 
 
-def delay(period: float = 0.05, width: float = 1e-6) -> FoundDelay:
-    return FoundDelay(Prediction(lambda state: (state, np.ones((len(state), 1))), moved), [width], period)
+def delay(period: float = 0.05, width: float = 1e-6) -> DelayEstimator:
+    return DelayEstimator(Prediction(lambda state: (state, np.ones((len(state), 1))), moved), [width], period)
 
 
-def stayed(place: float, away: float, late: int = 3) -> Passed:
+def stayed(place: float, away: float, late: int = 3) -> Transition:
     """A period in which the point stayed, as the command of ``late`` periods before alone says: the others move it."""
-    return Passed((place,), (place,), tuple(((0.0 if n == late else away,), None) for n in range(5)))
+    return Transition((place,), (place,), tuple(((0.0 if n == late else away,), None) for n in range(5)))
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary
     before: tuple[float, ...], now: tuple[float, ...], speeds: tuple[int, ...], stood: bool
 ) -> None:
     """Of what has no speeds, or is no state, that is not known."""
-    assert Passed(before, now, ()).stood(speeds) is stood
+    assert Transition(before, now, ()).stood(speeds) is stood
 
 
 def test_six_periods_that_count_are_enough_where_one_delay_alone_explains_them() -> None:

@@ -21,8 +21,8 @@ from safedpa.safety import (
     SafetyFilter,
     Status,
 )
-from safedpa.safety.inputs import Plausible
-from safedpa.safety.prediction import Prediction
+from safedpa.safety.prediction.predictor import Prediction
+from safedpa.safety.validation import Plausible
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from tests.safety.aims import Case, Counted
 
-from safedpa.safety.highest import HighestProgram, highest_vertex
-from safedpa.safety.lattice import NEARBY, around, lattice
-from safedpa.safety.least_unsafe import TOLERANCE
+from safedpa.safety.solver.candidates import NEARBY, action_grid, grid_around
+from safedpa.safety.solver.least_violation import TOLERANCE
+from safedpa.safety.solver.maximin_lp import MaxMinProgram, solve_by_dual_simplex
 
 Values = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def least(slopes: Values, heights: Values, levels: Values, u: Values) -> float:
 
 @pytest.mark.parametrize("actions", [1, 2, 3, 4])
 def test_the_least_is_as_high_as_scipy_can_make_it(actions: int) -> None:
-    random, program, held = np.random.default_rng(actions), HighestProgram(actions), 0
+    random, program, held = np.random.default_rng(actions), MaxMinProgram(actions), 0
     for _ in range(200):
         rows = int(random.integers(1, 12))
         slopes, heights = random.normal(size=(rows, actions)), random.normal(size=rows)
@@ -59,7 +59,7 @@ def test_the_least_is_as_high_as_scipy_can_make_it(actions: int) -> None:
 
 
 def test_levels_that_no_action_holds_have_no_answer() -> None:
-    program = HighestProgram(1)
+    program = MaxMinProgram(1)
     assert program.solve(np.array([[1.0], [1.0]]), np.zeros(2), np.array([np.nan, 1.5])) is None
     assert program.solve(np.array([[1.0], [-1.0]]), np.zeros(2), np.array([0.75, -0.25])) is None
     found = program.solve(np.array([[1.0], [-1.0], [1.0]]), np.zeros(3), np.array([0.25, -0.75, np.nan]))
@@ -68,7 +68,7 @@ def test_levels_that_no_action_holds_have_no_answer() -> None:
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_numbers_that_are_none_have_no_answer(number: float) -> None:
-    program = HighestProgram(2)
+    program = MaxMinProgram(2)
     for place in range(2):
         slopes = np.array([[1.0, 0.5], [0.0, 1.0]])
         slopes[0, place] = number
@@ -77,9 +77,9 @@ def test_numbers_that_are_none_have_no_answer(number: float) -> None:
 
 def test_of_several_optima_the_one_in_the_middle_is_taken_and_the_answer_is_its_callers_own() -> None:
     """The second action changes nothing: it is not thrown about."""
-    found = HighestProgram(2).solve(np.array([[1.0, 0.0]]), np.zeros(1), np.full(1, np.nan))
+    found = MaxMinProgram(2).solve(np.array([[1.0, 0.0]]), np.zeros(1), np.full(1, np.nan))
     assert found == pytest.approx([1.0, 0.5], abs=1e-3)
-    program = HighestProgram(1)
+    program = MaxMinProgram(1)
     first = program.solve(np.array([[1.0]]), np.zeros(1), np.full(1, np.nan))
     assert first is not None
     program.solve(np.array([[-1.0]]), np.zeros(1), np.full(1, np.nan))
@@ -101,7 +101,7 @@ def test_it_is_as_high_as_scipy_can_make_it_and_nearly_always_answers(actions: i
     random, silent = np.random.default_rng(actions), 0
     for _ in range(400):
         slopes, heights, levels = drawn(random, actions)
-        found = highest_vertex(slopes.tolist(), heights.tolist(), levels.tolist())
+        found = solve_by_dual_simplex(slopes.tolist(), heights.tolist(), levels.tolist())
         if found is None:
             silent += 1
             continue
@@ -115,27 +115,27 @@ def test_it_is_as_high_as_scipy_can_make_it_and_nearly_always_answers(actions: i
 
 
 def test_a_single_row_leads_to_its_bounds_two_that_pull_apart_meet_and_a_level_holds_a_row() -> None:
-    assert highest_vertex([[1.0, -0.5]], [0.0], [nan]) == [1.0, 0.0]
-    assert highest_vertex([[-1.0]], [3.0], [nan]) == [0.0]
-    assert highest_vertex([[1.0], [-1.0]], [0.0, 0.5], [nan, nan]) == pytest.approx([0.25], abs=1e-12)
-    assert highest_vertex([[1.0], [-3.0]], [0.0, 1.0], [nan, nan]) == pytest.approx([0.25], abs=1e-12)
+    assert solve_by_dual_simplex([[1.0, -0.5]], [0.0], [nan]) == [1.0, 0.0]
+    assert solve_by_dual_simplex([[-1.0]], [3.0], [nan]) == [0.0]
+    assert solve_by_dual_simplex([[1.0], [-1.0]], [0.0, 0.5], [nan, nan]) == pytest.approx([0.25], abs=1e-12)
+    assert solve_by_dual_simplex([[1.0], [-3.0]], [0.0, 1.0], [nan, nan]) == pytest.approx([0.25], abs=1e-12)
     # Alone the first would go to 1; the second one falls below -0.4 there.
-    assert highest_vertex([[1.0], [-1.0]], [0.0, 0.0], [nan, -0.4]) == pytest.approx([0.4], abs=1e-12)
-    assert highest_vertex([[1.0], [-1.0]], [0.0, 0.0], [nan, -2.0]) == [1.0]
+    assert solve_by_dual_simplex([[1.0], [-1.0]], [0.0, 0.0], [nan, -0.4]) == pytest.approx([0.4], abs=1e-12)
+    assert solve_by_dual_simplex([[1.0], [-1.0]], [0.0, 0.0], [nan, -2.0]) == [1.0]
 
 
 def test_heights_of_any_size_are_compared_to_their_own_rounding() -> None:
-    found = highest_vertex([[1.0, 0.2], [-1.0, 0.1]], [1e6, 1e6 + 0.5], [nan, nan])
+    found = solve_by_dual_simplex([[1.0, 0.2], [-1.0, 0.1]], [1e6, 1e6 + 0.5], [nan, nan])
     assert found == pytest.approx([0.2, 1.0], abs=1e-9)
-    assert highest_vertex([[1.0], [1.0]], [0.0, 1e12], [nan, nan]) == [1.0]
+    assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 1e12], [nan, nan]) == [1.0]
 
 
 def test_several_optima_are_left_to_the_solver_which_takes_the_middle() -> None:
-    assert highest_vertex([[1.0, 0.0]], [0.0], [nan]) is None
-    assert highest_vertex([[0.0, 0.0]], [0.0], [nan]) is None
-    assert highest_vertex([[1.0, 1.0], [-1.0, -1.0]], [0.0, 1.0], [nan, nan]) is None
-    assert highest_vertex([[1.0, 4e-10]], [0.0], [nan]) is None  # less than the pull towards the middle
-    assert highest_vertex([[1.0, 6e-10]], [0.0], [nan]) == [1.0, 1.0]
+    assert solve_by_dual_simplex([[1.0, 0.0]], [0.0], [nan]) is None
+    assert solve_by_dual_simplex([[0.0, 0.0]], [0.0], [nan]) is None
+    assert solve_by_dual_simplex([[1.0, 1.0], [-1.0, -1.0]], [0.0, 1.0], [nan, nan]) is None
+    assert solve_by_dual_simplex([[1.0, 4e-10]], [0.0], [nan]) is None  # less than the pull towards the middle
+    assert solve_by_dual_simplex([[1.0, 6e-10]], [0.0], [nan]) == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_several_optima_are_left_to_the_solver_which_takes_the_middle() -> None:
 def test_no_answer_where_levels_cannot_be_held_or_no_row_is_free(
     slopes: list[list[float]], levels: list[float]
 ) -> None:
-    assert highest_vertex(slopes, [0.0] * len(slopes), levels) is None
+    assert solve_by_dual_simplex(slopes, [0.0] * len(slopes), levels) is None
 
 
 @pytest.mark.parametrize("number", [nan, inf, -inf])
@@ -156,18 +156,18 @@ def test_numbers_that_are_none_have_no_vertex(number: float) -> None:
     for place in range(2):
         slopes = [[1.0, 0.5], [0.0, 1.0]]
         slopes[0][place] = number
-        assert highest_vertex(slopes, [0.0, 0.0], [nan, nan]) is None
-    assert highest_vertex([[1.0, 0.5]], [number], [nan]) is None
-    assert highest_vertex([[1.0, 0.5], [1.0, 1.0]], [0.0, number], [nan, 0.1]) is None
+        assert solve_by_dual_simplex(slopes, [0.0, 0.0], [nan, nan]) is None
+    assert solve_by_dual_simplex([[1.0, 0.5]], [number], [nan]) is None
+    assert solve_by_dual_simplex([[1.0, 0.5], [1.0, 1.0]], [0.0, number], [nan, 0.1]) is None
 
 
 def test_a_level_without_end_is_no_number_and_there_are_as_many_heights_and_levels_as_rows() -> None:
-    assert highest_vertex([[1.0], [1.0]], [0.0, 0.0], [nan, -inf]) is None
-    assert highest_vertex([[1.0], [1.0]], [0.0, 0.0], [nan, inf]) is None
+    assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 0.0], [nan, -inf]) is None
+    assert solve_by_dual_simplex([[1.0], [1.0]], [0.0, 0.0], [nan, inf]) is None
     for heights, levels in (([0.0, 0.0], [nan]), ([0.0], [nan, nan]), ([], [nan])):
         with pytest.raises(ValueError, match=f"1 rows of slopes, {len(heights)} heights and {len(levels)} levels"):
-            highest_vertex([[1.0]], heights, levels)
-    assert highest_vertex([], [], []) is None
+            solve_by_dual_simplex([[1.0]], heights, levels)
+    assert solve_by_dual_simplex([], [], []) is None
 
 
 SIDE = (-1.0, 2.0, 3.0)
@@ -175,7 +175,7 @@ SIDE = (-1.0, 2.0, 3.0)
 
 @pytest.mark.parametrize(("actions", "points"), [(1, 9), (2, 5), (3, 3), (4, 2)])
 def test_evenly_spread_with_all_corners(actions: int, points: int) -> None:
-    found = lattice((SIDE,) * actions, affine=False)
+    found = action_grid((SIDE,) * actions, affine=False)
     assert len(found) == len(set(found)) == points**actions
     for entry in range(actions):
         values = sorted({action[entry] for action in found})
@@ -185,29 +185,36 @@ def test_evenly_spread_with_all_corners(actions: int, points: int) -> None:
 
 @pytest.mark.parametrize("actions", [1, 2, 3, 4])
 def test_of_an_affine_model_the_corners_alone(actions: int) -> None:
-    found = lattice((SIDE,) * actions, affine=True)
+    found = action_grid((SIDE,) * actions, affine=True)
     assert len(found) == 2**actions
     assert {value for action in found for value in action} == {-1.0, 2.0}
 
 
 @pytest.mark.parametrize("affine", [False, True])
 def test_of_many_actions_none(affine: bool) -> None:
-    assert lattice((SIDE,) * 5, affine=affine) == []
+    assert action_grid((SIDE,) * 5, affine=affine) == []
 
 
 def test_the_highest_value_is_the_bound_itself() -> None:
     """0.1 + 0.2 * 3 / 3 would be beyond 0.3."""
-    assert max(lattice(((0.1, 0.3, 0.2),), affine=False)) == (0.3,)
-    assert lattice(((0.1, 0.3, 0.2), (0.0, 1.0, 1.0)), affine=True) == [(0.1, 0.0), (0.1, 1.0), (0.3, 0.0), (0.3, 1.0)]
+    assert max(action_grid(((0.1, 0.3, 0.2),), affine=False)) == (0.3,)
+    assert action_grid(((0.1, 0.3, 0.2), (0.0, 1.0, 1.0)), affine=True) == [
+        (0.1, 0.0),
+        (0.1, 1.0),
+        (0.3, 0.0),
+        (0.3, 1.0),
+    ]
 
 
 def test_what_lies_around_an_action_is_one_entry_moved_within_the_bounds_nearer_and_nearer() -> None:
     sides = ((0.0, 10.0, 10.0), (-1.0, 1.0, 2.0))
-    assert around(sides, (5.0, 0.0), 0.25) == [(2.5, 0.0), (7.5, 0.0), (5.0, -0.5), (5.0, 0.5)]
-    assert around(sides, (0.0, 0.75), 0.25) == [(2.5, 0.75), (0.0, 0.25), (0.0, 1.0)], "no step that a bound forbids"
-    assert around(sides, (0.0, 1.0), 0.0) == []
+    assert grid_around(sides, (5.0, 0.0), 0.25) == [(2.5, 0.0), (7.5, 0.0), (5.0, -0.5), (5.0, 0.5)]
+    assert grid_around(sides, (0.0, 0.75), 0.25) == [(2.5, 0.75), (0.0, 0.25), (0.0, 1.0)], (
+        "no step that a bound forbids"
+    )
+    assert grid_around(sides, (0.0, 1.0), 0.0) == []
     sides = (SIDE,) * 3
-    for other in around(sides, (0.1, 0.2, 0.3), 0.1):
+    for other in grid_around(sides, (0.1, 0.2, 0.3), 0.1):
         assert sum(one != kept for one, kept in zip(other, (0.1, 0.2, 0.3), strict=True)) == 1
     # From a quarter of the range, between the points of the lattice, down to what is as good as the same.
     assert tuple(sorted(NEARBY, reverse=True)) == NEARBY
@@ -352,7 +359,7 @@ def test_what_keeps_all_is_no_more_a_question_of_height(now: float) -> None:
 
 def test_an_affine_question_is_answered_in_one_round_without_anything_between_known_answers() -> None:
     """Four corners, the wish, the backup, the highest and the nearest as high; one linear program for each level."""
-    highest = Counted(HighestProgram(2))
+    highest = Counted(MaxMinProgram(2))
     rows, now = [[1.0, 1.0, -3.0], [-2.0, -1.0, -4.0], [0.3, -2.0, -3.6]], [-3.0, -4.0, -3.5]
     case = Case(lambda a: [x * a[0] + y * a[1] + z for x, y, z in rows], now, [0.0, 0.0], highest=highest)
     case.run()
@@ -366,7 +373,7 @@ def test_an_affine_question_is_answered_in_one_round_without_anything_between_kn
 
 def test_rows_that_keep_their_conditions_need_no_level_and_a_flat_one_is_the_least_all_the_same() -> None:
     """h_0 is raised; h_1 and h_2 keep theirs at once: one linear program."""
-    highest = Counted(HighestProgram(2))
+    highest = Counted(MaxMinProgram(2))
     case = Case(lambda a: [a[0] - 5.0, a[1] + 3.0, 4.0 - a[1]], [-5.0, 1.0, 1.0], [0.0, 0.0], highest=highest)
     case.run()
     assert highest.solved == 1

@@ -13,11 +13,10 @@ import pytest
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
-from safedpa.safety.barrier import Barriers
-from safedpa.safety.inputs import Unusable, checked_input, checked_names
-from safedpa.safety.numbers_returned import numbers_returned, read_only
+from safedpa.safety.barriers.base import Barriers
+from safedpa.safety.validation import InvalidInput, checked_input, checked_names, checked_output, read_only
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
 
@@ -159,9 +158,9 @@ def test_what_only_looks_like_numbers_is_not_believed_from_functions_or_as_an_in
 
 @pytest.mark.parametrize("good", [0.5, np.float64(0.5), np.float32(0.5), [0.5], (0.5,), np.array([0.5]), np.array(0.5)])
 def test_numbers_of_every_kind_are(good: Any) -> None:
-    assert numbers_returned("h", good).dtype == np.float64
+    assert checked_output("h", good).dtype == np.float64
     assert made(FunctionBarrier(lambda x: good)).decide([0.0], [1.0]).h_next == 0.5
-    assert numbers_returned("h", [1, np.int32(2), 3.0]).tolist() == [1.0, 2.0, 3.0]
+    assert checked_output("h", [1, np.int32(2), 3.0]).tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_masked_backup_is_none() -> None:
@@ -179,9 +178,9 @@ def test_states_may_be_read_only_arrays_tuples_or_lists() -> None:
     assert (view.flags.writeable, mine.flags.writeable) == (False, True)
     assert read_only(view) is view
     assert checked_input("it", (1.0, 2.0), None) == (1.0, 2.0)
-    assert checked_input("it", [1.0, float("nan")], None) == Unusable("it holds NaN or infinity")
+    assert checked_input("it", [1.0, float("nan")], None) == InvalidInput("it holds NaN or infinity")
     assert checked_input("it", [1, 2.0], None) == (1.0, 2.0)
-    assert checked_input("it", [1.0, True], None) == Unusable("it does not consist of numbers")
+    assert checked_input("it", [1.0, True], None) == InvalidInput("it does not consist of numbers")
     assert checked_input("it", (), None) == ()
 
 

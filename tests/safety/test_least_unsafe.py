@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from tests.safety.aims import Case
 
 from safedpa.safety import QuadraticProgram
-from safedpa.safety.highest import HighestProgram
-from safedpa.safety.least_unsafe import TOLERANCE
-from safedpa.safety.search import DecisionError
+from safedpa.safety.solver.least_violation import TOLERANCE
+from safedpa.safety.solver.maximin_lp import MaxMinProgram
+from safedpa.safety.solver.sqp import DecisionError
 
 Values = NDArray[np.float64]
 
@@ -219,7 +219,7 @@ def test_a_program_that_gives_up_at_the_second_aim_leaves_what_the_first_one_fou
 
     class Once:
         def __init__(self) -> None:
-            self.own, self.asked = HighestProgram(5), 0
+            self.own, self.asked = MaxMinProgram(5), 0
 
         def solve(self, *rows: Any) -> Any:
             self.asked += 1

@@ -10,20 +10,20 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.stats import binom
 
+from safedpa.calibration.from_drives import calibration_from_drives, covered_shares
+from safedpa.calibration.from_runs import LogMargin, calibration_from_runs, log_margin, log_margin_message
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, MarginCalibration, Prediction, parse_settings, split_conformal_margin
-from safedpa.safety.ceiling import Ceiling, Seen
-from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
-from safedpa.safety.margin import margins_over_drives
-from safedpa.safety.margins_in_force import Margins
-from safedpa.safety.run_calibration import LogMargin, calibration_from_runs, log_margin, log_margin_told
-from safedpa.safety.search import DecisionError
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.speed_barrier import SpeedBarrier
-from safedpa.safety.stacks import stacked
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.active import ActiveMargins
+from safedpa.safety.margins.conformal import margins_over_drives
+from safedpa.safety.margins.error_clipping import ErrorClip, HSample
+from safedpa.safety.solver.sqp import DecisionError
 from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
 from safedpa_services.driving import drive_command
 
@@ -51,7 +51,7 @@ def log_of(steps: ArrayLike, name: str = "run", gaps: int = 0) -> Run:
 
 def told(*runs: Run, model: PhysicsModel = CAR) -> tuple[LogMargin, str]:
     found = log_margin(model, SETTINGS, runs, 0.99, "2026-11-28")
-    return found, log_margin_told(model, found)
+    return found, log_margin_message(model, found)
 
 
 def refused(*runs: Run, model: PhysicsModel = CAR) -> str:
@@ -222,7 +222,7 @@ def test_fresh_drives_are_covered_as_often_as_stated_where_steps_taken_for_excha
 def heights(errors: object) -> np.ndarray:
     """Predicted and measured h with these errors, near the boundary."""
     wanted = np.asarray(errors, dtype=np.float64)
-    return np.array([Seen(error, 0.0) for error in wanted])
+    return np.array([HSample(error, 0.0) for error in wanted])
 
 
 def test_a_calibration_says_both_and_the_settings_choose() -> None:
@@ -245,46 +245,46 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
 
 def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     """At h of 5 nobody is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
-    drives = [{"a": np.array([Seen(5.0, 5.0 - 0.04 * k), Seen(0.3, 0.3)])} for k in range(100)]
-    far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    drives = [{"a": np.array([HSample(5.0, 5.0 - 0.04 * k), HSample(0.3, 0.3)])} for k in range(100)]
+    far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
     assert far.constants == {"ceiling.a": 0.5, "drive.ceiling.a": 0.5}
-    nobody = [{"a": np.array([Seen(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
-    seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    nobody = [{"a": np.array([HSample(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
+    seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert seen.constants["ceiling.a"] == 1.0, "where nobody came near, farther steps have to say something"
     assert seen.drive["a"] == pytest.approx(0.009)
     with pytest.raises(InputError, match="transitions: got 0"):
         calibration_from_drives([{"a": np.zeros((0, 4))}] * 100, 0.9, "", "x")
-    low = [{"a": np.array([Seen(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
-    found = calibration_from_drives(low, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    low = [{"a": np.array([HSample(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
+    found = calibration_from_drives(low, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"
     assert found.constants["drive.ceiling.a"] == 64.0
 
 
 def test_ten_drives_near_are_enough_and_fewer_are_not() -> None:
     """A drive in which nothing of the kind was there is none that came near, and none with an error."""
-    near, far, low = Seen(0.3, 0.29), Seen(0.9, 0.88), Ceiling(0.1, {"a": 0.5})
+    near, far, low = HSample(0.3, 0.29), HSample(0.9, 0.88), ErrorClip(0.1, {"a": 0.5})
     for count, top, drive in ((10, 0.5, 0.01), (9, 1.0, 0.02)):
         drives = [{"a": np.array([near, far])}] * count + [{"a": np.array([far])}] + [{}] * (98 - count)
         made = calibration_from_drives(drives, 0.99, "", "x", low)
         assert made.constants["ceiling.a"] == top
         assert made.drive["a"] == pytest.approx(drive)
         assert made.transitions == 2 * count + 1, "a drive without anything has no step"
-    never = calibration_from_drives([{"a": np.array([Seen(1e13, 1e13)])}] * 99, 0.99, "", "x", low)
+    never = calibration_from_drives([{"a": np.array([HSample(1e13, 1e13)])}] * 99, 0.99, "", "x", low)
     assert never.constants["ceiling.a"] == 0.5 * 2.0**40
     assert never.drive == {"a": 0.0}
 
 
 def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
-    low = Ceiling(0.1, {"a": 0.5})
+    low = ErrorClip(0.1, {"a": 0.5})
     drives = [
         {"a": heights([0.1, 0.2, 0.3, 0.4])},
-        {"a": np.array([Seen(0.9, 0.6)])},
+        {"a": np.array([HSample(0.9, 0.6)])},
         {},
-        {"a": np.array([Seen(0.9, 0.6), Seen(0.45, 0.2)])},
+        {"a": np.array([HSample(0.9, 0.6), HSample(0.45, 0.2)])},
     ]
     assert covered_shares(drives, "a", 0.0, low).tolist() == [0.0, 1.0, 1.0, 0.0]
-    assert covered_shares([{"a": np.array([Seen(0.25, 0.0), Seen(0.26, 0.0)])}], "a", 0.25).tolist() == [0.5], (
+    assert covered_shares([{"a": np.array([HSample(0.25, 0.0), HSample(0.26, 0.0)])}], "a", 0.25).tolist() == [0.5], (
         "an error of just the margin is covered"
     )
     assert covered_shares(drives, "a", 0.25, low).tolist() == [0.5, 0.0, 1.0, 0.5], "a wide margin sees farther"
@@ -305,8 +305,10 @@ EPSILON = {"obstacle": 0.1, "default": 0.02}
 
 
 def test_margins_follow_the_request_and_the_barriers() -> None:
-    margins = Margins(EPSILON)
-    one, other = (stacked(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)] * n)) for n in (1, 2))
+    margins = ActiveMargins(EPSILON)
+    one, other = (
+        make_barrier_set(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)] * n)) for n in (1, 2)
+    )
     asked: dict[str, float] = {}
     for _ in range(2):
         assert margins.of(one, asked) == ([0.1, 0.02, 0.02], 0.1)
@@ -320,8 +322,8 @@ def test_margins_follow_the_request_and_the_barriers() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -0.1])
 def test_a_bad_margin_is_refused_every_time_and_forgotten(bad: float) -> None:
-    margins = Margins(EPSILON)
-    stack = stacked(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)]))
+    margins = ActiveMargins(EPSILON)
+    stack = make_barrier_set(car_barriers(FilterSettings(), (0.1, 0.4, 0.1), [(1.0, 1.0, 0.2)]))
     asked = {"speed": bad}
     for _ in range(2):
         with pytest.raises(DecisionError, match="not a finite number >= 0"):
@@ -354,12 +356,12 @@ def test_a_learned_model_with_effects_is_not_taken_for_affine() -> None:
 
 
 def test_what_was_ever_in_sight_may_be_named_though_nothing_was_asked_when_it_came() -> None:
-    margins, bare = Margins(EPSILON), stacked([SpeedBarrier(-1.0, 1.0)])
+    margins, bare = ActiveMargins(EPSILON), make_barrier_set([SpeedBarrier(-1.0, 1.0)])
     strange = SpeedBarrier(-1.0, 1.0)
     strange.kind = "wheel"
     with pytest.raises(DecisionError, match="'wheel', which no barrier is"):
         margins.of(bare, {"wheel": 0.3})
     assert margins.of(bare, {}) == ([0.02, 0.02], 0.02)
-    assert margins.of(stacked([strange]), {}) == ([0.02, 0.02], 0.02)
+    assert margins.of(make_barrier_set([strange]), {}) == ([0.02, 0.02], 0.02)
     assert margins.of(bare, {"wheel": 0.3}) == ([0.02, 0.02], 0.02)
-    assert margins.of(stacked([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)
+    assert margins.of(make_barrier_set([strange]), {"wheel": 0.3}) == ([0.3, 0.3], 0.3)

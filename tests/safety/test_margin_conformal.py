@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -23,8 +23,8 @@ from safedpa.safety import (
     smallest_sample,
     split_conformal_margin,
 )
-from safedpa.safety.calibration import calibration_from_errors
-from safedpa.safety.margin import margins_over_drives
+from safedpa.safety.margins.calibration import calibration_from_errors
+from safedpa.safety.margins.conformal import margins_over_drives
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 

@@ -13,22 +13,21 @@ from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, stamp, stat
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT as LATENTS
 from safedpa.bus import STATE as STATES
-from safedpa.bus import TAKEOVER, WISH, LatentMessage, ModelMessage, Received, VerdictMessage, WishMessage
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.topics import key_of
+from safedpa.bus import TAKEOVER, WISH, LatentMessage, ModelMessage, ReceivedMessage, VerdictMessage, WishMessage
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.topics import key_of
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
+from safedpa.calibration.from_recordings import calibration_from_recordings
 from safedpa.dynamics import fingerprint, parse_model, write_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
+from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
-from safedpa.safety.calibration import calibration_from_errors
-from safedpa.safety.drive_heights import DrivenTick, drive_heights
-from safedpa.safety.held_model import HeldModel, uncalibrated
-from safedpa.safety.margin_text import margin_from_text, margin_text
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.recorded import calibration_from_recordings
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import calibration_from_errors, margin_from_text, margin_text
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.shipped import margin_for
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
@@ -80,7 +79,7 @@ def test_margins_that_were_not_calibrated_are_taken_as_they_are() -> None:
     _, verdict = answered(OF_QUICK_STEPS, settings=replace(SETTINGS, margin=0.02))
     assert verdict.margin == 0.02
     assert "times as long" not in verdict.sentence
-    own = HeldModel(CAR, "own", uncalibrated(SETTINGS, "own"))
+    own = CalibratedModel(CAR, "own", uncalibrated(SETTINGS, "own"))
     assert own.margin_over(5.0, SETTINGS) == (own.calibration, 1.0)
 
 
@@ -199,8 +198,8 @@ def test_file_and_text_keep_the_period() -> None:
 
 
 def test_heights_of_a_drive_of_no_tick_are_none_and_a_step_longer_by_its_own_spread_is_as_long() -> None:
-    assert drive_heights(CAR, SETTINGS, []) == {}
-    assert drive_heights(CAR, SETTINGS, driven_ticks(0.05, 0.05)) == {}
+    assert barrier_residuals(CAR, SETTINGS, []) == {}
+    assert barrier_residuals(CAR, SETTINGS, driven_ticks(0.05, 0.05)) == {}
     assert OF_QUICK_STEPS.over(1.01 * QUICK, 0.05) == (OF_QUICK_STEPS, 1.0)
     assert OF_QUICK_STEPS.over(1.02 * QUICK, 0.05)[1] == pytest.approx(1.02)
 
@@ -215,20 +214,20 @@ def test_the_shipped_ones_say_their_models_period(name: str) -> None:
     assert calibration.period == model.period
 
 
-def driven_ticks(period: float, seconds: float, seed: int = 3) -> list[DrivenTick]:
+def driven_ticks(period: float, seconds: float, seed: int = 3) -> list[DriveTick]:
     robot = CarRobot(Scene.random(seed, "none"), period)
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, SETTINGS, margin_for(CAR))]
     latents: dict[int, LatentMessage] = {}
 
-    def hear(item: Received) -> None:
+    def hear(item: ReceivedMessage) -> None:
         if isinstance(item.message, LatentMessage):
             latents[item.message.tick] = item.message
 
     states = [made.state for made in drive(robot, nodes, round(seconds / period), hear=hear)]
-    return [DrivenTick(state, latents.get(state.tick)) for state in states]
+    return [DriveTick(state, latents.get(state.tick)) for state in states]
 
 
-def written(path: Path, *drives: list[DrivenTick]) -> Path:
+def written(path: Path, *drives: list[DriveTick]) -> Path:
     with McapRecorder(path) as recorder:
         for number, ticks in enumerate(drives):
             for one in ticks:
@@ -257,8 +256,8 @@ def test_a_calibration_says_of_which_steps_it_is_and_takes_them_alone(tmp_path: 
 
 def test_heights_of_quick_drives_are_predicted_over_quick_steps() -> None:
     """A tenth of a step ahead the prediction is nearer than a whole one, not ten times as far away."""
-    quick = drive_heights(CAR, SETTINGS, driven_ticks(QUICK, 4.0))
-    usual = drive_heights(CAR, SETTINGS, driven_ticks(0.05, 4.0))
+    quick = barrier_residuals(CAR, SETTINGS, driven_ticks(QUICK, 4.0))
+    usual = barrier_residuals(CAR, SETTINGS, driven_ticks(0.05, 4.0))
 
     def worst(heights: dict[str, Any]) -> float:
         return float(abs(heights["obstacle"][:, 0] - heights["obstacle"][:, 1]).max())

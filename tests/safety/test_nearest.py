@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from safedpa.safety import QuadraticProgram
-from safedpa.safety.batch_nearest import nearest_kept_by_many
-from safedpa.safety.nearest import LINEAR, QUADRATIC, NearestKept, NearestWithSlack
+from safedpa.safety.batch.active_set_2d import solve_hard_qp_2d_batch
+from safedpa.safety.solver.active_set_2d import LINEAR, QUADRATIC, HardQP2D, SoftQP2D
 
 Row = tuple[float, float, float]
 """a_1, a_2, b."""
@@ -23,11 +23,11 @@ Point = tuple[float, float]
 
 def nearest_kept(rows: Iterable[Row], wish: Point, weights: Point) -> Point | None:
     """The point of the unit square; None where it has no answer."""
-    return answer(NearestKept(*wish, *weights), rows)
+    return answer(HardQP2D(*wish, *weights), rows)
 
 
 def nearest_with_slack(rows: Iterable[Row], wish: Point, weights: Point) -> Point | None:
-    return answer(NearestWithSlack(*wish, *weights), rows)
+    return answer(SoftQP2D(*wish, *weights), rows)
 
 
 def answer(problem: Any, rows: Iterable[Row]) -> Point | None:
@@ -312,7 +312,7 @@ def test_every_robot_gets_what_it_gets_alone(rows: int) -> None:
     limits = np.concatenate([random.normal(0.0, 0.7, (robots, rows)), np.tile(BOX_LIMITS, (robots, 1))], axis=1)
     limits[:, :rows][random.random((robots, rows)) < 0.1] = -inf
     wish = random.uniform(-1.0, 2.0, (robots, 2))
-    points, certain = nearest_kept_by_many(slopes, limits, wish, WEIGHTS)
+    points, certain = solve_hard_qp_2d_batch(slopes, limits, wish, WEIGHTS)
     for robot in range(robots):
         own = alone(slopes[robot, :rows], limits[robot, :rows], wish[robot])
         assert certain[robot] == (own is not None)
@@ -324,7 +324,7 @@ def test_every_robot_gets_what_it_gets_alone(rows: int) -> None:
 def one(slopes: Any, limits: Any, wish: Any) -> tuple[list[float], bool]:
     all_slopes = np.concatenate([np.array(slopes, dtype=float), BOX])[np.newaxis]
     all_limits = np.concatenate([np.array(limits, dtype=float), BOX_LIMITS])[np.newaxis]
-    points, certain = nearest_kept_by_many(all_slopes, all_limits, np.array([wish]), np.ones(2))
+    points, certain = solve_hard_qp_2d_batch(all_slopes, all_limits, np.array([wish]), np.ones(2))
     return points[0].tolist(), bool(certain[0])
 
 
@@ -350,7 +350,7 @@ def test_a_robot_without_numbers_changes_nothing_for_the_next() -> None:
     slopes = np.tile(np.concatenate([[[1.0, 0.0]], BOX]), (3, 1, 1))
     limits = np.tile(np.concatenate([[0.75], BOX_LIMITS]), (3, 1))
     slopes[1, 0, 0] = nan
-    points, certain = nearest_kept_by_many(slopes, limits, np.full((3, 2), 0.5), np.ones(2))
+    points, certain = solve_hard_qp_2d_batch(slopes, limits, np.full((3, 2), 0.5), np.ones(2))
     assert certain.tolist() == [True, False, True]
     np.testing.assert_array_equal(points[[0, 2]], [[0.75, 0.5], [0.75, 0.5]])
 
@@ -386,7 +386,7 @@ def test_what_is_certain_is_the_nearest_of_all_points(rows: int) -> None:
     own = (slopes[:, :rows] @ inside[:, :, np.newaxis])[..., 0] - random.uniform(0.0, 0.2, (robots, rows))
     limits = np.concatenate([own, np.tile(BOX_LIMITS, (robots, 1))], axis=1)
     wish = inside + random.normal(0.0, 3.0, (robots, 2))
-    points, certain = nearest_kept_by_many(slopes, limits, wish, WEIGHTS)
+    points, certain = solve_hard_qp_2d_batch(slopes, limits, wish, WEIGHTS)
     for robot in np.flatnonzero(certain).tolist():
         nearest = by_trying_all(slopes[robot], limits[robot], wish[robot])
         np.testing.assert_allclose(points[robot], nearest, rtol=0.0, atol=1e-6)

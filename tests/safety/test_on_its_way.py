@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa.safety.conditions import Conditions
-from safedpa.safety.on_its_way import Actuators, Along, Begin, Pending
-from safedpa.safety.prediction import Prediction
+from safedpa.safety.prediction.dead_time import ActuatorModel, EffectStart, InFlightCommands, MultiStepBarriers
+from safedpa.safety.prediction.predictor import Prediction
+from safedpa.safety.solver.constraints import Constraints
 from safedpa.safety.verdict import Status
 
 CAR = load_model("car")
@@ -56,12 +56,12 @@ def rolled(model: PhysicsModel, memory: object, commands: list[tuple[float, floa
     ],
 )
 def test_dead_times_are_found_from_the_response(name: str, seconds: float, reach: tuple[int, int]) -> None:
-    assert tuple(Actuators(late(name, seconds)).reach(LATENT)) == reach
+    assert tuple(ActuatorModel(late(name, seconds)).reach(LATENT)) == reach
 
 
 def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
     model = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.1, free=True)})
-    actuators = Actuators(model)
+    actuators = ActuatorModel(model)
     index = model.latent_names.index("actuator_delay.seconds")
     for seconds, whole in ((0.1, 2), (0.25, 5), (0.1, 2)):
         latent = [*model.latent.tolist()]
@@ -71,24 +71,24 @@ def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
 
 def test_where_nothing_waits_or_nothing_is_remembered_an_action_is_felt_at_once() -> None:
     for waits, rows, at_once in ((0, 1, True), (1, 1, False), (0, 2, False), (1, 2, False)):
-        assert Begin(STATE, (), STATE, None, waits, rows).at_once is at_once
-    assert tuple(Actuators(CAR).reach(LATENT)) == (0, 0)
+        assert EffectStart(STATE, (), STATE, None, waits, rows).at_once is at_once
+    assert tuple(ActuatorModel(CAR).reach(LATENT)) == (0, 0)
 
 
 def test_dead_time_is_in_seconds_and_without_anything_known_of_what_was_sent_an_action_is_in_force() -> None:
     for name, seconds in (("actuator_delay", 0.1), ("steering_delay", 0.2), ("drive_lag", 0.3)):
-        assert Actuators(late(name, seconds)).dead_time(LATENT) == pytest.approx(seconds)
-    assert Actuators(CAR).dead_time(LATENT) == 0.0
-    begin = Actuators(late("actuator_delay", 0.1)).begin(STATE, LATENT, None)
+        assert ActuatorModel(late(name, seconds)).dead_time(LATENT) == pytest.approx(seconds)
+    assert ActuatorModel(CAR).dead_time(LATENT) == 0.0
+    begin = ActuatorModel(late("actuator_delay", 0.1)).begin(STATE, LATENT, None)
     assert begin is not None
     assert (begin.waits, begin.rows, begin.at_once) == (0, 1, True)
 
 
 def test_slopes_over_a_delay_are_those_of_differences() -> None:
     model = late("actuator_delay", 0.13)
-    actuators, around = Actuators(model), (0.8, 0.1)
+    actuators, around = ActuatorModel(model), (0.8, 0.1)
     memory, _ = sent(model, [(0.5, 0.0)] * 4)
-    begin = actuators.begin(STATE, LATENT, Pending(memory, (0.5, 0.0)))
+    begin = actuators.begin(STATE, LATENT, InFlightCommands(memory, (0.5, 0.0)))
     assert begin is not None
     slopes = np.array(actuators.slopes(begin, around, LATENT))
     for index, width in ((0, 1e-4), (1, 1e-5)):
@@ -122,13 +122,13 @@ class Scripted:
     [((False, False), (0, 2)), ((False, True), (2, 2)), ((True, False), (0, 0)), ((True, True), (0, 0))],
 )
 def test_an_action_that_is_never_felt_has_no_dead_time(deaf: tuple[bool, bool], reach: tuple[int, int]) -> None:
-    assert tuple(Actuators(Scripted(deaf=deaf)).reach(None)) == reach  # type: ignore[arg-type]
+    assert tuple(ActuatorModel(Scripted(deaf=deaf)).reach(None)) == reach  # type: ignore[arg-type]
 
 
 def test_a_response_is_followed_until_it_has_settled_and_no_further() -> None:
     """The two ends of the step, and three periods of which the last is felt as it will stay."""
     model = Scripted(deaf=(False, False))
-    Actuators(model).reach(None)  # type: ignore[arg-type]
+    ActuatorModel(model).reach(None)  # type: ignore[arg-type]
     assert model.asked == 2 + 3
 
 
@@ -137,14 +137,14 @@ def test_the_latent_that_is_given_counts_all_the_way(load: tuple[float, float]) 
     model, action, last = late("actuator_delay", 0.1), np.array((0.4, -0.2)), np.array((1.5, 0.1))
     latent = np.array(load)
     memory = model.initial_memory(last, latent)
-    begin = Actuators(model).begin(STATE, load, Pending(memory, tuple(last.tolist())))
+    begin = ActuatorModel(model).begin(STATE, load, InFlightCommands(memory, tuple(last.tolist())))
     assert begin is not None
     state, path = np.array(STATE), list[NDArray[np.float64]]()
     for command in (last, last, action):
         state = CAR.advance(state, command, (), latent)[0]
         path.append(state)
     np.testing.assert_allclose(begin.path, path[:2], rtol=0, atol=1e-12)
-    after = np.array(Actuators(model).after(begin, action.tolist(), load))
+    after = np.array(ActuatorModel(model).after(begin, action.tolist(), load))
     np.testing.assert_allclose(after, path[2], rtol=0, atol=1e-12)
 
 
@@ -155,7 +155,7 @@ def test_by_the_straight_line_a_robot_moves_as_by_arrays(written: bool) -> None:
     if written:
         model.write_straight()
     assert (model.straight(model.period) is not None) is written
-    actuators, state, command = Actuators(model), (0.1, 0.2, 0.3, 0.8), (1.2, 0.2)
+    actuators, state, command = ActuatorModel(model), (0.1, 0.2, 0.3, 0.8), (1.2, 0.2)
     other = (0.8, 4.0)
     for latent in (None, other):
         given = None if latent is None else np.array(latent)
@@ -174,7 +174,7 @@ def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has
     found = []
     for gain in (1.0, 0.4):
         latent = (0.0, 2.5, gain)
-        begin = Actuators(model).begin((0.0, 0.0, 0.0, 0.5), latent, Pending(None, (1.0, 0.1)))
+        begin = ActuatorModel(model).begin((0.0, 0.0, 0.0, 0.5), latent, InFlightCommands(None, (1.0, 0.1)))
         assert begin is not None
         settled = model.initial_memory(np.array((1.0, 0.1)), np.array(latent))
         assert repr(begin.memory) == repr(settled)
@@ -184,17 +184,17 @@ def test_actuators_of_which_nothing_is_remembered_have_settled_as_the_latent_has
 
 def test_two_delays_add_up_and_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
     model = CAR.with_effect(effect("car", "steering_gain"), {"gain": Setting(1.0, free=True)})
-    actuators = Actuators(late("steering_delay", 0.15, model))
+    actuators = ActuatorModel(late("steering_delay", 0.15, model))
     assert [tuple(actuators.reach((0.0, 2.5, gain))) for gain in (1.0, 0.4, 2.0)] == [(0, 3)] * 3
     both = late("drive_delay", 0.1, late("actuator_delay", 0.1))
-    assert tuple(Actuators(both).reach(LATENT)) == (2, 4)
+    assert tuple(ActuatorModel(both).reach(LATENT)) == (2, 4)
 
 
 def test_a_pure_delay_is_judged_after_what_is_pending() -> None:
     model, action = late("actuator_delay", 0.2), (0.4, -0.2)
     memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (2.0, 0.1), (1.5, -0.3), (0.5, 0.2)])
-    actuators = Actuators(model)
-    begin = actuators.begin(STATE, LATENT, Pending(memory, (0.5, 0.2)))
+    actuators = ActuatorModel(model)
+    begin = actuators.begin(STATE, LATENT, InFlightCommands(memory, (0.5, 0.2)))
     assert begin is not None
     expected = rolled(model, memory, [action] * 5)
     other = rolled(model, memory, [(2.0, 0.34)] * 5)
@@ -209,8 +209,8 @@ def test_a_pure_delay_is_judged_after_what_is_pending() -> None:
 def test_channels_of_different_delays_are_judged_in_every_period() -> None:
     model, action, last = late("steering_delay", 0.15), (0.2, -0.3), (1.5, 0.1)
     memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (2.0, 0.2), last])
-    actuators = Actuators(model)
-    begin = actuators.begin(STATE, LATENT, Pending(memory, last))
+    actuators = ActuatorModel(model)
+    begin = actuators.begin(STATE, LATENT, InFlightCommands(memory, last))
     assert begin is not None
     assert (begin.path, begin.rows) == ((), 4)
     held, changed = rolled(model, memory, [last] * 3), rolled(model, memory, [action] * 4)
@@ -221,8 +221,8 @@ def test_channels_of_different_delays_are_judged_in_every_period() -> None:
 @pytest.mark.parametrize("model", [late("actuator_delay", 0.13), late("steering_delay", 0.1), late("drive_lag", 0.1)])
 def test_slopes_are_those_of_the_outcome(model: PhysicsModel) -> None:
     memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (1.0, 0.2)])
-    actuators = Actuators(model)
-    begin = actuators.begin(STATE, LATENT, Pending(memory, (1.0, 0.2)))
+    actuators = ActuatorModel(model)
+    begin = actuators.begin(STATE, LATENT, InFlightCommands(memory, (1.0, 0.2)))
     assert begin is not None
     action, step = (1.2, 0.1), 1e-5
     g = np.array(actuators.slopes(begin, action, LATENT))
@@ -235,7 +235,7 @@ def test_slopes_are_those_of_the_outcome(model: PhysicsModel) -> None:
 def test_of_commands_that_are_not_known_only_the_dead_time_is_passed() -> None:
     model = late("actuator_delay", 0.13)
     memory, _ = sent(model, [(1.0, 0.0)])
-    begin = Actuators(model).begin(STATE, LATENT, memory)
+    begin = ActuatorModel(model).begin(STATE, LATENT, memory)
     assert begin is not None
     assert (len(begin.path), begin.rows) == (2, 1)
 
@@ -246,8 +246,8 @@ def test_a_model_without_memory_is_judged_where_it_is(name: str) -> None:
     latent = tuple(model.latent.tolist())
     prediction = Prediction.of_model(model)
     assert prediction.begin(STATE, latent, ()) is None
-    assert prediction.begin(STATE, latent, Pending((), (1.0, 0.0))) is None
-    begin = prediction.begin(STATE, latent, Pending((), (1.0, 0.2), (((1.0, 0.2), 0.03),)))
+    assert prediction.begin(STATE, latent, InFlightCommands((), (1.0, 0.0))) is None
+    begin = prediction.begin(STATE, latent, InFlightCommands((), (1.0, 0.2), (((1.0, 0.2), 0.03),)))
     assert begin is not None
     aged = model.advance(np.array(STATE), np.array((1.0, 0.2)), (), np.array(latent), period=0.03)[0]
     assert begin.state == tuple(aged.tolist())
@@ -260,7 +260,7 @@ def test_several_states_in_a_row_are_the_same_barriers_at_each() -> None:
     random = np.random.default_rng(0)
     states = random.uniform((-1, -1, -3, 0), (1, 1, 3, 2), (3, 4)).tolist()
     g = random.normal(size=(12, 2)).tolist()
-    along = Along(plain, 3, 4)
+    along = MultiStepBarriers(plain, 3, 4)
     flat = [value for state in states for value in state]
     each = [plain.heights(tuple(state)) for state in states]
     assert along.heights(flat) == [value for heights in each for value in heights]
@@ -290,7 +290,7 @@ def test_passed_never_hides_a_collision_that_is_on_its_way() -> None:
     for _ in range(8):
         memory = model.felt((2.0, 0.0), memory, LATENT, period=model.period)[1]
     filter_ = SafetyFilter.for_model(model, FilterSettings())
-    pending = Pending(memory, (2.0, 0.0))
+    pending = InFlightCommands(memory, (2.0, 0.0))
     state = (0.0, 0.0, 0.0, 0.0)
     barriers = scene_ahead(0.95)
     blind = filter_.decide(state, [0.0, 0.0], latent, barriers=barriers)
@@ -310,7 +310,7 @@ def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
     filter_ = SafetyFilter.for_model(model, FilterSettings())
     statuses = set()
     for distance in np.linspace(1.7, 2.6, 10):
-        pending = Pending(memory, (1.0, 0.0))
+        pending = InFlightCommands(memory, (1.0, 0.0))
         barriers = scene_ahead(float(distance))
         verdict = filter_.decide((0.0, 0.0, 0.0, 1.0), [2.0, 0.0], latent, memory=pending, barriers=barriers)
         statuses.add(verdict.status)
@@ -337,8 +337,8 @@ def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
         tools = filter_.tools
         stack = tools.stacks.of(scene, 4)
         epsilon, _ = tools.margins.of(stack, {})
-        pending = Pending(memory, tuple(commands[-1].tolist()))
-        conditions = Conditions(
+        pending = InFlightCommands(memory, tuple(commands[-1].tolist()))
+        conditions = Constraints(
             stack, tools.prediction, state, LATENT, pending, settings.eta, epsilon, tools.program.sides
         )
         begin = tools.prediction.begin(state, LATENT, pending)
@@ -355,12 +355,12 @@ def test_a_learned_model_with_a_delay_looks_as_far() -> None:
     learned = load_model("car_learned")
     model = learned.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})
     latent = tuple(model.latent.tolist())
-    assert tuple(Actuators(model).reach(latent)) == (4, 4)
+    assert tuple(ActuatorModel(model).reach(latent)) == (4, 4)
     memory = model.initial_memory(np.array((1.0, 0.0)), np.array(latent))
     filter_ = SafetyFilter.for_model(model, FilterSettings())
     found = [
         filter_.decide(
-            (0.0, 0.0, 0.0, 1.0), [2.0, 0.0], np.array(latent), memory=Pending(memory, (1.0, 0.0)),
+            (0.0, 0.0, 0.0, 1.0), [2.0, 0.0], np.array(latent), memory=InFlightCommands(memory, (1.0, 0.0)),
             barriers=scene_ahead(float(distance)),
         ).status
         for distance in np.linspace(1.7, 2.6, 10)

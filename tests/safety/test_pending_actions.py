@@ -11,7 +11,9 @@ from tests.safety.node_steps import CAR, LATE, SETTINGS, asked, latent_at, state
 from safedpa.bus import SurroundingsMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.scene import propagate_obstacles
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -21,8 +23,6 @@ from safedpa.safety import (
     SafetyFilter,
     Status,
 )
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.surroundings_ahead import moved_on
 
 PERIOD, TICKS = 0.05, 3
 A = np.array([[1.0, PERIOD], [0.0, 1.0]])
@@ -280,7 +280,7 @@ def test_every_way_a_mover_can_go_ends_within_its_disc_and_the_fastest_at_its_ed
     random = np.random.default_rng(seed)
     x, y, radius, speed = random.uniform((-5.0, -5.0, 0.0, 0.1), (5.0, 5.0, 1.0, 3.0)).tolist()
     seconds = float(random.uniform(0.02, 1.4))
-    found = moved_on(seen(((x, y, radius, 0.3, -0.2, speed),), ((x, y, radius, speed),)), seconds)
+    found = propagate_obstacles(seen(((x, y, radius, 0.3, -0.2, speed),), ((x, y, radius, speed),)), seconds)
     for row in (*found.movers, *found.hidden):
         middle_x, middle_y, wide = row[:3]
         for _ in range(50):
@@ -297,7 +297,7 @@ def test_every_way_a_mover_can_go_ends_within_its_disc_and_the_fastest_at_its_ed
 
 def test_speeds_and_stationary_points_are_passed_on_unchanged() -> None:
     before = seen(((1.0, 2.0, 0.3, 0.4, -0.5, 0.8), (0.0, 1.0, 0.2, 0.0, 0.0, 0.0)), ((4.0, 5.0, 0.6, 1.5),))
-    found = moved_on(before, 0.2)
+    found = propagate_obstacles(before, 0.2)
     assert [row[3:] for row in found.movers] == [(0.4, -0.5, 0.8), (0.0, 0.0, 0.0)]
     assert [row[3:] for row in found.hidden] == [(1.5,)]
     assert [len(row) for row in (*found.movers, *found.hidden)] == [6, 6, 4]
@@ -308,13 +308,13 @@ def test_speeds_and_stationary_points_are_passed_on_unchanged() -> None:
 @pytest.mark.parametrize("seconds", [0.0, -0.1])
 def test_what_acts_at_once_sees_what_is_seen(seconds: float) -> None:
     before = seen(((1.0, 2.0, 0.3, 0.4, -0.5, 0.8),), ((4.0, 5.0, 0.6, 1.5),))
-    assert moved_on(before, seconds) is before
+    assert propagate_obstacles(before, seconds) is before
 
 
 @pytest.mark.parametrize("width", [0, 1, 2, 3, 5, 7])
 def test_rows_of_another_width_are_left_for_the_scene_to_refuse(width: int) -> None:
     odd = tuple(float(number) for number in range(width))
-    found = moved_on(seen((odd, (1.0, 2.0, 0.3, 0.4, -0.5, 0.8)), (odd,)), 0.5)
+    found = propagate_obstacles(seen((odd, (1.0, 2.0, 0.3, 0.4, -0.5, 0.8)), (odd,)), 0.5)
     assert found.movers[0] == odd
     assert found.movers[1][2] == pytest.approx(0.7)
     assert found.hidden == (odd,)

@@ -10,7 +10,7 @@ from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model
 from safedpa.effects import effect
 from safedpa.equations.chain_rule import chain_rule
 from safedpa.safety import Prediction
-from safedpa.safety.differences import central_slopes
+from safedpa.safety.barriers.function import central_slopes
 
 Values = NDArray[np.float64]
 STATE, ACTION = (0.3, -0.2, 0.4, 1.1), (1.3, 0.15)

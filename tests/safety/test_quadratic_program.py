@@ -7,7 +7,7 @@ import pytest
 import quadprog
 
 from safedpa.safety import QuadraticProgram, Solution
-from safedpa.safety.nearest import LINEAR, QUADRATIC
+from safedpa.safety.solver.active_set_2d import LINEAR, QUADRATIC
 
 
 def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:

@@ -13,14 +13,14 @@ from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 from safedpa.bus import LATENT, VERDICT, WISH, VerdictMessage, WishMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings, SafetyFilter, Status, Verdict
-from safedpa.safety.barrier import Barriers, RememberingStack
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.on_its_way import LONGEST, Actuators
-from safedpa.safety.remembered import Remembered
-from safedpa.safety.stacks import stacked
-from safedpa.safety.trail import Trail
+from safedpa.safety.barriers.base import Barriers, CachingBarrierSet
+from safedpa.safety.barriers.cache import BarrierValueCache
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.prediction.command_history import CommandHistory
+from safedpa.safety.prediction.dead_time import LONGEST, ActuatorModel
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 PARTS = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], (-4.0, 4.0, -4.0, 4.0))
@@ -39,7 +39,7 @@ class Counting:
 
 def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
     counting = Counting()
-    known = Remembered(counting)
+    known = BarrierValueCache(counting)
     states = [(float(index), 0.0) for index in range(8)]
     for state in (*states, *states):
         assert known.heights(state) == list(state)
@@ -54,12 +54,12 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
 
 def test_states_that_begin_alike_are_distinguished_and_the_oldest_is_forgotten_first() -> None:
     counting = Counting()
-    known = Remembered(counting)
+    known = BarrierValueCache(counting)
     for state in ((1.0, 0.0), (1.0, 2.0), (0.0, 2.0), (3.0,), (1.0, 2.0)):
         assert known.heights(state) == list(state)
     assert len(counting.asked) == 4
     counting = Counting()
-    known = Remembered(counting)
+    known = BarrierValueCache(counting)
     for index in range(30):
         known.heights((float(index), 0.0))
         newest = range(max(index - 7, 0), index + 1)
@@ -70,7 +70,7 @@ def test_states_that_begin_alike_are_distinguished_and_the_oldest_is_forgotten_f
 
 def test_threads_that_share_barriers_never_get_the_h_of_another_state() -> None:
     """One state in the place of another has that other's h nowhere in between, however threads take turns."""
-    known, wrong = Remembered(Counting()), list[tuple[float, ...]]()
+    known, wrong = BarrierValueCache(Counting()), list[tuple[float, ...]]()
 
     def asks(seed: int) -> None:
         random = np.random.default_rng(seed)
@@ -90,12 +90,12 @@ def test_threads_that_share_barriers_never_get_the_h_of_another_state() -> None:
 
 
 def test_the_shortest_way_gives_what_the_stack_gives() -> None:
-    stack = stacked(PARTS)
+    stack = make_barrier_set(PARTS)
     assert stack.plain(4) is stack.plain(4)
     reference = Barriers(PARTS)
     assert reference.plain(4) is reference
     for state in ((0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4, 9.0)):
-        for one in (stack, RememberingStack(stack)):
+        for one in (stack, CachingBarrierSet(stack)):
             plain = one.plain(len(state))
             assert plain.heights(state) == stack.heights(state) == one.heights(state)
             rows = range(len(stack.names))
@@ -106,7 +106,7 @@ def test_the_shortest_way_gives_what_the_stack_gives() -> None:
 
 def test_distances_as_large_and_as_small_as_floats_can_be() -> None:
     """There their squares are infinite or nothing."""
-    stack = stacked(car_barriers(FilterSettings(), FOOTPRINT, [(0.0, 0.0, 0.0)]))
+    stack = make_barrier_set(car_barriers(FilterSettings(), FOOTPRINT, [(0.0, 0.0, 0.0)]))
     for state in ((1e200, 0.0, 0.0, 0.0), (-1e200, 1e180, 0.3, 0.0), (0.0, 1e-200, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
         reference = stack.one_by_one.heights(state)
         np.testing.assert_allclose(stack.heights(state), reference, rtol=1e-12)
@@ -198,9 +198,9 @@ def commands(count: int) -> list[tuple[float, float]]:
     return [(float(drive), float(steer)) for drive, steer in random.uniform((0.0, -0.3), (2.0, 0.3), (count, 2))]
 
 
-def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[Trail, list[tuple[float, ...]]]:
+def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[CommandHistory, list[tuple[float, ...]]]:
     """A trail of a robot whose action of tick i is in force from ``until_action`` after the state i, and its states."""
-    trail, states = Trail(model), []
+    trail, states = CommandHistory(model), []
     sent = commands(ticks)
     latent = np.array(LATENTS)
     begin = np.array((0.0, 0.0, 0.2, 0.5))
@@ -243,7 +243,7 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_one
     pending = trail.pending(until_action)
     assert sum(seconds for _, seconds in pending.sent) == pytest.approx(until_action)
     assert pending.held == commands(10)[-2]
-    begin = Actuators(CAR).begin(states[-1], LATENTS, pending)
+    begin = ActuatorModel(CAR).begin(states[-1], LATENTS, pending)
     assert begin is not None
     whole = int(until_action / PERIOD + 1e-9)
     longer = followed(CAR, until_action, 11 + whole)[1]
@@ -269,7 +269,7 @@ def test_after_a_gap_nothing_is_known_of_before() -> None:
 
 
 def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
-    trail = Trail(DELAYED)
+    trail = CommandHistory(DELAYED)
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
     for tick in range(9):
         trail.add(tick, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
@@ -277,8 +277,8 @@ def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
 
 
 def test_the_earlier_commands_come_in_order_and_none_after_a_gap() -> None:
-    assert Trail(CAR).commands(3, (9.0, 0.0)) == [(9.0, 0.0)]
-    trail = Trail(CAR)
+    assert CommandHistory(CAR).commands(3, (9.0, 0.0)) == [(9.0, 0.0)]
+    trail = CommandHistory(CAR)
     for tick in range(5):
         trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
     first = [(float(tick), 0.0) for tick in range(5)]
@@ -289,7 +289,7 @@ def test_the_earlier_commands_come_in_order_and_none_after_a_gap() -> None:
 
 
 def test_as_much_is_remembered_as_the_longest_dead_time_and_the_oldest_state_need() -> None:
-    trail = Trail(CAR)
+    trail = CommandHistory(CAR)
     for tick in range(300):
         trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
     assert len(trail.commands(300, (0.0, 0.0))) == LONGEST + 20 + 2 + 1, "a second at 20 Hz, both ends, and the new one"
@@ -311,9 +311,9 @@ def test_a_prediction_is_compared_with_the_measurement_as_soon_as_possible(until
     assert followed(DELAYED, until_action, ticks - 1)[0].foretold(until_action) is None
 
 
-def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATENTS) -> Trail:
+def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATENTS) -> CommandHistory:
     """Nine ticks of a robot that drives straight on; in those of ``far`` it is measured 100 m away."""
-    trail = Trail(DELAYED)
+    trail = CommandHistory(DELAYED)
     memory = DELAYED.initial_memory(np.array((1.0, 0.0)), np.array(LATENTS))
     for tick in range(9):
         trail.add(tick, (0.05 * tick + 100.0 * (tick in far), 0.0, 0.0, 1.0), (1.0, 0.0), memory)
@@ -352,7 +352,7 @@ def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
 @pytest.mark.parametrize("count", [2, 3, 5, 9])
 def test_a_period_comes_with_the_earlier_commands_and_the_memory_of_then(count: int) -> None:
     """Command by command, the newest first; before the first tick that of the first was always in force."""
-    trail = Trail(CAR)
+    trail = CommandHistory(CAR)
     for tick in range(count):
         trail.add(tick, (float(tick),) * 4, (0.1 * tick, 0.0), f"after {tick}")
         assert (trail.passed(3) is None) == (tick == 0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import ObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier
 from safedpa.safety import (
     AbstractBarrier,
     Barriers,
@@ -22,9 +22,8 @@ from safedpa.safety import (
     SafetyFilter,
     Status,
 )
-from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.braking import Braking
-from safedpa.safety.stopping_barrier import STEP_SECONDS, STEPS, Motion, StoppingBarrier, stopping_action
+from safedpa.safety.barriers.base import CachingBarrierSet
+from safedpa.safety.barriers.stopping import STEP_SECONDS, STEPS, Braking, Motion, StoppingBarrier, stopping_action
 
 PERIOD = 0.05
 A = np.eye(4) + PERIOD * np.eye(4, k=2)
@@ -319,9 +318,9 @@ def test_it_looks_past_a_delay() -> None:
 def test_only_what_looks_between_ticks_asks_where_they_began() -> None:
     plain, looking = FunctionBarrier(lambda x: x[0]), RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1)
     state = (0.5, 0.0)
-    stack = RememberingStack(Barriers((plain,)))
+    stack = CachingBarrierSet(Barriers((plain,)))
     assert stack.since(state) is stack
-    both = RememberingStack(Barriers((plain, looking)))
+    both = CachingBarrierSet(Barriers((plain, looking)))
     behind = np.array([1.5, 0.0])
     assert both.names == both.since(state).names
     np.testing.assert_allclose(both.values(behind), [1.5, 0.4])

@@ -12,22 +12,20 @@ from tests.safety.node_steps import CAR, LATE, SETTINGS, latent_at, state_at
 from safedpa.bus import LATENT as LATENTS
 from safedpa.bus import STATE as STATES
 from safedpa.bus import LatentMessage, StateMessage
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.topics import key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.topics import key_of
+from safedpa.calibration import from_runs as live_margin_module
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
+from safedpa.calibration.from_recordings import RecordedTransitions, calibration_from_recordings
+from safedpa.calibration.from_runs import calibration_from_runs, live_margin
+from safedpa.calibration.theorem1 import RecordedBound, recorded_bound
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 from safedpa.records.run import Run, Stretch
-from safedpa.safety import live_margin as live_margin_module
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.drive_heights import DrivenTick, drive_heights
-from safedpa.safety.live_margin import live_margin
-from safedpa.safety.margin_text import margin_from_text
-from safedpa.safety.recorded import RecordedTransitions, calibration_from_recordings
-from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa.safety.shipped import margin_for, settings_named
-from safedpa.safety.theory_recorded import RecordedBound, recorded_bound
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import MarginCalibration, margin_from_text
 from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
 
 
@@ -172,11 +170,11 @@ STATE = StateMessage(
 LATENT = LatentMessage(**STAMP, model="0123456789ab", values=(0.0,), deviations=(0.1,))
 
 
-def tick(number: int, *, by: str = "filter", adapted: bool = True) -> DrivenTick:
+def tick(number: int, *, by: str = "filter", adapted: bool = True) -> DriveTick:
     """The state of a tick is its number, and its latent ten times that; who drove until there."""
     state = replace(STATE, tick=number, values=(float(number), 0.0, 0.0, 1.0), applied=(0.1 * number, 0.0))
     latent = replace(LATENT, tick=number, values=(10.0 * number,)) if adapted else None
-    return DrivenTick(replace(state, applied_by=by), latent)
+    return DriveTick(replace(state, applied_by=by), latent)
 
 
 def test_a_transition_holds_what_was_known_before_it_and_what_became_of_it() -> None:
@@ -201,7 +199,7 @@ def test_steps_under_another_action_than_the_filters_are_left_out(by: str) -> No
 
 
 @pytest.mark.parametrize("ticks", [[], [tick(0)], [tick(0, adapted=False), tick(1)], [tick(0), tick(1, by="watchdog")]])
-def test_where_none_is_left_it_says_so(ticks: list[DrivenTick]) -> None:
+def test_where_none_is_left_it_says_so(ticks: list[DriveTick]) -> None:
     with pytest.raises(InputError, match="no transition under an action of the filter with a latent"):
         RecordedTransitions([ticks])
 
@@ -239,22 +237,22 @@ def test_latents_of_another_model_are_refused(tmp_path: Path) -> None:
 ALL = range(1, 6)
 
 
-def drive(**changed: Any) -> list[DrivenTick]:
+def drive(**changed: Any) -> list[DriveTick]:
     """Six ticks of a car that drives straight on at 0.5 m/s; ``changed`` is what is different at the third."""
     ticks = []
     for tick in range(6):
         state = state_at(tick, (0.025 * tick, 0.0, 0.0, 0.5), applied=(0.5, 0.0))
-        ticks.append(DrivenTick(state, latent_at(state)))
+        ticks.append(DriveTick(state, latent_at(state)))
     latent = ticks[3].latent if changed.pop("adapted", True) else None
-    ticks[3] = DrivenTick(replace(ticks[3].state, **changed), latent)
+    ticks[3] = DriveTick(replace(ticks[3].state, **changed), latent)
     return ticks
 
 
-def reached(ticks: list[DrivenTick]) -> list[int]:
+def reached(ticks: list[DriveTick]) -> list[int]:
     """Ticks whose measured h was compared with a prediction; the car comes 0.025 m nearer to the wall in each."""
-    found = drive_heights(CAR, SETTINGS, ticks)["obstacle"]
+    found = barrier_residuals(CAR, SETTINGS, ticks)["obstacle"]
     assert found.shape[1] == 4
-    first = drive_heights(CAR, SETTINGS, drive())["obstacle"][0, 1]
+    first = barrier_residuals(CAR, SETTINGS, drive())["obstacle"][0, 1]
     return [round(1 + (first - measured) / 0.025) for measured in found[:, 1]]
 
 
@@ -272,11 +270,11 @@ def test_only_steps_under_the_filters_own_action_count(changed: dict[str, Any], 
 
 
 def test_what_the_recorded_action_leads_to_is_compared_with_what_came() -> None:
-    heights = drive_heights(CAR, SETTINGS, drive())
+    heights = barrier_residuals(CAR, SETTINGS, drive())
     assert set(heights) >= {"obstacle", "speed"}
     np.testing.assert_allclose(heights["obstacle"][:, 0], heights["obstacle"][:, 1], atol=1e-9)
     faster = [tick._replace(state=replace(tick.state, applied=(1.5, 0.0))) for tick in drive()]
-    hoped, came = drive_heights(CAR, SETTINGS, faster)["obstacle"][:, :2].T
+    hoped, came = barrier_residuals(CAR, SETTINGS, faster)["obstacle"][:, :2].T
     assert (hoped < came - 1e-3).all(), "a car that is told to drive faster is expected nearer to the wall"
 
 
@@ -285,12 +283,12 @@ def test_actuators_remember_their_commands_over_a_state_that_was_recorded_twice(
     run = driven(LATE, 30)
     applied = [run.actions[0], *run.actions]
     states = [state_at(k, tuple(run.states[k].tolist()), applied=tuple(applied[k].tolist())) for k in range(30)]
-    ticks = [DrivenTick(state, latent_at(state, LATE)) for state in [*states[: twice + 1], *states[twice:]]]
-    heights = drive_heights(LATE, SETTINGS, ticks)["obstacle"]
+    ticks = [DriveTick(state, latent_at(state, LATE)) for state in [*states[: twice + 1], *states[twice:]]]
+    heights = barrier_residuals(LATE, SETTINGS, ticks)["obstacle"]
     assert len(heights) == 29
     np.testing.assert_allclose(heights[:, 0], heights[:, 1], atol=1e-9)
 
 
 def test_without_ticks_there_are_no_errors() -> None:
-    assert drive_heights(CAR, SETTINGS, []) == {}
-    assert drive_heights(CAR, SETTINGS, [DrivenTick(tick.state, None) for tick in drive()]) == {}
+    assert barrier_residuals(CAR, SETTINGS, []) == {}
+    assert barrier_residuals(CAR, SETTINGS, [DriveTick(tick.state, None) for tick in drive()]) == {}

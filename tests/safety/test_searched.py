@@ -8,10 +8,10 @@ import pytest
 from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 
 from safedpa.bus import LATENT, VERDICT, WISH, VerdictMessage, WishMessage
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
-from safedpa.safety.conditions import Outcome
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.searched import LASTS, Searched
+from safedpa.safety.solver.candidates import LASTS, HeldSolution
+from safedpa.safety.solver.constraints import ActionCandidate
 
 ONE = FilterSettings(action_low=(-1.0,), action_high=(1.0,), eta=0.5, epsilon={"function": 0.1})
 """From h = 0.19 a next h of 0.195 is asked for."""
@@ -27,7 +27,7 @@ class Robot:
         self.filter = SafetyFilter(
             lambda x: (x, np.full((1, 1), self.step)), [FunctionBarrier(lambda x: x[0])], ONE, self._following
         )
-        self.searched = Searched()
+        self.searched = HeldSolution()
 
     def _following(self, x: Any, action: Any) -> Any:
         self.asked += 1
@@ -148,9 +148,9 @@ class Posed:
 
     def __init__(self, h: list[float], residual: list[float]) -> None:
         broken = [row for row, rest in enumerate(residual) if rest < 0.0]
-        self.found = Outcome((0.5,), (0.0,), h, residual, broken)
+        self.found = ActionCandidate((0.5,), (0.0,), h, residual, broken)
 
-    def outcome(self, action: Any) -> Outcome:
+    def outcome(self, action: Any) -> ActionCandidate:
         del action
         return self.found
 
@@ -160,9 +160,9 @@ SIDES = ((-1.0, 1.0, 2.0),)
 
 def held_then(
     then: Posed, now: Posed, later: float = 0.005, sides: Any = SIDES, asked: float | None = None
-) -> Outcome | None:
+) -> ActionCandidate | None:
     """What is held ``later`` of what was found ``then``."""
-    searched = Searched()
+    searched = HeldSolution()
     searched.note(then.found, 0.0, "")
     if asked is not None:
         searched.still(then, sides, asked)
@@ -200,7 +200,7 @@ def test_an_h_of_zero_is_held_and_none_below_it() -> None:
 )
 def test_no_period_searches_less_often_than_twenty_times_a_second(period: float, searches: int) -> None:
     """An action that would be in force for longer is not held: at 25 Hz one was for 80 ms."""
-    searched, then, counted = Searched(), Posed([1.0], [-1.0]), 0
+    searched, then, counted = HeldSolution(), Posed([1.0], [-1.0]), 0
     for tick in range(round(10.0 / period)):
         if searched.still(then, SIDES, tick * period) is None:
             searched.note(then.found, tick * period, "")
@@ -241,7 +241,7 @@ def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, i
         settings,
         lambda s, a: moved @ s + acts @ np.asarray(a),
     )
-    searched, state, least, violated = Searched(), np.array([0.0005, 0.02 + 0.25 / 6.0, -0.5]), inf, 0
+    searched, state, least, violated = HeldSolution(), np.array([0.0005, 0.02 + 0.25 / 6.0, -0.5]), inf, 0
     for tick in range(ticks):
         known = {"searched": searched} if hold else {}
         verdict = filtering.decide(state, np.array([1.0, -acceleration]), time=tick * dt, **known)

@@ -18,13 +18,13 @@ from safedpa.effects import effect
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import AbstractBarrier, Barriers, FilterSettings, FunctionBarrier, Prediction, SafetyFilter
-from safedpa.safety.affine_motion import AffineMotion
-from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.margins_in_force import Margins
-from safedpa.safety.search import DecisionError
-from safedpa.safety.speed_barrier import SpeedBarrier
+from safedpa.safety.barriers.base import CachingBarrierSet
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.margins.active import ActiveMargins
+from safedpa.safety.prediction.predictor import AffineMotion
+from safedpa.safety.solver.sqp import DecisionError
 
 Values = NDArray[np.float64]
 AT, G, WIDTHS = [0.3, -0.2, 0.9], [[0.5, 0.0], [0.1, -2.0], [1.0, 0.3]], [4.0, 0.25]
@@ -76,7 +76,7 @@ def test_a_stack_is_its_parts(name: str) -> None:
     assert stack.kinds == tuple(part.kind for part in parts for _ in part.names)
     assert stack.rows == {kind: tuple(row for row in rows if stack.kinds[row] == kind) for kind in stack.kinds}
     assert stack.of_each({"a": 0.5}, 0.1) == [0.5 if kind == "a" else 0.1 for kind in stack.kinds]
-    for whole in (stack, RememberingStack(stack)):
+    for whole in (stack, CachingBarrierSet(stack)):
         np.testing.assert_array_equal(whole.values(x), h)
         np.testing.assert_allclose(whole.gradient(x), gradient, atol=1e-9)
         np.testing.assert_allclose(whole.along(AT, G, WIDTHS, rows), gradient @ g, atol=1e-6)
@@ -104,11 +104,11 @@ def test_a_stack_looks_from_where_the_tick_began_if_any_part_does() -> None:
     fixed = Barriers([bowl("a", 2), bowl("b", 1)])
     assert fixed.since([3.0, 0.0, 0.0]) is fixed
     mixed = Barriers([bowl("a", 1), Moving(), bowl("b", 1)])
-    for whole in (mixed, RememberingStack(mixed)):
+    for whole in (mixed, CachingBarrierSet(mixed)):
         moved = whole.since([3.0, 0.0, 0.0])
         assert moved is not whole
         np.testing.assert_allclose(moved.values(np.ones(3)) - whole.values(np.ones(3)), [0.0, 3.0, 0.0])
-    remembering = RememberingStack(fixed)
+    remembering = CachingBarrierSet(fixed)
     assert remembering.since([3.0, 0.0, 0.0]) is remembering
 
 
@@ -148,15 +148,15 @@ def test_a_speed_s_slope_is_one_over_its_own_entry(index: int | None) -> None:
 )
 def test_margins_that_are_none_are_refused_with_the_reason(asked: Any, message: str) -> None:
     with pytest.raises(DecisionError, match=message):
-        Margins({"a": 0.02}).of(Barriers([bowl("a", 1), bowl("b", 1)]), asked)
+        ActiveMargins({"a": 0.02}).of(Barriers([bowl("a", 1), bowl("b", 1)]), asked)
 
 
 def test_without_a_margin_there_is_none_and_without_a_gradient_differences_are_taken_over_little() -> None:
     stack = Barriers([bowl("a", 1), bowl("b", 1)])
-    assert Margins({"a": 0.02}).of(stack, {}) == ([0.02, 0.0], 0.02)
-    assert Margins({"a": 0.02, "default": 0.01}).of(stack, {}) == ([0.02, 0.01], 0.02)
+    assert ActiveMargins({"a": 0.02}).of(stack, {}) == ([0.02, 0.0], 0.02)
+    assert ActiveMargins({"a": 0.02, "default": 0.01}).of(stack, {}) == ([0.02, 0.01], 0.02)
     for asked in ({"b": 2}, MappingProxyType({"b": 2})):
-        assert Margins({}).of(stack, asked) == ([0.0, 2.0], 2.0)
+        assert ActiveMargins({}).of(stack, asked) == ([0.0, 2.0], 2.0)
     part, at = FunctionBarrier(lambda x: x[0] ** 3 + x[1] * x[2]), np.array([0.5, 2.0, -1.0])
     slopes = np.array([0.75, -1.0, 2.0])
     np.testing.assert_allclose(part.along(at, np.eye(3)), [slopes], atol=1e-5)

@@ -6,15 +6,15 @@ from safedpa.bus import VerdictMessage
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.point.system import POINT
-from safedpa.safety.standstill import Stand, Standstill, note_standstill, places_of, what_to_do
+from safedpa.safety.deadlock.detector import DeadlockDetector, Stand, places_of, record_deadlock, what_to_do
 from safedpa.systems import System, Variable
 
 PERIOD = 0.05
 
 
-def stood(seconds: float, wished: float, driven: float, creep: float = 0.0, noise: float = 0.0) -> Standstill:
+def stood(seconds: float, wished: float, driven: float, creep: float = 0.0, noise: float = 0.0) -> DeadlockDetector:
     """After so long at one place; metres a tick that the model promised under the wish and under the action."""
-    standing, x = Standstill((0, 1)), 1.0
+    standing, x = DeadlockDetector((0, 1)), 1.0
     for tick in range(round(seconds / PERIOD) + 1):
         here = (x + noise * (tick % 2), 0.0, 0.3)
         standing.measure(here, PERIOD)
@@ -38,17 +38,17 @@ def test_an_action_that_should_move_it_and_does_not_lies_in_the_dead_band() -> N
     standing = stood(6.0, 0.005, 0.001)
     assert standing.reason("corrected", ("obstacle 0",), False).startswith("dead band")
     assert standing.failed == pytest.approx(0.001)
-    assert standing.would_fail(0.0009)
-    assert not standing.would_fail(0.002), "a stronger action was not tried"
-    assert standing.would_fail(standing.failed)
+    assert standing.is_inside_dead_band(0.0009)
+    assert not standing.is_inside_dead_band(0.002), "a stronger action was not tried"
+    assert standing.is_inside_dead_band(standing.failed)
     assert stood(0.45, 0.005, 0.001).failed == 0.0, "it takes half a second to see"
     assert stood(0.5, 0.005, 0.001).failed == pytest.approx(0.001)
-    assert not Standstill((0,)).would_fail(0.0), "nothing has failed"
+    assert not DeadlockDetector((0,)).is_inside_dead_band(0.0), "nothing has failed"
 
 
 def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
     assert stood(6.0, 0.005, 0.00005).failed == 0.0, "a hundredth of what is wished"
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for _ in range(20):
         standing.measure((0.0,), PERIOD)
         standing.promise((0.0,), (0.5,), (0.01,))
@@ -56,7 +56,7 @@ def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
 
 
 def test_a_wish_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band() -> None:
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for tick in range(122):
         standing.measure((0.0,), PERIOD)
         standing.promise((0.0,), (0.005,), (0.0004 * (tick % 2),))
@@ -66,7 +66,7 @@ def test_a_wish_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band
 
 
 def test_a_stand_may_begin_with_a_promise() -> None:
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     assert (standing.seconds, standing.failed) == (0.0, 0.0)
     standing.promise((0.0,), (0.5,), (0.0,))
     standing.measure((0.05,), PERIOD)
@@ -74,12 +74,12 @@ def test_a_stand_may_begin_with_a_promise() -> None:
     standing.promise((0.05,), (0.55,), (0.05,))
     standing.measure((0.16,), PERIOD)
     assert standing.seconds == 0.0
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for _ in range(102):
         standing.promise((0.0,), (0.05,), (0.0,))
         standing.measure((0.0,), PERIOD)
     assert standing.reason("passed", (), False).startswith("boxed in"), "nothing was to move it"
-    standing = Standstill((0,), seconds=6.0)
+    standing = DeadlockDetector((0,), seconds=6.0)
     standing.promise((0.0,), (0.5,), (0.01,))
     standing.measure((0.0,), PERIOD)
     assert standing.reason("passed", (), False).startswith("boxed in"), "a fiftieth is not meant to move it"
@@ -127,7 +127,7 @@ def test_moving_again_and_wishing_nothing_end_a_stand() -> None:
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_the_unit_of_length_does_not_matter(unit: float) -> None:
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for _ in range(121):
         standing.measure((unit,), PERIOD)
         standing.promise((unit,), (1.005 * unit,), (1.001 * unit,))
@@ -145,7 +145,7 @@ def test_places_are_positions_or_what_is_no_rate() -> None:
 
 @pytest.mark.parametrize(("ticks", "stands"), [(1, True), (10, True), (11, False)])
 def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stands: bool) -> None:
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for tick in range(220):
         standing.measure((1.0,), PERIOD)
         if tick % 40 >= ticks:
@@ -156,7 +156,7 @@ def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stand
 
 def test_half_a_second_without_a_wish_is_forgiven() -> None:
     for ticks, stands in ((2, True), (3, False)):
-        standing = Standstill((0,))
+        standing = DeadlockDetector((0,))
         standing.promise((1.0,), (1.1,), (1.0,))
         for _ in range(1 + ticks):
             standing.measure((1.0,), 0.25)
@@ -165,7 +165,7 @@ def test_half_a_second_without_a_wish_is_forgiven() -> None:
 
 def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
     """Where the least unsafe action dies away, its last half second moves nobody; after that nothing pushes."""
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     for tick in range(200):
         standing.measure((1.0,), PERIOD)
         standing.promise((1.0,), (1.005,), (1.0002 if tick < 12 else 1.0,))
@@ -182,7 +182,7 @@ def test_moving_in_a_tick_without_a_wish_ends_a_stand_and_without_promised_motio
     standing.measure((1.0, 0.0, 0.0), PERIOD)
     standing.measure((1.5, 0.0, 0.0), PERIOD)
     assert standing.seconds == 0.0
-    standing = Standstill((0,))
+    standing = DeadlockDetector((0,))
     standing.promise((1.0,), (1.0,), (1.0,))
     for _ in range(5):
         standing.measure((1.0,), PERIOD)
@@ -201,7 +201,7 @@ def test_stands_are_collected_one_by_one_and_the_newest_reason_counts() -> None:
     found: list[Stand] = []
     told = ((3.0, 3.0, ""), (5.05, 5.05, "boxed in"), (5.1, 5.1, "dead band"), (6.0, 0.0, ""), (20.0, 6.0, "margin"))
     for item in told:
-        note_standstill(found, verdict(*item))
+        record_deadlock(found, verdict(*item))
     assert found == [
         {"from": 0.0, "seconds": 5.1, "reason": "dead band"},
         {"from": 14.0, "seconds": 6.0, "reason": "margin"},
@@ -210,11 +210,11 @@ def test_stands_are_collected_one_by_one_and_the_newest_reason_counts() -> None:
 
 def test_stands_are_one_where_they_began_together() -> None:
     found: list[Stand] = []
-    note_standstill(found, verdict(20.0000008, 6.0000004, "margin"))
+    record_deadlock(found, verdict(20.0000008, 6.0000004, "margin"))
     assert found == [{"from": 14.0, "seconds": 6.0, "reason": "margin"}], "to a millionth of a second"
     found.clear()
     for time, stands in ((6.0, 6.0), (6.001, 6.0), (20.0000008, 6.0000004), (20.5, 6.5), (21.0, 6.5)):
-        note_standstill(found, verdict(time, stands, "margin"))
+        record_deadlock(found, verdict(time, stands, "margin"))
     assert [(stand["from"], stand["seconds"]) for stand in found] == [
         (0.0, 6.0),
         (0.001, 6.0),

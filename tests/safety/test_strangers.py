@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from safedpa.calibration.from_recordings import calibration_from_recordings
+from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.dynamics import PhysicsModel, load_model, parse_model
 from safedpa.dynamics.own import load_own
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of, car_barriers
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.point.system import POINT
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import (
     AbstractBarrier,
     CorridorBarrier,
@@ -32,12 +35,9 @@ from safedpa.safety import (
     parse_settings,
     write_settings,
 )
-from safedpa.safety.batch import BatchFilter
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.recorded import calibration_from_recordings
-from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.stopping_barrier import Motion, StoppingBarrier
+from safedpa.safety.barriers.stopping import Motion, StoppingBarrier
+from safedpa.safety.batch.filter import BatchFilter
+from safedpa.safety.defaults import settings_named
 from safedpa.systems import System, Variable
 from safedpa_services.command_line.group import safedpa
 

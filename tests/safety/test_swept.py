@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tests.safety.test_rollout_barrier import affine, brake, differences, room
 
 from safedpa.safety import AbstractBarrier, RolloutBarrier
-from safedpa.safety.swept import chord_point, least_along
+from safedpa.safety.barriers.path_minimum import chord_point, minimum_along
 
 Curve = Callable[[float], float]
 UNIT = [np.array([0.0]), np.array([1.0])]
@@ -22,7 +22,7 @@ def least(curve: Curve, path: list[np.ndarray], always: int = 0) -> tuple[float,
         asked.append(float(x[0]))
         return np.array([curve(float(x[0]))])
 
-    found = least_along(h, path, always)
+    found = minimum_along(h, path, always)
     assert found.values[0] == pytest.approx(curve(float(chord_point(path, found.places[0])[0])), abs=1e-15)
     return float(found.values[0]), found.places[0], len(asked)
 
@@ -79,13 +79,13 @@ def test_of_a_long_path_the_first_chords_and_those_that_may_hold_less_are_looked
 
 def test_each_value_has_a_place_of_its_own() -> None:
     path = [np.array([0.0]), np.array([1.0]), np.array([2.0])]
-    found = least_along(lambda x: np.array([abs(x[0] - 0.4), 3.0 - x[0], abs(x[0] - 1.7) - 5.0]), path)
+    found = minimum_along(lambda x: np.array([abs(x[0] - 0.4), 3.0 - x[0], abs(x[0] - 1.7) - 5.0]), path)
     np.testing.assert_allclose(found.values, [0.0, 1.0, -5.0], atol=1e-8)
     assert [k for k, _ in found.places] == [0, 2, 1]
     np.testing.assert_allclose([share for _, share in found.places], [0.4, 0.0, 0.7], atol=1e-7)
     np.testing.assert_array_equal(found.size, [1.6, 3.0, 4.7])
-    assert least_along(lambda x: np.array([0.0]), path).size[0] == 1.0, "never 0: it is divided by"
-    assert least_along(lambda x: np.array([0.25]), path).size[0] == 0.25
+    assert minimum_along(lambda x: np.array([0.0]), path).size[0] == 1.0, "never 0: it is divided by"
+    assert minimum_along(lambda x: np.array([0.25]), path).size[0] == 0.25
 
 
 def test_a_position_is_a_read_only_state() -> None:
@@ -147,7 +147,7 @@ def test_of_several_values_each_is_searched_where_it_may_be_less(states: int, as
             counted.append(at)
             return np.array([_quartic(float(x[0]), at), _bent(float(x[0]), 1.0 - at), 3.0])
 
-        least_along(h, [np.array([tick / (states - 1)]) for tick in range(states)])
+        minimum_along(h, [np.array([tick / (states - 1)]) for tick in range(states)])
     assert len(counted) == asked
 
 

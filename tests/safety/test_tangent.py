@@ -10,12 +10,12 @@ from tests.safety.scripted import outcome
 from safedpa.dynamics import load_model
 from safedpa.equations.chain_rule import chain_rule
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.conditions import Outcome
-from safedpa.safety.retreat import STEP, retreated
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.tangent import MARK, Tangent
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.solver.constraints import ActionCandidate
+from safedpa.safety.solver.linearization import MARK, Linearization
+from safedpa.safety.solver.sqp import STEP, backtrack_towards
 from safedpa_lab.experiments.adversary.car_grid import CarGrid, car_question
 from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge
 
@@ -41,9 +41,9 @@ class Slopes:
         return chain_rule([self.rows[row] for row in rows], g)
 
 
-def drawn(barriers: Slopes, known: float = 0.0) -> tuple[Tangent, list[float]]:
+def drawn(barriers: Slopes, known: float = 0.0) -> tuple[Linearization, list[float]]:
     scales = [known] * len(barriers.rows)
-    return Tangent(barriers, G, [7.0, 8.0], WIDTHS, scales), scales
+    return Linearization(barriers, G, [7.0, 8.0], WIDTHS, scales), scales
 
 
 def test_a_row_keeps_its_condition_where_the_tangent_says_so_and_is_asked_for_once() -> None:
@@ -149,14 +149,14 @@ class Plane:
         self.room = room
         self.tried: list[tuple[float, ...]] = []
 
-    def outcome(self, action: Any) -> Outcome:
+    def outcome(self, action: Any) -> ActionCandidate:
         self.tried.append(tuple(action))
         found = outcome(action[0], self.room(action))
         found.action = tuple(action)
         return found
 
 
-def start(plane: Plane, *action: float) -> Outcome:
+def start(plane: Plane, *action: float) -> ActionCandidate:
     found = plane.outcome(action)
     plane.tried.clear()
     return found
@@ -165,7 +165,7 @@ def start(plane: Plane, *action: float) -> Outcome:
 def test_an_entry_on_a_plateau_comes_back_to_its_edge() -> None:
     """Kept from 3 on, however far beyond: from 9 back towards 0, to a thirty-second of the way."""
     plane = Plane(lambda a: min(a[0] - 3.0, 1.0))
-    found = retreated(plane, SIDES, (0.0, 0.0), start(plane, 9.0, 0.0))
+    found = backtrack_towards(plane, SIDES, (0.0, 0.0), start(plane, 9.0, 0.0))
     assert found.kept
     assert 3.0 <= found.action[0] <= 3.0 + 8.0 / 32.0
     assert found.action[1] == 0.0
@@ -175,19 +175,19 @@ def test_an_entry_on_a_plateau_comes_back_to_its_edge() -> None:
 def test_what_no_step_brings_nearer_costs_one_look_an_entry_and_stays_itself() -> None:
     plane = Plane(lambda a: a[0] + a[1] - 9.0)
     kept = start(plane, 8.5, 0.5)
-    assert retreated(plane, SIDES, (0.0, -1.0), kept) is kept
+    assert backtrack_towards(plane, SIDES, (0.0, -1.0), kept) is kept
     assert plane.tried == [pytest.approx((7.5, 0.5)), pytest.approx((8.5, 0.3))], "the furthest entry first"
 
 
 def test_a_wish_is_approached_no_further_than_the_bounds_allow_and_within_a_step_left_alone() -> None:
     plane = Plane(lambda a: 1.0)
     kept = start(plane, 10.0 * STEP, 2.0 * STEP - 1.0)
-    assert retreated(plane, SIDES, (0.0, -1.0), kept) is kept
+    assert backtrack_towards(plane, SIDES, (0.0, -1.0), kept) is kept
     below = start(plane, 10.0 - 10.0 * STEP, -1.0)
-    assert retreated(plane, SIDES, (10.0, -1.0), below) is below
+    assert backtrack_towards(plane, SIDES, (10.0, -1.0), below) is below
     assert plane.tried == []
     plane = Plane(lambda a: 1.0)
-    found = retreated(plane, SIDES, (-50.0, 7.0), start(plane, 9.0, -1.0))
+    found = backtrack_towards(plane, SIDES, (-50.0, 7.0), start(plane, 9.0, -1.0))
     assert all(low <= value <= high for value, (low, high, _) in zip(found.action, SIDES, strict=True))
     assert found.action == pytest.approx((0.0, 1.0), abs=0.3)
     assert min(action[0] for action in plane.tried) >= 0.0
@@ -195,7 +195,7 @@ def test_a_wish_is_approached_no_further_than_the_bounds_allow_and_within_a_step
 
 def test_every_entry_has_its_turn_from_where_the_others_came_to() -> None:
     plane = Plane(lambda a: min(a[0] - 2.0, a[1] + 0.5, 1.0))
-    found = retreated(plane, SIDES, (0.0, -1.0), start(plane, 9.0, 1.0))
+    found = backtrack_towards(plane, SIDES, (0.0, -1.0), start(plane, 9.0, 1.0))
     assert found.kept
     assert found.action[0] == pytest.approx(2.0, abs=0.3)
     assert found.action[1] == pytest.approx(-0.5, abs=0.08)

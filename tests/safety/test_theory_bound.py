@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.networks import Layer, dense_stack, frame_of
-from safedpa.robots.car.barriers import braking_of, car_barriers
-from safedpa.robots.car.theory_gradient import largest_gradients
+from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
+from safedpa.robots.car.barriers.obstacles import braking_of, car_barriers
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa.safety.theory_bound import ErrorConstants, barrier_error_bound, scaled_gradient
-from safedpa.safety.theory_lipschitz import largest_slope, lipschitz_bound
-from safedpa.safety.theory_measure import affine_parts, error_constants
+from safedpa_lab.theory.bound import ErrorConstants, barrier_error_bound, scaled_gradient
+from safedpa_lab.theory.lipschitz import largest_slope, lipschitz_bound
+from safedpa_lab.theory.measure import affine_parts, error_constants
 
 Values = NDArray[np.float64]
 seeds = some.integers(0, 2**32 - 1)

@@ -9,16 +9,16 @@ from click.testing import CliRunner
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, LatentMessage, VerdictMessage
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.topics import STATE, key_of
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Description, EnvironmentEntry, LearnedNetworks, Weights
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.commands.experiments.theory import command as constants_command
 from safedpa_services.command_line.calibrate import command
 from safedpa_sim.closed_loop import drive

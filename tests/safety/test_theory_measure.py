@@ -10,11 +10,13 @@ from hypothesis import strategies as some
 from numpy.typing import NDArray
 from tests.safety.node_steps import asked, latent_at, state_at
 
+from safedpa.calibration.theorem1 import own_errors, recorded_bound
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Description, LearnedNetworks, Weights, dense_stack, frame_of
 from safedpa.networks.layers import layers_of
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -23,11 +25,10 @@ from safedpa.safety import (
     one_step_errors,
     parse_settings,
 )
-from safedpa.safety.least_unsafe import TOLERANCE
-from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.settings import write_settings
-from safedpa.safety.theory_layer import Stay, least_after, stays_in_layer
-from safedpa.safety.theory_measure import (
+from safedpa.safety.solver.least_violation import TOLERANCE
+from safedpa_lab.theory.boundary_layer import Stay, least_after, stays_in_layer
+from safedpa_lab.theory.measure import (
     Branches,
     affine_parts,
     error_constants,
@@ -35,7 +36,6 @@ from safedpa.safety.theory_measure import (
     measured_errors,
     network_parts,
 )
-from safedpa.safety.theory_recorded import own_errors, recorded_bound
 
 Values = NDArray[np.float64]
 STATES, ACTIONS = ("x", "y", "yaw", "speed"), ("target_speed", "steer")

@@ -12,13 +12,13 @@ from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, fingerprin
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.robot import robot_like, robots
-from safedpa.robots.car.barriers import braking_of
-from safedpa.robots.car.throttle import BrakingByThrottle, throttle_for
+from safedpa.robots.car.barriers.obstacles import braking_of
+from safedpa.robots.car.dynamics.throttle import BrakingByThrottle, throttle_for
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.scene import scene_of
 from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter
-from safedpa.safety.closed_loop import ClosedLoop, fixed, prediction_of
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.scenes import scene_of
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.barriers.backup_rollout import BackupRollout, fixed, prediction_of
+from safedpa.safety.defaults import margin_for, settings_named
 
 SETTINGS = settings_named("car_throttle")
 BRAKING = braking_of(SETTINGS)
@@ -175,8 +175,8 @@ def halved(x: Any, latent: Any = None) -> Any:
 
 
 def test_functions_are_known_by_their_arguments_and_actuators_that_remember_nothing_are_taken() -> None:
-    assert ClosedLoop(halved, [1.0]).after(np.array([4.0]), np.array([1.0])) == [3.0]
-    assert ClosedLoop(lambda x, a: x + 2.0 * a, [1.0]).after(np.array([4.0]), np.array([1.0])) == [6.0]
+    assert BackupRollout(halved, [1.0]).after(np.array([4.0]), np.array([1.0])) == [3.0]
+    assert BackupRollout(lambda x, a: x + 2.0 * a, [1.0]).after(np.array([4.0]), np.array([1.0])) == [6.0]
     model = load_model("car").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.1)})
     assert prediction_of(model).of_this_project
 
@@ -184,7 +184,7 @@ def test_functions_are_known_by_their_arguments_and_actuators_that_remember_noth
 @pytest.mark.parametrize("model", [halved, load_model("car")])
 def test_a_users_function_cannot_write_into_what_the_next_one_sees(model: Any) -> None:
     size, actions = (1, [0.0]) if model is halved else (4, [0.0, 0.0])
-    loop = ClosedLoop(model, actions)
+    loop = BackupRollout(model, actions)
     for kept in (loop.after(np.ones(size), np.array(actions)), fixed(np.ones(size)), loop.action(np.ones(size))):
         with pytest.raises(ValueError, match="read-only"):
             kept[0] = 7.0
@@ -198,18 +198,18 @@ def test_what_is_no_model_cannot_be_driven(wrong: Any) -> None:
 
 def test_a_backup_answers_with_a_row_of_actions_and_a_path_ends_where_nothing_moves() -> None:
     with pytest.raises(InputError, match=r"^backup: got shape .*, wanted"):
-        ClosedLoop(lambda x, a: x + a, lambda _: [[1.0]]).action(np.zeros(1))
-    assert ClosedLoop(lambda x, a: x + a, lambda _: [1.0]).action(np.zeros(1)).tolist() == [1.0]
-    path = ClosedLoop(lambda x, a: np.maximum(x - 1.0, 0.0), [0.0]).path(np.array([2.0]), 50)
+        BackupRollout(lambda x, a: x + a, lambda _: [[1.0]]).action(np.zeros(1))
+    assert BackupRollout(lambda x, a: x + a, lambda _: [1.0]).action(np.zeros(1)).tolist() == [1.0]
+    path = BackupRollout(lambda x, a: np.maximum(x - 1.0, 0.0), [0.0]).path(np.array([2.0]), 50)
     assert [float(x[0]) for x in path] == [2.0, 1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("backup", [1.0, [[1.0]], [1.0, np.inf], [np.nan]], ids=str)
 def test_a_backup_that_is_one_action_is_a_vector_of_finite_numbers(backup: Any) -> None:
     with pytest.raises(InputError, match=r"^backup: got .*, wanted \(actions,\) finite numbers"):
-        ClosedLoop(halved, backup)
+        BackupRollout(halved, backup)
     with pytest.raises(InputError, match=r"^latent: got .*, wanted \(actions,\) finite numbers"):
-        ClosedLoop(halved, [1.0], latent=backup)
+        BackupRollout(halved, [1.0], latent=backup)
 
 
 def test_the_backup_of_a_rollout_is_the_one_along_which_it_looks() -> None:

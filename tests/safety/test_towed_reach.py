@@ -14,25 +14,25 @@ from safedpa.dynamics import load_model
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
-from safedpa.robots.car.barriers import (
+from safedpa.robots.car.barriers.body import body_of, hitch_of, steepest
+from safedpa.robots.car.barriers.obstacles import (
     FieldBarrier,
     ObstacleBarrier,
     braking_of,
     car_barriers,
     swept_capsule,
-    towed_again,
+    with_towed_load,
 )
-from safedpa.robots.car.car_scene import CarScene
-from safedpa.robots.car.reversed_way import ReversedWay
-from safedpa.robots.car.swept import body_of, hitch_of, steepest
-from safedpa.robots.car.towed_reach import TowedReach
+from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.robots.pendulum.pendulum_scene import PendulumScene
-from safedpa.safety import Barriers, CorridorBarrier, FilterSettings, FunctionBarrier, scenes
-from safedpa.safety.scene import AbstractScene, DeclaredScene
-from safedpa.safety.scenes import scene_of
+from safedpa.runtime import scene as scenes
+from safedpa.runtime.scene import AbstractScene, DeclaredScene, scene_of
+from safedpa.safety import Barriers, CorridorBarrier, FilterSettings, FunctionBarrier
+from safedpa.safety.barriers.stack import CompiledBarrierSet, make_barrier_set
+from safedpa.safety.defaults import settings_named
 from safedpa.safety.settings import parse_settings, write_settings
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.stacks import EquationStack, stacked
 
 SETTINGS = settings_named("car")
 BRAKING = braking_of(SETTINGS)
@@ -40,11 +40,11 @@ FOOTPRINT, FIELD = (0.08, 0.40, 0.25), (-4.0, 4.0, -4.0, 4.0)
 TOWED = (0.1, 0.5, 0.42)
 
 
-def towed(way: float, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TowedReach:
-    return TowedReach(TOWED[0], TOWED[1], TOWED[2] - FOOTPRINT[2], way, pose)
+def towed(way: float, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TrailerEnvelope:
+    return TrailerEnvelope(TOWED[0], TOWED[1], TOWED[2] - FOOTPRINT[2], way, pose)
 
 
-def growth(load: TowedReach, x: float, y: float, speed: float) -> float:
+def growth(load: TrailerEnvelope, x: float, y: float, speed: float) -> float:
     """m by which the radius at the hitch is larger."""
     shared = (*FOOTPRINT[:2], BRAKING.deceleration, BRAKING.gain, *load.numbers)
     given = Given((x, y, 0.0, speed), shared, ())
@@ -69,7 +69,7 @@ def test_the_way_is_measured_along_the_heading_of_then_from_where_it_was() -> No
     assert growth(towed(0.3, (1.0, 2.0, 0.0)), 0.9, 5.0, 0.0) == pytest.approx(0.75 * most)
 
 
-def scene(draw: np.random.Generator) -> tuple[np.ndarray[Any, Any], TowedReach, list[Any]]:
+def scene(draw: np.random.Generator) -> tuple[np.ndarray[Any, Any], TrailerEnvelope, list[Any]]:
     state = np.array([*draw.uniform(-3, 3, 2), draw.uniform(-4, 4), draw.uniform(-0.6, 2.0)])
     pose = (state[0] + draw.normal(0, 0.02), state[1] + draw.normal(0, 0.02), state[2] + draw.normal(0, 0.05))
     load = towed(draw.uniform(0.0, 0.6), pose)
@@ -81,8 +81,8 @@ def test_both_roads_to_h_agree_and_slopes_are_those_of_finite_differences() -> N
     draw, grown = np.random.default_rng(3), 0
     for _ in range(400):
         state, load, parts = scene(draw)
-        quick, reference = stacked(parts), Barriers(parts)
-        assert isinstance(quick, EquationStack)
+        quick, reference = make_barrier_set(parts), Barriers(parts)
+        assert isinstance(quick, CompiledBarrierSet)
         assert np.array(quick.heights(state.tolist())) == pytest.approx(reference.values(state), abs=1e-12)
         assert np.concatenate([part.evaluate(state)[0] for part in parts]) == pytest.approx(reference.values(state))
         slopes = np.array(quick.slopes(state.tolist(), range(len(quick.names))))
@@ -126,7 +126,7 @@ def message(tick: int, x: float, y: float = 0.0, yaw: float = 0.0, **other: Any)
 
 
 def test_the_way_is_unknown_first_then_forgotten_forwards_and_counted_backwards() -> None:
-    way = ReversedWay()
+    way = ReverseOdometer()
     way.follow(message(0, 0.0))
     assert way.way >= TOWED[1], "nobody knows how the load hangs"
     way.follow(message(1, 0.2))
@@ -146,7 +146,7 @@ def test_the_way_is_unknown_first_then_forgotten_forwards_and_counted_backwards(
 
 @pytest.mark.parametrize("later", [message(30, 3.0), message(9, 3.0, epoch=2), message(9, 3.0, towed=(0.1, 0.6, 0.5))])
 def test_a_robot_that_was_not_watched_may_have_been_reversed(later: StateMessage) -> None:
-    way = ReversedWay()
+    way = ReverseOdometer()
     for tick in range(9):
         way.follow(message(tick, 0.2 * tick))
     assert way.way == 0.0
@@ -169,7 +169,7 @@ def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
 
 
 def test_a_way_counts_from_the_first_state_on_and_over_half_a_second_without_one() -> None:
-    way = ReversedWay()
+    way = ReverseOdometer()
     way.follow(message(0, 0.2, towed=()))
     assert way.way == 1.0, "before it nothing was seen"
     way.follow(message(10, 0.5, towed=()))
@@ -184,8 +184,10 @@ def test_a_way_counts_from_the_first_state_on_and_over_half_a_second_without_one
 
 def test_lengths_at_their_limits() -> None:
     for lengths in ((0.0, 0.5, 0.42), (0.1, 1.0, 0.42)):
-        assert ReversedWay().reach(message(0, 0.0, towed=lengths)) is not None
-    assert ReversedWay().reach(message(0, 0.0, towed=(0.1, 0.5, FOOTPRINT[2]))) is None, "no more than the footprint"
+        assert ReverseOdometer().reach(message(0, 0.0, towed=lengths)) is not None
+    assert ReverseOdometer().reach(message(0, 0.0, towed=(0.1, 0.5, FOOTPRINT[2]))) is None, (
+        "no more than the footprint"
+    )
 
 
 @pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.5, 0.4), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
@@ -194,11 +196,11 @@ def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
     assert isinstance(found, str)
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):
-        ReversedWay().reach(message(0, 0.0, towed=wrong))
+        ReverseOdometer().reach(message(0, 0.0, towed=wrong))
 
 
 def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() -> None:
-    old, new, unknowing = ReversedWay(), ReversedWay(), ReversedWay()
+    old, new, unknowing = ReverseOdometer(), ReverseOdometer(), ReverseOdometer()
     for tick in range(9):
         old.follow(message(tick, 0.2 * tick))
     old.follow(message(9, 1.5))
@@ -253,9 +255,9 @@ def test_an_unknown_body_is_not_reported(changed: dict[str, tuple[float, ...]]) 
 @pytest.mark.parametrize("field", [ROOM, None])
 def test_barriers_of_a_load_that_was_moved_on_are_those_of_a_new_stack(field: tuple[float, ...] | None) -> None:
     random = np.random.default_rng(1)
-    before, after = (TowedReach(0.1, 0.5, 0.2, way, (0.1 * way, 0.2, way)) for way in (0.0, 0.4))
+    before, after = (TrailerEnvelope(0.1, 0.5, 0.2, way, (0.1 * way, 0.2, way)) for way in (0.0, 0.4))
     old, new = (car_barriers(DEFAULTS, BODY, OBSTACLES, field, towed) for towed in (before, after))
-    found = towed_again(old, after)  # type: ignore[arg-type]
+    found = with_towed_load(old, after)  # type: ignore[arg-type]
     assert [type(part) for part in found] == [type(part) for part in new]
     assert found[-1] is old[-1]
     differ = 0
@@ -270,7 +272,7 @@ def test_a_load_that_has_not_folded_claims_no_room() -> None:
     """Wherever the car stands or reverses: h is that of the car alone, of obstacles and of walls."""
     braking = braking_of(DEFAULTS)
     for state in np.random.default_rng(2).uniform((-1.0, -1.0, -3.0, -0.3), (1.0, 1.0, 3.0, 1.0), (60, 4)):
-        towed = TowedReach(0.3, 0.6, 0.2, 0.0, tuple(state[:3].tolist()))
+        towed = TrailerEnvelope(0.3, 0.6, 0.2, 0.0, tuple(state[:3].tolist()))
         pairs = (
             (FieldBarrier(ROOM, BODY, braking), FieldBarrier(ROOM, BODY, braking, towed=towed)),
             (

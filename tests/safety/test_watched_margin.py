@@ -11,16 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import LatentMessage, StateMessage
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
 from safedpa.dynamics import fingerprint, load_model
+from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
+from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety import FilterSettings, FunctionBarrier, MarginCalibration
-from safedpa.safety.barrier import Barriers
-from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
-from safedpa.safety.drive_heights import DrivenTick, drive_heights
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.held_model import HeldModel, uncalibrated
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.trail import Foretold
-from safedpa.safety.watched_margin import WatchedMargin
+from safedpa.safety.barriers.base import Barriers
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.error_clipping import NO_CLIP, ErrorClip, HSample
+from safedpa.safety.margins.online import OnlineMarginMonitor
+from safedpa.safety.prediction.command_history import DelayedPrediction
 
 CALIBRATION = MarginCalibration({"function": 0.01}, 0.99, 500, "2026-11-21", "x")
 
@@ -30,7 +30,7 @@ def at(latent: float) -> Barriers:
     return Barriers((FunctionBarrier(lambda x: x[0] - latent),))
 
 
-def seen(watch: WatchedMargin, ceiling: Ceiling = NO_CEILING) -> float | None:
+def seen(watch: OnlineMarginMonitor, ceiling: ErrorClip = NO_CLIP) -> float | None:
     """The error that was observed last; None where nothing came near."""
     errors = ceiling.errors("function", np.array([watch.seen["function"]]))
     return float(errors[0]) if len(errors) else None
@@ -38,7 +38,7 @@ def seen(watch: WatchedMargin, ceiling: Ceiling = NO_CEILING) -> float | None:
 
 def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
     """The filter kept h by the latent of then, and asks for h by that of now: the next condition begins with it."""
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     watch.expect([0.3], at(0.1))
     watch.observe([0.29], at(0.15))
     assert seen(watch) == pytest.approx(0.3 - 0.1 - (0.29 - 0.15))
@@ -54,7 +54,7 @@ def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
 
 @pytest.mark.parametrize("learns", [True, False])
 def test_a_watch_that_does_not_learn_sees_and_leaves_its_margin_as_it_is(learns: bool) -> None:
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     watch.learns = learns
     for _ in range(200):
         watch.expect([0.3], at(0.1))
@@ -77,7 +77,7 @@ def kinds(**heights: float) -> Barriers:
 @pytest.mark.parametrize("missed", [("a",), ("a", "a", "b")])
 def test_the_coverage_is_that_of_the_kind_that_has_the_least(order: tuple[str, ...], missed: tuple[str, ...]) -> None:
     """Four steps each: "a" misses once or twice of them, so that 3/4 or 1/2 are left to it."""
-    watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
+    watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
     assert watch.coverage == -1.0
     barriers = kinds(**dict.fromkeys(order, 0.0))
     for step in range(4):
@@ -89,17 +89,17 @@ def test_the_coverage_is_that_of_the_kind_that_has_the_least(order: tuple[str, .
 
 def test_only_a_calibration_promises_a_coverage_and_a_kind_that_always_missed_has_one_of_none() -> None:
     for order in (("a", "b"), ("b", "a")):
-        watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
+        watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
         watch.expect([1.0, 1.0])
         watch.observe([0.0 if kind == "a" else 1.0 for kind in order], kinds(**dict.fromkeys(order, 0.0)))
         assert watch.coverage == 0.0
-    assert WatchedMargin(CALIBRATION).promised == 0.99
+    assert OnlineMarginMonitor(CALIBRATION).promised == 0.99
     settings = settings_named("car")
-    assert WatchedMargin(uncalibrated(settings, "m")).promised == -1.0
+    assert OnlineMarginMonitor(uncalibrated(settings, "m")).promised == -1.0
 
 
 def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
-    watch, told = WatchedMargin(CALIBRATION), []
+    watch, told = OnlineMarginMonitor(CALIBRATION), []
     for step in range(502):
         watch.expect([1.0])
         watch.observe([1.0 if step else 0.0], at(0.0))
@@ -109,16 +109,16 @@ def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
 
 
 def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     for _ in range(20):
         watch.expect([1.0, 1.0])
         watch.observe([1.0, 0.0], kinds(function=0.0, other=0.0))
-    assert watch.seen["other"] == Seen(1.0, 0.0)
+    assert watch.seen["other"] == HSample(1.0, 0.0)
     assert watch.epsilon == {"function": 0.01}
 
 
 def test_a_margin_that_does_not_learn_stays() -> None:
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     watch.learns = False
     for _ in range(20):
         watch.expect([1.0])
@@ -129,16 +129,16 @@ def test_a_margin_that_does_not_learn_stays() -> None:
 
 def test_past_a_dead_time_the_prediction_is_compared_at_both_states() -> None:
     """h = x - latent; of the state before as of this one the h hoped for is that of the barriers of then."""
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     watch.expect([0.9], at(0.1))
-    watch.observe([0.5], at(0.2), late=Foretold(hoped_before=(0.8,), before=(0.7,), hoped=(0.6,)))
-    assert watch.seen["function"] == pytest.approx(Seen(0.5, 0.3, 0.7, 0.5))
+    watch.observe([0.5], at(0.2), late=DelayedPrediction(hoped_before=(0.8,), before=(0.7,), hoped=(0.6,)))
+    assert watch.seen["function"] == pytest.approx(HSample(0.5, 0.3, 0.7, 0.5))
 
 
 @pytest.mark.parametrize("place", range(3))
 def test_an_h_that_is_no_number_leaves_no_error_wherever_it_stands(place: int) -> None:
     three = Barriers((FunctionBarrier(lambda x: x, names=("a", "b", "c")),))
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     measured = [0.5, 0.6, 0.7]
     measured[place] = nan
     watch.expect([1.0, 1.0, 1.0])
@@ -152,7 +152,7 @@ def test_an_h_that_is_no_number_leaves_no_error_wherever_it_stands(place: int) -
 
 
 def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     for tick in range(40):
         watch.expect([0.3], at(0.1 * (tick % 2)))
         watch.observe([0.3], at(0.1 * ((tick + 1) % 2)))
@@ -160,8 +160,8 @@ def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
 
 
 def test_an_error_far_from_the_boundary_is_none_and_one_near_it_is_whole() -> None:
-    ceiling = Ceiling(0.2, {"function": 0.5})
-    watch = WatchedMargin(CALIBRATION, ceiling)
+    ceiling = ErrorClip(0.2, {"function": 0.5})
+    watch = OnlineMarginMonitor(CALIBRATION, ceiling)
     errors, shares = [], []
     for hoped, measured in ((3.0, 0.6), (3.0, 0.4), (0.4, 0.6), (0.4, 0.1)):
         watch.expect([hoped], at(0.0))
@@ -175,37 +175,37 @@ def test_an_error_far_from_the_boundary_is_none_and_one_near_it_is_whole() -> No
 def test_the_least_of_a_kind_counts() -> None:
     """What comes nearer than predicted, behind another that is nearer still, is no error of the least."""
     two = Barriers((FunctionBarrier(lambda x: [x[0], x[1]], names=("a", "b")),))
-    watch = WatchedMargin(CALIBRATION)
+    watch = OnlineMarginMonitor(CALIBRATION)
     watch.expect([0.1, 0.9], two)
     watch.observe([0.1, 0.5], two)
     assert seen(watch) == 0.0
 
 
 def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
-    ceiling = Ceiling.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
+    ceiling = ErrorClip.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
     assert ceiling.of("function", 0.01) == pytest.approx(0.5)
     assert ceiling.of("function", 0.3) == pytest.approx(1.5)
     assert ceiling.of("other", 0.3) == np.inf
-    assert NO_CEILING.of("function", 0.3) == np.inf
-    heights = np.array([Seen(0.6, 0.7), Seen(0.6, 0.4), Seen(0.3, 0.4)])
+    assert NO_CLIP.of("function", 0.3) == np.inf
+    heights = np.array([HSample(0.6, 0.7), HSample(0.6, 0.4), HSample(0.3, 0.4)])
     assert ceiling.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
-    assert NO_CEILING.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
-    late = Seen(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
+    assert NO_CLIP.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
+    late = HSample(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
     assert ceiling.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
-    assert NO_CEILING.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
-    assert ceiling.error("function", Seen(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
-    assert Ceiling.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
+    assert NO_CLIP.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
+    assert ceiling.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
+    assert ErrorClip.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
 def test_the_settings_leave_room_for_ten_layers_and_a_margin_that_just_fits_keeps_its_ceiling() -> None:
     """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
-    ceiling = Ceiling.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
-    assert ceiling.error("a", Seen(2.1, 2.1), 0.0) is None
-    assert ceiling.error("a", Seen(2.1, 1.9), 0.0) == pytest.approx(0.1)
-    assert ceiling.error("b", Seen(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
-    low = Ceiling(0.25, {"a": 0.5})
+    ceiling = ErrorClip.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
+    assert ceiling.error("a", HSample(2.1, 2.1), 0.0) is None
+    assert ceiling.error("a", HSample(2.1, 1.9), 0.0) == pytest.approx(0.1)
+    assert ceiling.error("b", HSample(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
+    low = ErrorClip(0.25, {"a": 0.5})
     assert low.fitting("a", lambda _: 0.125) == (0.125, low)
-    assert low.fitting("a", lambda _: 0.126) == (0.126, Ceiling(0.25, {"a": 1.0}))
+    assert low.fitting("a", lambda _: 0.126) == (0.126, ErrorClip(0.25, {"a": 1.0}))
     assert low.fitting("b", lambda _: 7.0) == (7.0, low), "without a ceiling every margin fits"
 
 
@@ -223,8 +223,8 @@ def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(
     count = len(h)
     hoped = [max(value, (1.0 - eta) * now + epsilon) for value, now in zip(predicted, h, strict=False)]
     rows = Barriers((FunctionBarrier(lambda x: x, names=tuple(map(str, range(count)))),))
-    ceiling = Ceiling(eta, {"function": 0.4})
-    watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), ceiling)
+    ceiling = ErrorClip(eta, {"function": 0.4})
+    watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), ceiling)
     top = ceiling.of("function", epsilon)
     watch.expect(hoped, rows)
     watch.observe(measured[:count], rows)
@@ -252,7 +252,7 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
     own, calm, wind = fingerprint(model), (0.0, 0.0), (0.0, 0.5)
     rooms: dict[Any, float] = {}
     for latent in (calm, wind):
-        scene = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings).scene
+        scene = RobotSession.begun(CalibratedModel(model, own, uncalibrated(settings, own)), settings).scene
         scene.learn(np.array(latent))  # type: ignore[union-attr]
         stack: Any = scene.of(point_state(4))
         rooms[latent] = min(stack.heights(point_state(4).values))
@@ -261,14 +261,14 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
     found = {}
     for later in (calm, wind):
         latents = [calm] * 3 + [later] * 3  # the barriers of a tick are those of the latent one tick before
-        along = [DrivenTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
-        heights = drive_heights(model, settings, along)["obstacle"]
+        along = [DriveTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
+        heights = barrier_residuals(model, settings, along)["obstacle"]
         assert heights.shape == (5, 4), "each tick but the first is held against what was expected of it"
-        found[later] = NO_CEILING.errors("obstacle", heights)
+        found[later] = NO_CLIP.errors("obstacle", heights)
     lost = [
         tick._replace(state=replace(tick.state, values=(nan,) * 5)) if k == 3 else tick for k, tick in enumerate(along)
     ]
-    left = drive_heights(model, settings, lost)["obstacle"]
+    left = barrier_residuals(model, settings, lost)["obstacle"]
     assert len(left) < 5
     assert np.isfinite(left).all(), "a state that is no number makes no error"
     assert found[wind][:3] == pytest.approx(found[calm][:3])

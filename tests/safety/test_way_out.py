@@ -8,13 +8,13 @@ import pytest
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import fingerprint, load_model
+from safedpa.runtime.calibrated_model import CalibratedModel, uncalibrated
+from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety import FilterSettings, Status, Verdict
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.held_model import HeldModel, uncalibrated
-from safedpa.safety.quadratic_program import QuadraticProgram
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.deadlock.escape import DeadlockEscape, TickContext
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.solver.qp import QuadraticProgram
 from safedpa.safety.verdict import resting_verdict
-from safedpa.safety.way_out import Here, WayOut
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 
@@ -26,28 +26,28 @@ Heights = Callable[[float, int], list[float]]
 """h after so many ticks under an action."""
 
 
-def way_out() -> WayOut:
+def way_out() -> DeadlockEscape:
     low, high = SETTINGS.low, SETTINGS.high
-    return WayOut(SETTINGS, QuadraticProgram(low, high, SETTINGS.weight_vector))
+    return DeadlockEscape(SETTINGS, QuadraticProgram(low, high, SETTINGS.weight_vector))
 
 
 def here(
     tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0, margins: list[float] | None = None
-) -> Here:
+) -> TickContext:
     """At the ``now``-th tick of a manoeuvre; the model has numbers for ``known`` ticks."""
 
     def ahead(action: Sequence[float]) -> Iterator[list[float]]:
         return (heights(action[0], now + index + 1) for index in range(known))
 
     at = heights(0.0, 0) if now == 0 else heights(1.0, now)
-    return Here(tick, PERIOD, at, margins or [0.1] * len(at), ahead, lambda action: abs(action[0]) <= fails)
+    return TickContext(tick, PERIOD, at, margins or [0.1] * len(at), ahead, lambda action: abs(action[0]) <= fails)
 
 
 def verdict(status: Status = Status.relaxed, wish: float = -1.0) -> Verdict:
     return replace(resting_verdict(np.zeros(1), "none"), status=status, wish=np.array([wish]), h_next=0.19)
 
 
-def led(out: WayOut, heights: Heights, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
+def led(out: DeadlockEscape, heights: Heights, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
     """The verdict after so many ticks of standing."""
     for tick in range(ticks):
         found = out.instead_of(verdict(), here(tick, heights, **known), stood)  # type: ignore[arg-type]
@@ -157,7 +157,7 @@ def test_neither_passed_nor_violated_is_replaced() -> None:
 
 def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a_tick() -> None:
     settings = FilterSettings(action_low=(-0.6, -1.0), action_high=(2.0, 1.0), backup_action=(0.4, 0.0), eta=0.5)
-    out = WayOut(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
+    out = DeadlockEscape(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
     asked: list[tuple[float, ...]] = []
 
     def fails(action: Sequence[float]) -> bool:
@@ -167,7 +167,7 @@ def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a
     still = replace(verdict(), wish=np.zeros(2))
     counts = []
     for tick in range(10):
-        now = Here(tick, PERIOD, [0.19], [0.1], lambda action: iter([[0.189]]), fails)
+        now = TickContext(tick, PERIOD, [0.19], [0.1], lambda action: iter([[0.189]]), fails)
         assert out.instead_of(still, now, 0.5) is still
         counts.append(len(asked))
     assert counts == list(range(8, 88, 8))
@@ -182,7 +182,7 @@ def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a
 def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks: int) -> None:
     """At 200 Hz eight actions of 300 predictions took longer than the period, every tick, so that no way was found."""
     settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), backup_action=(0.0, 0.0), eta=0.5)
-    out = WayOut(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
+    out = DeadlockEscape(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
     counts: list[int] = []
 
     def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
@@ -193,7 +193,7 @@ def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks:
     wanted = replace(verdict(), wish=np.zeros(2))
     for tick in range(ticks):
         counts.append(0)
-        found = out.instead_of(wanted, Here(tick, period, [0.19], [0.1], ahead, lambda _: False), 1.0)
+        found = out.instead_of(wanted, TickContext(tick, period, [0.19], [0.1], ahead, lambda _: False), 1.0)
         assert ("leads out" in found.reason) is (tick == ticks - 1)
     assert 240 <= max(counts[:-1]) <= 239 * 2 + 1, "and the wish"
 
@@ -216,11 +216,11 @@ def test_what_has_no_height_is_no_way_out(from_tick: int) -> None:
 def test_what_was_found_some_ticks_ago_is_judged_once_more() -> None:
     settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), backup_action=(0.0, 0.0), eta=0.5)
     for last, taken in ((0.3, True), (0.189, False)):
-        out = WayOut(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
+        out = DeadlockEscape(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
         found = verdict()
         for tick in range(10):
             rise = 0.3 if tick < 9 else last
-            known = Here(tick, PERIOD, [0.19], [0.1], lambda _, h=rise: iter([[0.189], [h]]), lambda _: False)  # type: ignore[misc]
+            known = TickContext(tick, PERIOD, [0.19], [0.1], lambda _, h=rise: iter([[0.189], [h]]), lambda _: False)  # type: ignore[misc]
             found = out.instead_of(replace(verdict(), wish=np.zeros(2)), known, 1.0)
         assert ("leads out" in found.reason) is taken
 
@@ -284,7 +284,7 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
     model, settings = load_model("car"), settings_named("car")
     own = fingerprint(model)
     calibration = replace(uncalibrated(settings, own), epsilon={"obstacle": 0.0283, "field": 0.0054, "speed": 0.025})
-    memory = FilteredRobot.begun(HeldModel(model, own, calibration), settings)
+    memory = RobotSession.begun(CalibratedModel(model, own, calibration), settings)
     state = CarRobot(Scene.random(1, "box"), PERIOD / 2).state_message()
     state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), reversed_way=0.0, until_action=until_action)
     latent = np.array([0.8, 1.09])
@@ -302,9 +302,9 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
     assert ways[-1] > 0.05, "and is led out"
 
 
-def next_verdict(memory: FilteredRobot, state: StateMessage, latent: np.ndarray) -> Verdict:
+def next_verdict(memory: RobotSession, state: StateMessage, latent: np.ndarray) -> Verdict:
     """What the service decides for a wish to reverse into what is behind."""
-    memory.take_up(state)
+    memory.observe_state(state)
     known = {"memory": memory.pending, "barriers": memory.barriers, "epsilon": memory.margin.epsilon}
     found = memory.filter.decide(state.values, (-0.6, 0.34), latent, **known, time=state.robot_time)
     return memory.out_of_the_layer(state, found, latent)

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from safedpa.bus import StateMessage
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.messages import ScanMessage
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.messages import ScanMessage
 from safedpa.errors import InputError
-from safedpa.perception.grid import CELL, Grid, disc_offsets, grown, shrunk
-from safedpa.perception.hiding import Hiding
+from safedpa.perception.obstacle_tracker import ObstacleTracker
+from safedpa.perception.occlusion import OcclusionMap
+from safedpa.perception.occupancy_grid import CELL, Grid, dilate, disc_offsets, erode
+from safedpa.perception.scan import ScanRays
 from safedpa.perception.settings import PerceptionSettings
-from safedpa.perception.sweep import Sweep
-from safedpa.perception.things import Things
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, StepsOut, Walks
-from safedpa_sim.sensing.senses import Senses
-from safedpa_sim.sensing.shapes import Outline, box, cast, room_to, rooms_to
+from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
 
 FIELD = (-4.0, 4.0, -3.0, 3.0)
 EXACT = LaserSettings(noise=0.0, drop_outs=0.0)
@@ -33,16 +33,16 @@ def test_rays_end_at_the_first_thing_and_agree_with_steps_along_them() -> None:
     angles = draw.uniform(-pi, pi, 60)
     for angle, reach in zip(angles, cast(outline, 0.1, 0.2, angles), strict=True):
         at = (0.1 + reach * cos(angle), 0.2 + reach * sin(angle))
-        assert abs(room_to(outline, *at)) < 1e-9
+        assert abs(clearance_at(outline, *at)) < 1e-9
         for share in np.linspace(0.02, 0.98, 30):
-            assert room_to(outline, 0.1 + share * reach * cos(angle), 0.2 + share * reach * sin(angle)) > 0.0
+            assert clearance_at(outline, 0.1 + share * reach * cos(angle), 0.2 + share * reach * sin(angle)) > 0.0
 
 
 def driven(
     laser: Laser, ticks: int, people: tuple[Walks | StepsOut, ...] = ()
 ) -> tuple[CarRobot, list[list[ScanMessage]]]:
     scene = Scene(0, None, FIELD, ((2.0, 0.0, 0.5),), (0.0, 0.0, 0.3))
-    robot = CarRobot(scene, senses=Senses((laser,), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((laser,), people))
     told = []
     for _ in range(ticks):
         told.append(robot.scans())
@@ -68,7 +68,7 @@ def test_what_is_measured_lies_on_the_things() -> None:
     x, y = ahead * cos(0.3) - aside * sin(0.3), ahead * sin(0.3) + aside * cos(0.3)
     for index, reach in enumerate(scan.ranges):
         angle = 0.3 + turned + scan.first_angle + index * scan.angle_step
-        assert abs(room_to(outline, x + reach * cos(angle), y + reach * sin(angle))) < 1e-9
+        assert abs(clearance_at(outline, x + reach * cos(angle), y + reach * sin(angle))) < 1e-9
 
 
 def test_an_upside_down_scanner_reports_the_same_objects_in_reverse_order() -> None:
@@ -94,7 +94,7 @@ def test_noise_drop_outs_blind_sectors_and_glass() -> None:
     pane = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0), polygons=(box(1.0, 0.0, 0.1, 1.0),))
     ranges = []
     for glass in ((), (0,)):
-        robot = CarRobot(pane, senses=Senses((Laser(EXACT),), glass=glass))
+        robot = CarRobot(pane, senses=SimulatedSensors((Laser(EXACT),), glass=glass))
         robot.advance()
         ranges.append(robot.scans()[0].ranges[len(exact[1][0].ranges) // 2])
     assert ranges[0] == pytest.approx(0.83, abs=1e-9)
@@ -117,7 +117,7 @@ def test_a_scan_comes_back_as_it_was_and_two_drives_with_the_same_seed_are_the_s
 def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
     people = tuple(Walks((-2.0 + 0.5 * index, 2.0), 1.5, index) for index in range(4))
     scene = Scene(0, None, FIELD, ((2.0, 0.0, 0.5),), (0.0, 0.0, 0.3))
-    robot = CarRobot(scene, senses=Senses((Laser(EXACT),), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(EXACT),), people))
     outline = Outline(scene.obstacles, (), (FIELD,))
     walked = 0.0
     for _ in range(600):
@@ -127,7 +127,7 @@ def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
             way = hypot(person.place[0] - x, person.place[1] - y)
             walked += way
             assert way <= 1.5 * 0.05 + 1e-9
-            assert room_to(outline, *person.place) > person.radius - 0.02
+            assert clearance_at(outline, *person.place) > person.radius - 0.02
     assert walked > 4 * 30.0 * 0.3
 
 
@@ -137,7 +137,7 @@ def test_a_person_steps_out_when_the_robot_is_near_and_a_collision_has_the_speed
     assert far.place == (3.5, 2.5)
     assert near.place[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
     scene = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=Senses((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),)))
     for _ in range(60):
         robot.advance()
     assert [(item.what, item.speed < 0.01) for item in robot.collisions] == [("person 0", True)]
@@ -160,23 +160,23 @@ def state() -> StateMessage:
     )  # fmt: skip
 
 
-def sweep(ranges: np.ndarray, field_of_view: float = 2.0 * pi) -> Sweep:
+def sweep(ranges: np.ndarray, field_of_view: float = 2.0 * pi) -> ScanRays:
     """From the origin, the first ray straight behind."""
     scan = ScanMessage(
         epoch=1, tick=0, robot_time=0.0, publish_time=0.0, source="laser", mount=(0.0, 0.0, 0.0),
         first_angle=-0.5 * field_of_view, angle_step=field_of_view / len(ranges), ranges=tuple(ranges.tolist()),
         nearest=0.05, farthest=12.0, number=0,
     )  # fmt: skip
-    return Sweep(scan, (0.0, 0.0, 0.0), state(), open_air=False)
+    return ScanRays(scan, (0.0, 0.0, 0.0), state(), open_air=False)
 
 
-def looked(one: Sweep) -> Things:
-    things = Things(PerceptionSettings(), 0.0, 0.0)
+def looked(one: ScanRays) -> ObstacleTracker:
+    things = ObstacleTracker(PerceptionSettings(), 0.0, 0.0)
     things.take(one, np.zeros((things.grid.size, things.grid.size), dtype=bool))
     return things
 
 
-def hidden(things: Things, places: np.ndarray) -> np.ndarray:
+def hidden(things: ObstacleTracker, places: np.ndarray) -> np.ndarray:
     i, j, _ = things.grid.cells(places)
     found: np.ndarray = things.hiding.present[i, j]
     return found
@@ -210,7 +210,7 @@ def test_a_person_whom_no_ray_hits_is_accounted_for(rays: int) -> None:
     ranges = cast(outline, 0.0, 0.0, angles)
     things = looked(sweep(ranges))
     places = draw.uniform(-3.7, 3.7, (6000, 2))
-    places = places[(rooms_to(outline, places) > SLIMMEST + 0.15) & (np.hypot(*places.T) > 0.5)]
+    places = places[(clearances_at(outline, places) > SLIMMEST + 0.15) & (np.hypot(*places.T) > 0.5)]
     along = places[:, :1] * np.cos(angles) + places[:, 1:] * np.sin(angles)
     across = places[:, 1:] * np.cos(angles) - places[:, :1] * np.sin(angles)
     chord = SLIMMEST**2 - across**2
@@ -223,7 +223,7 @@ def test_a_person_whom_no_ray_hits_is_accounted_for(rays: int) -> None:
 
 
 def test_one_ray_past_the_middle_of_a_cell_rules_out_a_person_anywhere_in_it() -> None:
-    width = Hiding(11, SLIMMEST, 1.5).width
+    width = OcclusionMap(11, SLIMMEST, 1.5).width
     grid = Grid(5.0, 0.0, 0.0)
     x, y = (part[3, 4] for part in grid.middles)
     draw = np.random.default_rng(3)
@@ -250,7 +250,7 @@ def test_the_farthest_past_a_place_is_the_most_of_the_rays_that_pass_it() -> Non
 
 @pytest.mark.parametrize("slimmest", [0.1, 0.15, 0.2])
 def test_next_to_the_robot_a_person_may_hide_unless_they_would_stand_in_it(slimmest: float) -> None:
-    hiding, grid, draw = Hiding(21, slimmest, 1.5), Grid(1.0, 0.0, 0.0), np.random.default_rng(6)
+    hiding, grid, draw = OcclusionMap(21, slimmest, 1.5), Grid(1.0, 0.0, 0.0), np.random.default_rng(6)
     nothing, own = np.zeros((21, 21), dtype=bool), np.zeros((21, 21), dtype=bool)
     own[8:12, 9:12] = True
     hiding.look(0.0, nothing, nothing, own, nothing)
@@ -263,7 +263,7 @@ def test_next_to_the_robot_a_person_may_hide_unless_they_would_stand_in_it(slimm
 
 @pytest.mark.parametrize("slimmest", [0.1, 0.2])
 def test_in_an_empty_room_no_person_hides_however_slim(slimmest: float) -> None:
-    things = Things(PerceptionSettings(slimmest=slimmest), 0.0, 0.0)
+    things = ObstacleTracker(PerceptionSettings(slimmest=slimmest), 0.0, 0.0)
     things.take(sweep(np.full(360, 4.5)), np.zeros((things.grid.size, things.grid.size), dtype=bool))
     assert not things.hiding.present[np.hypot(*things.grid.middles) < 2.0].any()
 
@@ -290,10 +290,10 @@ def test_cells_grow_by_a_disc(size: int, radius: float, beyond: bool) -> None:
             [any(_flag(cells, i + a, j + b, beyond) for a, b, _ in disc_offsets(radius)) for j in range(size)]
             for i in range(size)
         ]
-        found = grown(cells, radius, beyond=beyond)
+        found = dilate(cells, radius, beyond=beyond)
         assert found.dtype == np.bool_
         np.testing.assert_array_equal(found, wanted)
-        np.testing.assert_array_equal(shrunk(~cells, radius, beyond=not beyond), ~found)
+        np.testing.assert_array_equal(erode(~cells, radius, beyond=not beyond), ~found)
         found[:] = True  # the result is a copy
         np.testing.assert_array_equal(cells, before)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, load_perception, parse_perception
-from safedpa.perception.maps import Cells, read_map
+from safedpa.perception.ros_map import PackedCells, read_map
 from safedpa.perception.surroundings import closed_discs
 from safedpa.perception.zones import HALF_DIAGONAL, Zone
 
@@ -97,7 +97,7 @@ def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path
     from safedpa_sim.robots.core import CarRobot
     from safedpa_sim.robots.scene import Scene
     from safedpa_sim.sensing import Laser, LaserSettings
-    from safedpa_sim.sensing.senses import Senses
+    from safedpa_sim.sensing.senses import SimulatedSensors
 
     pixels = np.full((20, 40), 254)
     pixels[:, 30:32] = 0
@@ -107,7 +107,7 @@ def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path
     assert "room" not in text
     assert parse_perception(text) == own
     scene = Scene(0, None, (-4.0, 4.0, -4.0, 4.0), (), (0.0, 0.0, 0.0))
-    state = CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
+    state = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
     (message,) = PerceptionNode(own).step("r1", state, {}).values()
     assert message.zones == ("closed walls",)
     assert message.borders == ()
@@ -219,17 +219,17 @@ def test_a_large_picture_that_is_occupied_all_over_takes_no_more_memory_than_som
 )
 def test_cells_that_were_not_packed_by_us_are_refused(packed: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Cells(packed)
+        PackedCells(packed)
 
 
 def test_cells_that_unpack_to_more_than_they_say_are_not_unpacked() -> None:
-    bomb = Cells.of(0, 0, np.zeros((4000, 4000), dtype=np.bool_)).packed.split()
+    bomb = PackedCells.of(0, 0, np.zeros((4000, 4000), dtype=np.bool_)).packed.split()
     with pytest.raises(InputError, match="got 2 bytes or more, wanted 1 of 2 x 2"):
-        Cells(" ".join(("0", "0", "2", "2", bomb[4])))
+        PackedCells(" ".join(("0", "0", "2", "2", bomb[4])))
 
 
 def test_a_map_is_closed_and_in_the_frame_of_the_map() -> None:
-    cells = Cells.of(0, 0, np.ones((2, 2), dtype=np.bool_))
+    cells = PackedCells.of(0, 0, np.ones((2, 2), dtype=np.bool_))
     square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
     for more in ({"kind": "ignored"}, {"polygon": square}, {"frame": "robot", "kind": "ignored"}):
         given = {"name": "walls", "kind": "closed", "polygon": (), "cells": cells, **more}
@@ -243,8 +243,8 @@ def test_a_map_is_closed_and_in_the_frame_of_the_map() -> None:
 @pytest.mark.long
 def test_of_a_large_map_only_what_is_near_is_looked_at() -> None:
     random = np.random.default_rng(0)
-    large = Cells.of(-2000, -2000, random.random((4000, 4000)) < 0.02)
-    part = Cells.of(-60, -60, large.flags[1940:2060, 1940:2060])
+    large = PackedCells.of(-2000, -2000, random.random((4000, 4000)) < 0.02)
+    part = PackedCells.of(-60, -60, large.flags[1940:2060, 1940:2060])
     for column, row in ((0, 0), (-7, 3)):
         places, layers = large.near(column, row, 50)
         assert 100 < len(places) == len(layers) < 300

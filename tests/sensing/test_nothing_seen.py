@@ -9,27 +9,27 @@ import numpy as np
 import pytest
 
 from safedpa.bus import LATENT, SURROUNDINGS, VERDICT, WISH, ScanMessage, StateMessage, SurroundingsMessage
-from safedpa.bus.wire.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus.messages.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.dynamics.model_file import parse_model, write_model
 from safedpa.perception import PerceptionNode
-from safedpa.perception.hiding import Hiding
-from safedpa.perception.odometry import Odometry
-from safedpa.perception.surroundings import covering
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.scenes import scene_of
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.perception.occlusion import OcclusionMap
+from safedpa.perception.odometry import OdometryBuffer
+from safedpa.perception.surroundings import cover_with_fewer_discs
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.scene import scene_of
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 MODEL, SETTINGS = load_model("car"), settings_named("car")
 PILLAR = Scene(0, None, (-3.0, 4.0, -3.0, 3.0), ((1.2, 0.0, 0.3),), (0.0, 0.0, 0.0))
 
 
 def car(latency: float = 0.05) -> CarRobot:
-    return CarRobot(PILLAR, senses=Senses((Laser(LaserSettings(latency=latency), 1),)))
+    return CarRobot(PILLAR, senses=SimulatedSensors((Laser(LaserSettings(latency=latency), 1),)))
 
 
 def stamp(state: StateMessage) -> dict[str, object]:
@@ -308,13 +308,13 @@ def step(node: PerceptionNode, state: StateMessage) -> SurroundingsMessage:
 
 
 def test_headings_that_wrap_are_laid_the_short_way_round_and_a_repeated_tick_breaks_nothing() -> None:
-    odometry = Odometry()
+    odometry = OdometryBuffer()
     odometry.add(0.0, (0.0, 0.0, pi - 0.01))
     odometry.add(0.1, (1.0, 0.0, -pi + 0.03))
     found = odometry.at(0.05)
     assert found is not None
     assert found == pytest.approx((0.5, 0.0, pi + 0.01))
-    odometry = Odometry()
+    odometry = OdometryBuffer()
     odometry.add(1.0, (0.0, 0.0, 0.0))
     odometry.add(1.0, (1.0, 0.0, 0.0))
     assert odometry.at(1.0 + 5e-10) == (1.0, 0.0, 0.0)
@@ -381,7 +381,7 @@ def test_scans_between_states_wait_for_the_state_after_them_even_of_the_next_epo
 
 
 def test_a_late_scan_forgets_no_person_who_went_out_of_sight_since() -> None:
-    hiding, none, all_of_it = Hiding(31, 0.2, 1.5), np.zeros((31, 31), bool), np.ones((31, 31), bool)
+    hiding, none, all_of_it = OcclusionMap(31, 0.2, 1.5), np.zeros((31, 31), bool), np.ones((31, 31), bool)
     hiding.look(0.9, all_of_it, none, none, none)
     somebody = none.copy()
     somebody[15, 15] = True
@@ -403,7 +403,7 @@ def test_around_the_origin_the_allowed_number_of_discs_covers_everything(most: i
     places = np.random.default_rng(0).uniform(-15.0, 15.0, (3000, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = covering(places, np.full(len(places), 0.05), np.array((0.01, 0.02)), most)
+        found = cover_with_fewer_discs(places, np.full(len(places), 0.05), np.array((0.01, 0.02)), most)
     assert len(found) <= most
     apart = np.hypot(places[:, None, 0] - found[:, 0], places[:, None, 1] - found[:, 1])
     assert ((apart + 0.05 - found[:, 2]).min(axis=1) < 1e-9).all()
@@ -415,7 +415,7 @@ def test_the_front_of_hidden_people_moves_at_their_top_speed_whatever_the_rate_o
     gap: float, way: tuple[int, int]
 ) -> None:
     """But for the cell that it is in, and 3 % of the way: it goes from cell to cell."""
-    hiding, none, beside = Hiding(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
+    hiding, none, beside = OcclusionMap(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
     beside[50, 50] = False
     hiding.look(0.0, beside, none, none, none)
     for look in range(1, int(1.2 / gap) + 1):

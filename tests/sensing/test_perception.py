@@ -9,18 +9,18 @@ import pytest
 from scipy import ndimage
 
 from safedpa.bus import SURROUNDINGS, ScanMessage, StateMessage, SurroundingsMessage
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus.messages.messages import ActionMessage
 from safedpa.errors import MessageError
 from safedpa.perception import PerceptionNode, PerceptionSettings
-from safedpa.perception.grid import Grid, grown, moved, shrunk
-from safedpa.perception.hiding import Hiding
-from safedpa.perception.sweep import Sweep
-from safedpa.perception.things import Things
+from safedpa.perception.obstacle_tracker import ObstacleTracker
+from safedpa.perception.occlusion import OcclusionMap
+from safedpa.perception.occupancy_grid import Grid, dilate, erode, shift_cells
+from safedpa.perception.scan import ScanRays
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
-from safedpa_sim.sensing.senses import Senses
-from safedpa_sim.sensing.shapes import Outline, box, cast, room_to, rooms_to
+from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
 
 FIELD = (-3.0, 4.0, -3.0, 3.0)
 SCENE = Scene(0, None, FIELD, ((2.0, 0.5, 0.3),), (-1.0, 0.0, 0.2), polygons=(box(0.5, -1.5, 0.6, 0.6, 0.3),))
@@ -37,7 +37,7 @@ def driven(
     ticks: int, action: tuple[float, float] = (0.4, 0.1), people: tuple[Person, ...] = (), scene: Scene = SCENE,
     laser: LaserSettings | None = None, change: Changes = unchanged, settings: PerceptionSettings | None = None,
 ) -> list[tuple[CarRobot, StateMessage, SurroundingsMessage]]:  # fmt: skip
-    robot = CarRobot(scene, senses=Senses((Laser(laser or LaserSettings(), 1),), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(laser or LaserSettings(), 1),), people))
     node, told = PerceptionNode(settings), []
     for tick in range(ticks):
         state = robot.state_message()
@@ -53,7 +53,7 @@ def driven(
     return told
 
 
-def seen_from(name: str, x: float, time: float, radius: float, state: StateMessage) -> Sweep:
+def seen_from(name: str, x: float, time: float, radius: float, state: StateMessage) -> ScanRays:
     """A scan from (x, 0) of a person of that radius at (1, 0), if any, and of a round wall."""
     angles = np.arange(0.0, 2.0 * np.pi, 0.01)
     along, across = (1.0 - x) * np.cos(angles), (1.0 - x) * np.sin(angles)
@@ -64,13 +64,13 @@ def seen_from(name: str, x: float, time: float, radius: float, state: StateMessa
         first_angle=0.0, angle_step=0.01, ranges=tuple(np.where(hits, near, 3.0).tolist()), nearest=0.02, farthest=8.0,
         number=int(100 * time),
     )  # fmt: skip
-    return Sweep(scan, (0.0, 0.0, 0.0), state, open_air=False)
+    return ScanRays(scan, (0.0, 0.0, 0.0), state, open_air=False)
 
 
 def test_what_one_source_saw_is_not_dropped_since_another_one_sees_its_other_side() -> None:
     """Two lasers that alternate: each sees the nearer side of a person between them."""
     state = driven(1)[0][1]
-    things = Things(PerceptionSettings(), 0.0, 0.0)
+    things = ObstacleTracker(PerceptionSettings(), 0.0, 0.0)
     own = np.zeros(things.first.shape, dtype=bool)
     for tick in range(40):
         radius = 0.12 if tick > 30 else 0.0  # a person has stepped in
@@ -92,7 +92,7 @@ def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
         restless.append(len(message.movers))
         assert not message.amiss
         for x, y, radius, *_ in message.points + message.movers:
-            assert abs(room_to(OUTLINE, x, y)) < radius + 0.03
+            assert abs(clearance_at(OUTLINE, x, y)) < radius + 0.03
     assert np.mean(restless) < 3
     assert max(restless) < 15
 
@@ -113,7 +113,7 @@ def test_every_near_object_is_covered() -> None:
 
 def test_a_walking_person_is_among_the_movers() -> None:
     person = Walks((1.0, 2.2), 1.2, 5)
-    robot = CarRobot(SCENE, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
+    robot = CarRobot(SCENE, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
     node, walked, in_sight = PerceptionNode(), 0, 0
     for _ in range(200):
         state = robot.state_message()
@@ -150,7 +150,7 @@ def reachable(start: tuple[float, float], message: SurroundingsMessage) -> np.nd
 
 
 def room_to_all(places: np.ndarray) -> np.ndarray:
-    return rooms_to(OUTLINE, places)
+    return clearances_at(OUTLINE, places)
 
 
 @pytest.mark.parametrize("action", [(0.0, 0.0), (0.5, 0.2)])
@@ -207,8 +207,8 @@ def test_what_was_seen_long_ago_is_wider_by_what_the_robot_may_have_misjudged_it
 def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
     """Two lasers: one sees the pillar at its height, the other looks over it."""
     low, high = LaserSettings(name="low"), LaserSettings(name="high", mount=(0.0, 0.0, 0.0))
-    robot = CarRobot(SCENE, senses=Senses((Laser(low, 1), Laser(high, 2))))
-    bare = CarRobot(replace(SCENE, obstacles=(), polygons=()), senses=Senses((Laser(low, 3), Laser(high, 4))))
+    robot = CarRobot(SCENE, senses=SimulatedSensors((Laser(low, 1), Laser(high, 2))))
+    bare = CarRobot(replace(SCENE, obstacles=(), polygons=()), senses=SimulatedSensors((Laser(low, 3), Laser(high, 4))))
     node = PerceptionNode()
     for tick in range(60):
         state = robot.state_message()
@@ -228,7 +228,7 @@ def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
 
 def test_empty_room_stays_empty_as_long_as_no_person_can_have_come() -> None:
     """A front goes 1.5 m/s from the last unseen cell: no faster, no slower by more than a cell."""
-    hiding = Hiding(81, 0.2, 1.5)
+    hiding = OcclusionMap(81, 0.2, 1.5)
     none = np.zeros((81, 81), dtype=bool)
     seen = none.copy()
     seen[5:76, 5:76] = True  # 3.5 m around the middle
@@ -245,7 +245,7 @@ def test_empty_room_stays_empty_as_long_as_no_person_can_have_come() -> None:
 def test_behind_walls_all_around_nothing_hides_after_one_look_unless_a_gap_lets_people_through(
     gap: int, comes: bool
 ) -> None:
-    hiding = Hiding(81, 0.2, 1.5)
+    hiding = OcclusionMap(81, 0.2, 1.5)
     none = np.zeros((81, 81), dtype=bool)
     wall, inside = none.copy(), none.copy()
     wall[20, 20:61] = wall[60, 20:61] = wall[20:61, 20] = wall[20:61, 60] = True
@@ -267,7 +267,7 @@ def test_cells_move_with_the_robot() -> None:
     way = grid.way_to(0.75, -0.4, 2)
     assert way != (0, 0)
     grid.move(way)
-    cells = moved(cells, way, False)
+    cells = shift_cells(cells, way, False)
     i, j, within = grid.cells(place)
     assert within.all()
     assert cells[i, j].all()
@@ -280,7 +280,7 @@ def test_cells_move_with_the_robot() -> None:
 def test_growing_and_shrinking_are_each_others_mirror() -> None:
     draw = np.random.default_rng(4)
     cells = draw.random((30, 30)) < 0.1
-    np.testing.assert_array_equal(shrunk(~cells, 0.2, beyond=True), ~grown(cells, 0.2, beyond=False))
+    np.testing.assert_array_equal(erode(~cells, 0.2, beyond=True), ~dilate(cells, 0.2, beyond=False))
 
 
 def frozen_after(seconds: float) -> Changes:

@@ -6,17 +6,17 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport, Request, SurroundingsMessage
-from safedpa.bus.wire.requests import SENSE
+from safedpa.bus.messages.requests import SENSE
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings, Zone, load_perception
+from safedpa.perception.overrides import SensorOverrides
 from safedpa.perception.settings import parse_perception
-from safedpa.perception.switches import Switches
 from safedpa_services.command_line import sense
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sensing-zones.md"
 SQUARE = "polygon = [[0, 0], [1, 0], [1, 1], [0, 1]]"
@@ -186,7 +186,7 @@ def test_a_wrong_file_is_refused_before_any_process_starts(
 
 def node_that_met_a_car(text: str, name: str = "r1") -> tuple[PerceptionNode, CarRobot]:
     room = Scene(0, None, (-3.0, 4.0, -3.0, 3.0), (), (0.0, 0.0, 0.0))
-    robot = CarRobot(room, senses=Senses((Laser(LaserSettings(), 1),)))
+    robot = CarRobot(room, senses=SimulatedSensors((Laser(LaserSettings(), 1),)))
     node = PerceptionNode(parse_perception(text))
     for _ in range(10):
         stepped(node, robot, name)
@@ -308,18 +308,18 @@ use = {wet}
 """
 
 
-def switches(path: Path | None, dock: str = "true", wet: str = "false", text: str = ZONES) -> Switches:
+def switches(path: Path | None, dock: str = "true", wet: str = "false", text: str = ZONES) -> SensorOverrides:
     """Of a process that has met a robot with two sources."""
-    found = Switches(parse_perception(text.format(dock=dock, wet=wet)), path)
+    found = SensorOverrides(parse_perception(text.format(dock=dock, wet=wet)), path)
     found.in_force("r1", ("laser", "sonar"), 0)
     return found
 
 
-def counted(one: Switches) -> str:
+def counted(one: SensorOverrides) -> str:
     return one.answer("r1", Request(do="status")).sentence.removeprefix("robot 'r1': ")
 
 
-def order(one: Switches, *words: str) -> str:
+def order(one: SensorOverrides, *words: str) -> str:
     return one.answer("r1", Request(do="switch", switches=words)).sentence
 
 
@@ -386,7 +386,7 @@ def test_an_unreadable_file_brakes_every_robot_until_an_order_names_the_sources(
 
 def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
     (tmp_path / "senses.json").mkdir()
-    found = Switches(parse_perception(""), tmp_path / "missing" / "senses.json")
+    found = SensorOverrides(parse_perception(""), tmp_path / "missing" / "senses.json")
     found.in_force("r1", ("laser",), 0)
     said = order(found, "source laser=off")
     assert "until another order or perception's end: " in said

@@ -9,18 +9,17 @@ import pytest
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
-from safedpa.robots.car.counter_braking import STANDS, CounterBraking
-from safedpa.robots.car.quickness import ORDINARY, Quickness, quickness_of
-from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_far import below, discs_near, far_of, fastest_of, moving_near
-from safedpa.robots.car.sensed_scene import MOST_ROWS, Sensed, counter_braking_of, sensed_barriers
-from safedpa.robots.car.towed_reach import TowedReach
-from safedpa.safety.braking import Braking
-from safedpa.safety.found_delay import Passed
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
+from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking, performance_limits
+from safedpa.robots.car.scenes.sensed import MOST_ROWS, SensedBarriers, reversal_braking, sensed_barriers
+from safedpa.safety.barriers.stack import CompiledBarrierSet
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.prediction.delay_estimator import Transition
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.stacks import EquationStack
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.loads import LOADS, load_named
@@ -28,15 +27,15 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing import Laser
 from safedpa_sim.sensing.laser import LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 SETTINGS = settings_named("car")
-COUNTER, BRAKING, CLEARANCE = counter_braking_of(SETTINGS), braking_of(SETTINGS), SETTINGS.barrier("clearance")
+COUNTER, BRAKING, CLEARANCE = reversal_braking(SETTINGS), braking_of(SETTINGS), SETTINGS.barrier("clearance")
 BODY = (0.08, 0.40, 0.17)
-TOWED = TowedReach(0.1, 0.5, 0.2, 0.3, (0.0, 0.0, 0.0))
+TOWED = TrailerEnvelope(0.1, 0.5, 0.2, 0.3, (0.0, 0.0, 0.0))
 
 
-FOLDED = TowedReach(0.1, 0.5, 0.9, 0.5, (0.0, 0.0, 0.0))
+FOLDED = TrailerEnvelope(0.1, 0.5, 0.9, 0.5, (0.0, 0.0, 0.0))
 """A large load that was pushed back as far as it folds."""
 MARGINS = {"obstacle": 0.02, "mover": 0.03}
 POINTS, MOVERS, HIDDEN = 3, 6, 4
@@ -69,25 +68,25 @@ def scene(draw: np.random.Generator, count: int) -> tuple[StateMessage, Surround
     return state, seen_by(state, rows(), rows(0.1, 0.0, 1.5), rows(0.9))
 
 
-def every_height(state: StateMessage, seen: SurroundingsMessage, towed: TowedReach | None) -> dict[str, float]:
+def every_height(state: StateMessage, seen: SurroundingsMessage, towed: TrailerEnvelope | None) -> dict[str, float]:
     """Of each disc the h that says whether it is near, less how large it has to be: below 0 it is."""
     still = ObstacleBarrier(np.reshape(seen.points, (-1, 3)), BODY, BRAKING, CLEARANCE, towed=towed)
     discs = [(x, y, radius, w) for x, y, radius, *_, w in (*seen.movers, *seen.hidden)]
     thick = {} if towed is None else {"towed": towed, "own_radius": SETTINGS.barrier("own_radius")}
-    able = MoverBarrier(discs, [False] * len(discs), BODY, BRAKING, COUNTER, CLEARANCE, state.period, **thick)
+    able = MovingObstacleBarrier(discs, [False] * len(discs), BODY, BRAKING, COUNTER, CLEARANCE, state.period, **thick)
     names = [f"point {row}" for row in range(len(seen.points))]
     names += [f"mover {row}" for row in range(len(seen.movers))]
     names += [f"hidden {row}" for row in range(len(seen.hidden))]
     found = []
     for barrier in (still, able):
-        far = far_of(barrier, state, SETTINGS.eta, MARGINS[barrier.kind], 0.0, ORDINARY)
+        far = irrelevance_distance(barrier, state, SETTINGS.eta, MARGINS[barrier.kind], 0.0, ORDINARY)
         found += (barrier.values(np.array(state.values)) - far).tolist()
     return dict(zip(names, found, strict=True))
 
 
 @pytest.mark.parametrize("towed", [None, TOWED, FOLDED])
 @pytest.mark.parametrize("count", [1, 12, 30])
-def test_all_that_is_near_is_looked_at_and_nothing_else(count: int, towed: TowedReach | None) -> None:
+def test_all_that_is_near_is_looked_at_and_nothing_else(count: int, towed: TrailerEnvelope | None) -> None:
     draw, near, far = np.random.default_rng([4, count]), 0, 0
     for _ in range(60):
         state, seen = scene(draw, count)
@@ -119,7 +118,7 @@ def test_only_the_discs_that_count_give_barriers() -> None:
     found = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, ((0.9, 0.5, 0.1),), (away, near)), None)
     creeps, own = SETTINGS.barrier("creeping"), SETTINGS.barrier("own_radius")
     known = BODY, BRAKING, COUNTER, CLEARANCE, state.period
-    able = MoverBarrier([(1.2, 0.2, 0.1, 0.5)], [False], *known, ["mover 1"], creeps=creeps, own_radius=own)
+    able = MovingObstacleBarrier([(1.2, 0.2, 0.1, 0.5)], [False], *known, ["mover 1"], creeps=creeps, own_radius=own)
     still = ObstacleBarrier([(0.9, 0.5, 0.1)], BODY, BRAKING, CLEARANCE, ["point 0"])
     for one, wanted in zip(found.barriers.parts[:2], (still, able), strict=True):
         assert (one.names, one.shared, one.each) == (wanted.names, wanted.shared, wanted.each)
@@ -194,15 +193,15 @@ def test_rows_that_are_no_discs_are_refused(name: str, width: int) -> None:
 MODELS = ("car", "car_fix", "car_learned", "car_measured", "car_mix", "car_rma_p", "car_simulated", "dart_car")
 
 
-def bounds_of(name: str) -> Quickness:
-    return quickness_of(load_model(name), settings_named("car_throttle" if name == "dart_car" else "car"))
+def bounds_of(name: str) -> PerformanceLimits:
+    return performance_limits(load_model(name), settings_named("car_throttle" if name == "dart_car" else "car"))
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_no_period_does_more(name: str) -> None:
     model, draw = load_model(name), np.random.default_rng(7)
     settings = settings_named("car_throttle" if name == "dart_car" else "car")
-    bounds, count, period = quickness_of(model, settings), 2000, model.period
+    bounds, count, period = performance_limits(model, settings), 2000, model.period
     states = np.zeros((count, 4))
     states[:, 2] = draw.uniform(-np.pi, np.pi, count)
     states[:, 3] = draw.uniform(settings.barrier("speed_low"), settings.barrier("speed_high"), count)
@@ -226,21 +225,23 @@ def test_a_model_that_is_quicker_than_a_car_is_taken_so_and_one_without_a_number
     assert bounds_of("dart_car").acceleration == pytest.approx(125.0), "of a gain of up to 100 m/s2"
     model = load_model("car")
     monkeypatch.setattr(type(model), "advance", lambda *_, **__: (np.full((9, 5, 5, 5, 4), np.nan), None))
-    found = quickness_of(model, settings_named("car"))
+    found = performance_limits(model, settings_named("car"))
     assert found.acceleration == found.curvature == found.reach == np.inf
 
 
 CREEPS = SETTINGS.barrier("creeping")
-BRAKES, BRAKES_BACK = Braking(2.0, 2.5), CounterBraking(2.0, 2.5, 0.6)
+BRAKES, BRAKES_BACK = Braking(2.0, 2.5), ReversalBraking(2.0, 2.5, 0.6)
 OWN = 0.12
 
 
-def barrier(load: str, discs: object, way: float, *, hidden: bool = False, creeps: float = 0.0) -> MoverBarrier:
+def barrier(
+    load: str, discs: object, way: float, *, hidden: bool = False, creeps: float = 0.0
+) -> MovingObstacleBarrier:
     table = np.array(discs, dtype=np.float64)
     body, (begin, end, reach) = footprint(load_named(load)), towed_reach(load_named(load))
-    towed = TowedReach(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
+    towed = TrailerEnvelope(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
     known = body, BRAKES, BRAKES_BACK, 0.0, 0.0, None, towed
-    return MoverBarrier(table, [hidden] * len(table), *known, creeps=creeps, own_radius=OWN)
+    return MovingObstacleBarrier(table, [hidden] * len(table), *known, creeps=creeps, own_radius=OWN)
 
 
 def share_of(load: str, way: float) -> float:
@@ -319,7 +320,7 @@ def test_no_slope_exceeds_its_bound_with_a_load(load: str, hidden: bool) -> None
     draw = np.random.default_rng(7)
     discs = np.column_stack([draw.uniform(-2, 2, (80, 2)), np.full(80, 0.2), draw.uniform(0.0, 1.5, 80)])
     for way in (0.0, 0.2, 1.0):
-        stack = EquationStack([barrier(load, discs, way, hidden=hidden, creeps=CREEPS)])
+        stack = CompiledBarrierSet([barrier(load, discs, way, hidden=hidden, creeps=CREEPS)])
         for _ in range(60):
             state = np.array((*draw.uniform(-0.2, 0.2, 2), draw.uniform(-4, 4), draw.uniform(-0.6, 2.0)))
             bound = np.array(stack.steepest(state.tolist()))
@@ -333,9 +334,9 @@ def test_a_load_needs_more_room_behind_and_without_an_own_radius_the_body_is_the
     assert pushed == pytest.approx(np.hypot(0.58, 0.75) - reach - 0.2)
     assert drawn == pytest.approx(np.hypot(0.58 - 0.05, 0.75 - reach) - 0.2)
     body, (begin, end, reach) = footprint(load_named("chair")), towed_reach(load_named("chair"))
-    towed = TowedReach(begin, end, reach - body[2], 0.0, (0.0, 0.0, 0.0))
+    towed = TrailerEnvelope(begin, end, reach - body[2], 0.0, (0.0, 0.0, 0.0))
     known = [(1.2, 0.1, 0.2, 1.5)], [False], body, BRAKES, BRAKES_BACK, 0.0, 0.0, None, towed
-    wide, slim = MoverBarrier(*known), MoverBarrier(*known, own_radius=OWN)
+    wide, slim = MovingObstacleBarrier(*known), MovingObstacleBarrier(*known, own_radius=OWN)
     for speed in (0.0, 0.5):
         state = np.array((0.0, 0.0, 0.0, speed))
         assert slim.values(state)[0] - wide.values(state)[0] == pytest.approx(body[2] - OWN)
@@ -347,8 +348,8 @@ def test_a_car_may_creep_towards_unseen_room_only_as_fast_as_it_can_stop(load: s
     places = [(0.6, 0.1, 0.27, 1.5), (0.2, -0.5, 0.27, 1.5)]
     if load == "none":
         body = (0.08, 0.40, 0.12)
-        strict = MoverBarrier(places, [True] * 2, body, BRAKES, BRAKES_BACK)
-        creeping = MoverBarrier(places, [True] * 2, body, BRAKES, BRAKES_BACK, creeps=CREEPS)
+        strict = MovingObstacleBarrier(places, [True] * 2, body, BRAKES, BRAKES_BACK)
+        creeping = MovingObstacleBarrier(places, [True] * 2, body, BRAKES, BRAKES_BACK, creeps=CREEPS)
     else:
         strict = barrier(load, places, 0.3, hidden=True)
         creeping = barrier(load, places, 0.3, hidden=True, creeps=CREEPS)
@@ -360,14 +361,14 @@ def test_a_car_may_creep_towards_unseen_room_only_as_fast_as_it_can_stop(load: s
             assert ((creeping.values(state) >= 0.0) == (strict.values(state) >= 0.0)).all()
 
 
-def around(load: str, speed: float, **seen: object) -> tuple[Sensed, StateMessage]:
+def around(load: str, speed: float, **seen: object) -> tuple[SensedBarriers, StateMessage]:
     scene = Scene(0, load_named(load), (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings()),)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),)))
     state = replace(robot.state_message(), values=(0.0, 0.0, 0.0, speed))
     stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
     told: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
     message = SurroundingsMessage(**stamp, **told)  # type: ignore[arg-type]
-    return sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, message, None), state
+    return sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, message, None), state
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.06, -0.06])
@@ -390,12 +391,12 @@ def test_a_hidden_place_that_holds_a_car_only_once_it_drives_is_looked_at() -> N
 def test_a_stationary_car_reports_no_delay_and_one_without_settings_for_creeping_stops() -> None:
     """A load that sticks to the floor does not move for a while, as if commands acted late."""
     commands = (((1.0, 0.0), None), ((0.0, 0.0), None))
-    assert Passed((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.05), commands).stood((3,))
-    assert not Passed((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.2), commands).stood((3,))
-    assert not Passed((0.0, 0.0), (0.0, 0.0), commands).stood(())
+    assert Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.05), commands).stood((3,))
+    assert not Transition((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.2), commands).stood((3,))
+    assert not Transition((0.0, 0.0), (0.0, 0.0), commands).stood(())
     # Driving on towards unseen room has to be enabled.
     assert FilterSettings().barrier("creeping") == 0.0
     state = np.array([0.0, 0.0, 0.0, 0.0])
     known = np.array([(0.75, 0.0, 0.25, 1.5)]), [True], (0.08, 0.40, 0.12), BRAKES, BRAKES_BACK
-    still, creeping = MoverBarrier(*known), MoverBarrier(*known, creeps=CREEPS)
+    still, creeping = MovingObstacleBarrier(*known), MovingObstacleBarrier(*known, creeps=CREEPS)
     assert still.values(state).min() < 0.0 <= creeping.values(state).min()

@@ -8,31 +8,30 @@ import numpy as np
 import pytest
 
 from safedpa.bus import LATENT, SURROUNDINGS, VERDICT, WISH, Stale, StateMessage, SurroundingsMessage
-from safedpa.bus.wire.messages import LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus.messages.messages import LatentMessage, VerdictMessage, WishMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.operations import FLOATS
 from safedpa.perception import PerceptionNode
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
-from safedpa.robots.car.counter_braking import STANDS, CounterBraking
-from safedpa.robots.car.quickness import ORDINARY, Quickness, quickness_of
-from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_far import far_of
-from safedpa.robots.car.sensed_scene import MOST_ROWS, counter_braking_of, sensed_barriers
-from safedpa.robots.car.towed_reach import TowedReach
-from safedpa.safety.braking import Braking
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.held_model import HeldModel
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.scenes import scene_of
-from safedpa.safety.shipped import margin_for, settings_named
-from safedpa.safety.stacks import EquationStack
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
+from safedpa.robots.car.barriers.pruning import irrelevance_distance
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking, performance_limits
+from safedpa.robots.car.scenes.sensed import MOST_ROWS, reversal_braking, sensed_barriers
+from safedpa.runtime.calibrated_model import CalibratedModel
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.robot_session import RobotSession
+from safedpa.runtime.scene import scene_of
+from safedpa.safety.barriers.stack import CompiledBarrierSet
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 from safedpa_sim.sensing.shapes import box
 
 SETTINGS = settings_named("car")
@@ -41,12 +40,14 @@ BODY = (0.08, 0.40, 0.17)
 MODEL = load_model("car")
 
 
-COUNTER = CounterBraking(2.0, 2.5, 0.6)
+COUNTER = ReversalBraking(2.0, 2.5, 0.6)
 
 
-def barrier(discs: object, hidden: bool = False, towed: TowedReach | None = None, period: float = 0.0) -> MoverBarrier:
+def barrier(
+    discs: object, hidden: bool = False, towed: TrailerEnvelope | None = None, period: float = 0.0
+) -> MovingObstacleBarrier:
     table = np.array(discs, dtype=np.float64)
-    return MoverBarrier(table, [hidden] * len(table), BODY, BRAKING, COUNTER, 0.0, period, towed=towed)
+    return MovingObstacleBarrier(table, [hidden] * len(table), BODY, BRAKING, COUNTER, 0.0, period, towed=towed)
 
 
 def states(count: int, seed: int) -> np.ndarray:
@@ -73,12 +74,12 @@ def test_for_static_objects_the_barrier_asks_no_more_than_the_obstacle_barrier()
 
 
 def braked(speed: float, seconds: float) -> float:
-    """What is left of a speed after the braking that ``CounterBraking`` guarantees."""
+    """What is left of a speed after the braking that ``ReversalBraking`` guarantees."""
     return max(abs(speed) - seconds * min(2.5 * (abs(speed) + 0.6), 2.0), 0.0) * float(np.sign(speed))
 
 
-@pytest.mark.parametrize("towed", [None, TowedReach(0.1, 0.5, 0.2, 0.15, (0.0, 0.0, 0.0))])
-def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TowedReach | None) -> None:
+@pytest.mark.parametrize("towed", [None, TrailerEnvelope(0.1, 0.5, 0.2, 0.15, (0.0, 0.0, 0.0))])
+def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TrailerEnvelope | None) -> None:
     """Discs head straight for the car at their speed; the car brakes as it is guaranteed to."""
     draw = np.random.default_rng(3)
     for state in states(150, 4):
@@ -116,7 +117,7 @@ def test_time_and_distance_to_stop_are_no_less_than_guaranteed_braking_takes() -
 @pytest.mark.parametrize("speed", [0.3, 0.6, 1.0, 1.5, 1.9, -0.5])
 def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: float) -> None:
     """With every load, straight and turning, driving steadily and just speeding up; the settings' own numbers."""
-    counter = counter_braking_of(SETTINGS)
+    counter = reversal_braking(SETTINGS)
     for steer in (0.0, 0.34):
         for wished in (speed, np.copysign(2.0, speed)):
             world = CarWorld((0.0, 0.0, 0.0), (-60.0, 60.0, -60.0, 60.0), (), load_named(load))
@@ -143,7 +144,7 @@ def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: floa
 def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
     """-1 is its full throttle, no speed: what it is promised is the braking that its own backup does."""
     throttled = settings_named("car_throttle")
-    counter = counter_braking_of(throttled, servo=False)
+    counter = reversal_braking(throttled, servo=False)
     assert counter.against == 0.0
     seen = surroundings(state_of(), movers=((3.0, 0.0, 0.05, 0.0, 0.0, 1.5),))
     model = load_model("dart_car")
@@ -151,7 +152,7 @@ def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
     state = replace(state_of(), values=(0.0, 0.0, 0.0, 0.8), sources=("laser",))
     found = scene.around(state, seen)
     assert not isinstance(found, str)
-    mover = next(part for part in found.parts if isinstance(part, MoverBarrier))
+    mover = next(part for part in found.parts if isinstance(part, MovingObstacleBarrier))
     assert mover.shared[4:7] == pytest.approx((counter.numbers[1], counter.numbers[2], counter.numbers[0]))
     assert scene.backup is not None
     assert -1.0 < scene.backup(np.array(state.values))[0] < 0.0
@@ -159,7 +160,7 @@ def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
 
 def test_its_slopes_are_those_of_its_values_and_within_their_bound() -> None:
     sensed = barrier([(1.0, 0.5, 0.2, 1.5), (-1.0, 1.0, 0.1, 0.0), (0.3, -1.2, 0.3, 0.7)])
-    bound = np.array(EquationStack([sensed]).steepest([0.0, 0.0, 0.0, 2.0]))
+    bound = np.array(CompiledBarrierSet([sensed]).steepest([0.0, 0.0, 0.0, 2.0]))
     for state in states(50, 6):
         _, gradient = sensed.evaluate(state)
         assert (np.abs(gradient) <= bound + 1e-9).all()
@@ -176,9 +177,9 @@ def test_no_slope_exceeds_the_bound_however_the_car_brakes(against: float, decel
     """A car with a throttle needs a longer way than its segment of what stands still has."""
     draw = np.random.default_rng(7)
     discs = np.column_stack([draw.uniform(-4, 4, (60, 2)), np.full(60, 0.1), draw.uniform(0.0, 1.5, 60)])
-    counter = CounterBraking(deceleration, gain, against)
-    sensed = MoverBarrier(discs, [False] * 60, BODY, Braking(deceleration, gain), counter)
-    stack = EquationStack([sensed])
+    counter = ReversalBraking(deceleration, gain, against)
+    sensed = MovingObstacleBarrier(discs, [False] * 60, BODY, Braking(deceleration, gain), counter)
+    stack = CompiledBarrierSet([sensed])
     for state in states(100, 8):
         bound = np.array(stack.steepest(state.tolist()))
         assert (np.abs(stack.gradient(state)) <= bound + 1e-9).all()
@@ -193,7 +194,7 @@ def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
 def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, wish: float = 1.0) -> VerdictMessage:
     """One tick of the real node at the origin, driving east."""
     robot = CarRobot(
-        Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0)), senses=Senses((Laser(LaserSettings()),))
+        Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0)), senses=SimulatedSensors((Laser(LaserSettings()),))
     )
     state = replace(robot.state_message(), values=(0.0, 0.0, 0.0, speed))
     stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
@@ -265,7 +266,7 @@ def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> N
     places = draw.uniform(-1.6, 1.6, (256, 2))
     state = state_of()
     seen = surroundings(state, points=tuple((x, y, 0.05) for x, y in places.tolist()))
-    found = sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, seen, None)
+    found = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, seen, None)
     names = found.barriers.parts[0].names
     assert len(names) == MOST_ROWS
     assert " points near it, those with the least h were looked at" in found.left_out
@@ -273,16 +274,16 @@ def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> N
     kept = {int(name.split()[1]) for name in names}
     ahead = np.abs(places[:, 1]) < 0.3
     assert set(np.argsort(h)[:20].tolist()) <= kept | set(np.flatnonzero(ahead).tolist())
-    few = sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, replace(seen, points=seen.points[:40]), None)
+    few = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, replace(seen, points=seen.points[:40]), None)
     assert few.left_out == ""
 
 
-def of_some_kind(discs: np.ndarray, towed: TowedReach | None) -> list[ObstacleBarrier | MoverBarrier]:
-    counter, braking = counter_braking_of(SETTINGS), braking_of(SETTINGS)
+def of_some_kind(discs: np.ndarray, towed: TrailerEnvelope | None) -> list[ObstacleBarrier | MovingObstacleBarrier]:
+    counter, braking = reversal_braking(SETTINGS), braking_of(SETTINGS)
     movers = np.column_stack([discs, np.full(len(discs), 1.5)])
     return [
         ObstacleBarrier(discs, BODY, braking, towed=towed),
-        MoverBarrier(movers, [False] * len(discs), BODY, braking, counter, 0.0, 0.05, towed=towed),
+        MovingObstacleBarrier(movers, [False] * len(discs), BODY, braking, counter, 0.0, 0.05, towed=towed),
     ]
 
 
@@ -291,17 +292,17 @@ def of_some_kind(discs: np.ndarray, towed: TowedReach | None) -> list[ObstacleBa
 def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late: int) -> None:
     """Every action of one period, from where it begins to act: h of what is as far as that keeps its condition."""
     draw, model, left_out = np.random.default_rng(9), load_model(name).with_period(0.05), 0
-    quick = quickness_of(model, SETTINGS)
+    quick = performance_limits(model, SETTINGS)
     farthest = 12.0 if name != "car_learned" else 60.0  # with latents at their ends it is three times as quick
     ends = [(model.parameters[one].low, model.parameters[one].high) for one in model.latent_names]
     for number, state in enumerate(states(60, 10)):
-        towed = TowedReach(0.1, 0.5, 0.2, 0.15, (0.0, 0.0, 0.0)) if number % 3 == 0 else None
+        towed = TrailerEnvelope(0.1, 0.5, 0.2, 0.15, (0.0, 0.0, 0.0)) if number % 3 == 0 else None
         latent = np.array([draw.choice(end) for end in ends])
         distance, angle = draw.uniform(0.5, farthest, 60), draw.uniform(-np.pi, np.pi, 60)
         places = state[:2] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         told = replace(state_of(), values=tuple(state.tolist()))
         for barrier in of_some_kind(np.column_stack([places, np.full(60, 0.1)]), towed):
-            far = far_of(barrier, told, SETTINGS.eta, 0.1, 0.05 * late, quick)
+            far = irrelevance_distance(barrier, told, SETTINGS.eta, 0.1, 0.05 * late, quick)
             rows = barrier.values(state) >= far
             left_out += int(rows.sum())
             for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
@@ -317,7 +318,7 @@ def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late
 @pytest.mark.parametrize("coming", [1.5, 4.0])
 def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(coming: float) -> None:
     """Behind the car paths of hidden people do not count, next to it all do: h falls by more than by moving."""
-    draw, counter, left_out = np.random.default_rng(12), counter_braking_of(SETTINGS), 0
+    draw, counter, left_out = np.random.default_rng(12), reversal_braking(SETTINGS), 0
     model, clearance = MODEL.with_period(0.05), SETTINGS.barrier("clearance")
     for state in states(60, 11):
         told = replace(state_of(), values=tuple(state.tolist()))
@@ -329,7 +330,9 @@ def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(c
         found = sensed_barriers(SETTINGS, counter, told, seen, None, {"mover": 0.03})
         rows = np.array([f"hidden {row}" not in found.barriers.names for row in range(60)])
         left_out += int(rows.sum())
-        every = MoverBarrier(discs, [True] * 60, told.footprint, braking_of(SETTINGS), counter, clearance, 0.05)
+        every = MovingObstacleBarrier(
+            discs, [True] * 60, told.footprint, braking_of(SETTINGS), counter, clearance, 0.05
+        )
         for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
             after = every.values(model.step(state, np.array(action)))
             assert (after[rows] >= 0.03).all()
@@ -338,18 +341,18 @@ def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(c
 
 def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_tick() -> None:
     """Five times the car is 0.3 m nearer than was predicted: then the margin is several times as wide."""
-    robot = FilteredRobot.begun(HeldModel(MODEL, fingerprint(MODEL), margin_for(MODEL)), SETTINGS)
+    robot = RobotSession.begun(CalibratedModel(MODEL, fingerprint(MODEL), margin_for(MODEL)), SETTINGS)
     places = tuple((0.7 + 0.05 * k, 0.0, 0.1) for k in range(60))
     movers, widths = tuple((*place, 0.0, 0.0, 0.0) for place in places), []
     for tick in range(8):
         first = state_of()
         state = replace(first, tick=tick, robot_time=0.05 * tick, sources=("laser",), obstacles=(), applied_by="filter")
         seen = surroundings(state, points=places, movers=movers)
-        robot.take_up(state)
+        robot.observe_state(state)
         robot.margin.expect((-0.3, 0.0, 0.0, 0.0))
         robot.see(state, seen)
         assert not isinstance(robot.barriers, str)
-        wanted = sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, seen, None, robot.margin.epsilon)
+        wanted = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, seen, None, robot.margin.epsilon)
         assert robot.barriers.names == wanted.barriers.names
         widths.append(robot.margin.epsilon["obstacle"])
     assert max(after / before for before, after in pairwise(widths)) > 2.0
@@ -358,9 +361,12 @@ def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_t
 def test_what_is_far_is_nearer_for_a_slow_car_and_farther_where_its_action_acts_late() -> None:
     (still, _) = of_some_kind(np.array([[3.0, 0.0, 0.1]]), None)
     told = [replace(state_of(), values=(0.0, 0.0, 0.0, speed)) for speed in (0.0, 1.0, -1.0)]
-    slow, quick, backwards = (far_of(still, one, SETTINGS.eta, 0.03, 0.0, ORDINARY) for one in told)
-    assert far_of(still, told[0], SETTINGS.eta, 0.03, 0.0, Quickness(np.inf, np.inf, np.inf)) == np.inf
-    assert slow < backwards == quick < far_of(still, told[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
+    slow, quick, backwards = (irrelevance_distance(still, one, SETTINGS.eta, 0.03, 0.0, ORDINARY) for one in told)
+    assert (
+        irrelevance_distance(still, told[0], SETTINGS.eta, 0.03, 0.0, PerformanceLimits(np.inf, np.inf, np.inf))
+        == np.inf
+    )
+    assert slow < backwards == quick < irrelevance_distance(still, told[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
 
 
 class Ahead:
@@ -373,7 +379,7 @@ def driven(scene: Scene, people: tuple[Person, ...], seconds: float, seed: int =
     from safedpa.adaptation import AdaptationNode
     from safedpa.policy import PolicyNode
 
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), seed),), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), seed),), people))
     nodes = [
         AdaptationNode(MODEL),
         PerceptionNode(),

@@ -11,14 +11,14 @@ import pytest
 from click.testing import CliRunner
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import SURROUNDINGS, Received, SurroundingsMessage
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus import SURROUNDINGS, ReceivedMessage, SurroundingsMessage
+from safedpa.bus.messages.messages import ActionMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.commands.experiments.sensing_margins import command
 from safedpa_lab.experiments import sensing, sensing_margins
 from safedpa_lab.experiments.misjudging import Misjudges
@@ -35,8 +35,8 @@ from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
-from safedpa_sim.sensing.shapes import Outline, box, room_to
+from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.shapes import Outline, box, clearance_at
 
 
 def test_a_drive_repeats_people_are_seen_by_sensing_alone_and_perfect_knowledge_drives_farther() -> None:
@@ -61,7 +61,7 @@ def test_start_and_goals_of_a_scene_are_free_and_the_same_again(kind: str, load:
     assert [one.place for one in people] == [one.place for one in others]
     solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
     for x, y in (scene.start[:2], *scene.fixed_goals):
-        assert room_to(solid, x, y) > scene.footprint[2]
+        assert clearance_at(solid, x, y) > scene.footprint[2]
 
 
 @pytest.mark.long
@@ -85,7 +85,7 @@ def test_scenes_that_do_not_exist_are_refused_and_so_are_their_margins() -> None
 
 def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
     scene, people = scene_and_people("rooms", 1004, "none")
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), people))
     state = robot.state_message()
     told = TellsEverything(scene, people).step("r1", state, {})[SURROUNDINGS]
     assert isinstance(told, SurroundingsMessage)
@@ -94,7 +94,7 @@ def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
     solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
     x, y, _ = scene.start
     nearest = (np.hypot(points[:, 0] - x, points[:, 1] - y) - points[:, 2]).min()
-    assert abs(nearest - room_to(solid, x, y)) < 0.02
+    assert abs(nearest - clearance_at(solid, x, y)) < 0.02
 
 
 @pytest.mark.long
@@ -253,7 +253,7 @@ SMALLER = 0.04
 
 
 def car_in(scene: Scene, people: Any = ()) -> CarRobot:
-    return CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), people))
+    return CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), people))
 
 
 def test_wrong_odometry_reports_longer_paths_and_turns_and_leaves_the_scans_alone() -> None:
@@ -302,7 +302,7 @@ class _Farther:
     def __init__(self, scores: Scores) -> None:
         self.scores = scores
 
-    def hear(self, item: Received) -> None:
+    def hear(self, item: ReceivedMessage) -> None:
         told = item.message
         if isinstance(told, SurroundingsMessage):
             movers, hidden = (
@@ -321,7 +321,7 @@ def test_an_object_that_is_reported_too_far_away_is_an_error_of_that_distance() 
     right, smaller = (Scores(robot, people, settings, sensing) for _ in range(2))
     farther = _Farther(smaller)
 
-    def hear(item: Received) -> None:
+    def hear(item: ReceivedMessage) -> None:
         right.hear(item)
         farther.hear(item)
 

@@ -9,18 +9,18 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import SURROUNDINGS, AbstractNode, StateMessage, SurroundingsMessage
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus.messages.messages import ActionMessage
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.car_scene import CarScene
-from safedpa.robots.car.counter_braking import STANDS, CounterBraking
-from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_scene import counter_braking_of, sensed_barriers
-from safedpa.robots.car.towed_reach import TowedReach
-from safedpa.safety.braking import Braking
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.dynamics.limits import STANDS, ReversalBraking
+from safedpa.robots.car.scenes.perceived import CarScene
+from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.sensing_peers import NoFilter
 from safedpa_sim.closed_loop import drive, drive_together
 from safedpa_sim.robots.core import CarRobot
@@ -29,11 +29,11 @@ from safedpa_sim.robots.loads import LOADS, load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point
 
 SETTINGS = settings_named("car")
-BRAKING, COUNTER = Braking(2.0, 2.5), CounterBraking(2.0, 2.5, 0.6)
+BRAKING, COUNTER = Braking(2.0, 2.5), ReversalBraking(2.0, 2.5, 0.6)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
 
 
@@ -61,7 +61,7 @@ class GoesTo(Person):
 def stands_by(load: str, person: Person, seconds: float) -> Told:
     """A stationary car with its load, and what its laser sees."""
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
     node, told = PerceptionNode(), Told()
     for tick in range(round(seconds / 0.05)):
         state = robot.state_message()
@@ -78,7 +78,7 @@ def stands_by(load: str, person: Person, seconds: float) -> Told:
 def yields(state: StateMessage, seen: SurroundingsMessage) -> bool:
     scene = CarScene(SETTINGS)
     scene.follow(state)
-    return bool(sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, seen, scene.way.reach(state)).yields_to)
+    return bool(sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, seen, scene.way.reach(state)).yields_to)
 
 
 @pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
@@ -119,13 +119,13 @@ def test_a_car_continues_after_a_person_left_its_load_and_nobody_far_is_taken_to
     assert not any(yields(state, seen) for _, state, seen, _ in told)
 
 
-def barrier(load: str, discs: object, hidden: bool, way: float = 0.0) -> MoverBarrier:
+def barrier(load: str, discs: object, hidden: bool, way: float = 0.0) -> MovingObstacleBarrier:
     known = load_named(load)
     begin, end, reach = towed_reach(known)
     body = footprint(known)
     table = np.array(discs, dtype=np.float64)
-    towed = TowedReach(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
-    return MoverBarrier(table, [hidden] * len(table), body, BRAKING, COUNTER, 0.0, 0.0, towed=towed)
+    towed = TrailerEnvelope(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
+    return MovingObstacleBarrier(table, [hidden] * len(table), body, BRAKING, COUNTER, 0.0, 0.0, towed=towed)
 
 
 @pytest.mark.parametrize("load", list(LOADS))
@@ -158,7 +158,7 @@ def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) ->
     """Unseen room behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
     model = load_model("car")
     scene = Scene(0, load_named(load), FIELD, (), (-2.5, 0.0, 0.0), ((2.5, 0.0),))
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),)))
     nodes = [
         AdaptationNode(model),
         PerceptionNode(),
@@ -204,7 +204,7 @@ class Pushes(Person):
 def test_no_person_shoves_a_stationary_car_or_its_load(load: str, place: Point, towards: Point) -> None:
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
     person = Pushes(place, towards)
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
     pose = robot.world.towed.pose[:2] if robot.world.towed else (0.0, 0.0)
     for tick in range(60):
         robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0)))
@@ -231,7 +231,7 @@ def facing(apart: float) -> SharedField:
         Scene(1, None, FIELD, (), (-half, 0.0, 0.0), ((3.2, 0.0), (-3.2, 0.0))),
         Scene(2, None, FIELD, (), (half, 0.03, pi), ((-3.2, 0.0), (3.2, 0.0))),
     )
-    return SharedField([CarRobot(one, senses=Senses((Laser(LaserSettings(), one.seed),))) for one in scenes])
+    return SharedField([CarRobot(one, senses=SimulatedSensors((Laser(LaserSettings(), one.seed),))) for one in scenes])
 
 
 def nodes(guard: AbstractNode) -> list[AbstractNode]:

@@ -10,22 +10,22 @@ from hypothesis import strategies as st
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import SURROUNDINGS, Request, SurroundingsMessage
-from safedpa.bus.wire.messages import ActionMessage, ScanMessage
+from safedpa.bus.messages.messages import ActionMessage, ScanMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings, SourceSettings, Zone
-from safedpa.perception.grid import CELL, Grid
-from safedpa.perception.hiding import Hiding
+from safedpa.perception.occlusion import OcclusionMap
+from safedpa.perception.occupancy_grid import CELL, Grid
 from safedpa.perception.surroundings import closed_discs
-from safedpa.perception.zones import entered, inside, nobody_in, to_border
+from safedpa.perception.zones import distance_to_border, polygon_contains, unoccupied_cells, zone_entry_distance
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 FIELD = (-3.0, 4.0, -3.0, 3.0)
 PILLAR = Scene(0, None, FIELD, ((1.5, 0.0, 0.3),), (0.0, 0.0, 0.0))
@@ -35,7 +35,9 @@ Discs = tuple[tuple[float, ...], ...]
 
 
 def car(scene: Scene = PILLAR, *lasers: LaserSettings) -> CarRobot:
-    return CarRobot(scene, senses=Senses([Laser(one, k) for k, one in enumerate(lasers or (LaserSettings(),), 1)]))
+    return CarRobot(
+        scene, senses=SimulatedSensors([Laser(one, k) for k, one in enumerate(lasers or (LaserSettings(),), 1)])
+    )
 
 
 def stepped(node: PerceptionNode, robot: CarRobot, tick: int, speed: float = 0.0) -> SurroundingsMessage:
@@ -124,17 +126,19 @@ def test_an_object_remembered_in_a_zone_that_begins_to_count_stays_reported_in_t
 def test_a_ray_is_believed_up_to_where_it_first_comes_into_the_zone_that_it_ends_in() -> None:
     horseshoe = ((0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (2.0, 2.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0))
     zone, ends = Zone("u", "ignored", horseshoe), np.array([(2.5, 1.5), (1.5, 1.5), (0.5, 1.5), (5.0, 1.5)])
-    assert entered((zone,), (0.0, 0.0, 0.0), (-1.0, 1.5), ends).tolist() == [1.0, np.inf, 1.0, np.inf]
-    assert entered((zone,), (0.0, 0.0, 0.0), (1.5, 1.5), ends).tolist() == [0.5, np.inf, 0.5, np.inf]
-    assert entered((zone,), (0.0, 0.0, 0.0), (0.5, 1.5), ends).tolist() == [0.0, np.inf, 0.0, np.inf]
+    assert zone_entry_distance((zone,), (0.0, 0.0, 0.0), (-1.0, 1.5), ends).tolist() == [1.0, np.inf, 1.0, np.inf]
+    assert zone_entry_distance((zone,), (0.0, 0.0, 0.0), (1.5, 1.5), ends).tolist() == [0.5, np.inf, 0.5, np.inf]
+    assert zone_entry_distance((zone,), (0.0, 0.0, 0.0), (0.5, 1.5), ends).tolist() == [0.0, np.inf, 0.0, np.inf]
     turned = replace(zone, frame="robot")
-    assert entered((turned,), (0.0, 0.0, pi / 2.0), (-1.5, -1.0), np.array([(-1.5, 2.5)]))[0] == pytest.approx(1.0)
+    assert zone_entry_distance((turned,), (0.0, 0.0, pi / 2.0), (-1.5, -1.0), np.array([(-1.5, 2.5)]))[
+        0
+    ] == pytest.approx(1.0)
 
 
 def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_may_have() -> None:
     grid = Grid(2.0, 0.0, 0.0)
     square = Zone("z", "ignored", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
-    nobody = nobody_in((square,), grid, (0.0, 0.0, 0.0))
+    nobody = unoccupied_cells((square,), grid, (0.0, 0.0, 0.0))
     x, y = grid.middles
     away = np.maximum(np.abs(x), np.abs(y))
     assert nobody[away < 0.5].all(), "all of it,"
@@ -144,13 +148,13 @@ def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_ma
     nothing = np.zeros_like(nobody)
     outside = ~nobody & (away < 1.2)
     for marked in (True, False):
-        hiding = Hiding(grid.size, 0.2, 1.5)
+        hiding = OcclusionMap(grid.size, 0.2, 1.5)
         hiding.nobody = nobody if marked else nothing
         hiding.look(0.0, ~nobody, nothing, nothing, nothing)
         hiding.wait(0.2)
         assert bool(hiding.reached(0.2)[outside].any()) is not marked
         assert bool(hiding.ways_out[away < 1.2].any()) is not marked
-    seen_through = Hiding(grid.size, 0.2, 1.5)
+    seen_through = OcclusionMap(grid.size, 0.2, 1.5)
     seen_through.nobody = nobody
     seen_through.look(0.0, np.ones_like(nobody), nothing, nothing, nothing)
     assert (seen_through.reached(0.2) == nobody)[away < 1.2].all(), "it was empty; who stands in it now is not seen"
@@ -207,7 +211,7 @@ def test_every_place_of_a_closed_zone_within_reach_is_covered(
     polygon = np.array(zone.polygon)
     discs = closed_discs((zone,), *here.tolist(), reach)
     drawn = np.random.default_rng(seed).uniform(polygon.min(axis=0), polygon.max(axis=0), (400, 2))
-    places = np.vstack([drawn[inside(polygon, drawn)], polygon])
+    places = np.vstack([drawn[polygon_contains(polygon, drawn)], polygon])
     places = places[np.hypot(*(places - here).T) <= reach]
     if len(places):
         apart = np.hypot(*(places[:, np.newaxis] - discs[:, :2]).transpose(2, 0, 1)) - discs[:, 2]
@@ -215,8 +219,8 @@ def test_every_place_of_a_closed_zone_within_reach_is_covered(
     turns = np.linspace(0.0, 2.0 * pi, 24)
     for x, y, radius in discs:
         rim = np.column_stack([x + radius * np.cos(turns), y + radius * np.sin(turns)])
-        beyond = ~inside(polygon, rim)
-        assert not beyond.any() or to_border(polygon, rim[beyond]).max() <= 2.0**0.5 * CELL + 1e-9
+        beyond = ~polygon_contains(polygon, rim)
+        assert not beyond.any() or distance_to_border(polygon, rim[beyond]).max() <= 2.0**0.5 * CELL + 1e-9
 
 
 def test_a_closed_zone_is_reported_with_what_is_seen_and_never_cut_off() -> None:

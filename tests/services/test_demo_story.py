@@ -14,8 +14,8 @@ from safedpa.bus import Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa.errors import SafedpaError
 from safedpa_lab.commands.experiments.demo import judged
 from safedpa_services.command_line import demo
-from safedpa_services.supervisor.story import Story, Unsaid
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.story import DemoNarrator, UnreportedStop
+from safedpa_services.supervisor.watch import RunMonitor
 
 OLD, NEW = "aaaaaaaa", "bbbbbbbb"
 
@@ -67,8 +67,8 @@ class Drive:
     def __post_init__(self):
         broker = MemoryBroker()
         Bus(MemoryTransport(broker), "fleet").answer_requests(self.answer)
-        self.watch = Watch(Bus(MemoryTransport(broker), "fleet"))
-        self.story = Story(self.watch.bus, "r1", self.lines.append, self.accepts)
+        self.watch = RunMonitor(Bus(MemoryTransport(broker), "fleet"))
+        self.story = DemoNarrator(self.watch.bus, "r1", self.lines.append, self.accepts)
 
     def answer(self, _robot, request):
         self.asked.append(request.do)
@@ -235,7 +235,7 @@ def test_the_way_counts_from_the_change_of_the_model_on(late):
 
 def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
     """A robot that has moved by less than 0.1 m stands."""
-    seen = Unsaid()
+    seen = UnreportedStop()
     for t in range(30):
         x = 0.04 * (t % 2) if t < 8 else 0.2
         seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), said=t >= 15)

@@ -8,7 +8,7 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.dynamics.own import EFFECTS_VARIABLE
 from safedpa.robot import robot_named
 from safedpa_services import driving
-from safedpa_services.driving import drive_command, why_refused
+from safedpa_services.driving import drive_command, refusal_reason
 
 
 def _at(name, period):
@@ -22,7 +22,7 @@ def test_networks_are_driven_at_the_rate_of_their_training_alone(name, times, re
     """A tick is what they predict: asked twice as often they would say that the robot goes half as far."""
     model = load_model(name)
     rate = robot_named(model.system.name).of_system(model.system).rate
-    said = why_refused(_at(name, times / rate))
+    said = refusal_reason(_at(name, times / rate))
     if refused:
         assert said.startswith(f"its networks were trained for {rate / times:g} ticks per second")
         assert said.endswith(f"driven at {rate:g}")
@@ -31,11 +31,11 @@ def test_networks_are_driven_at_the_rate_of_their_training_alone(name, times, re
 
 
 def test_equations_are_driven_at_any_rate():
-    assert why_refused(_at("car", 0.01)) == ""
+    assert refusal_reason(_at("car", 0.01)) == ""
 
 
 def test_what_no_policy_was_learned_for_is_refused_by_that_and_not_by_its_rate():
-    assert "wanted one with learned policies" in why_refused(load_model("point_learned"))
+    assert "wanted one with learned policies" in refusal_reason(load_model("point_learned"))
 
 
 MODEL, MINE = Path("m"), Path("mine.py")

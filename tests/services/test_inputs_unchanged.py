@@ -53,7 +53,11 @@ def inputs(tmp_path_factory):
 def few(monkeypatch):
     """Which files are read and written depends on no effect of the library; many take time."""
     names = ("quadratic_drag", "rolling_resistance")
-    for module in ("safedpa.diagnosis.diagnose", "safedpa.diagnosis.check", "safedpa.diagnosis.rehearsal"):
+    for module in (
+        "safedpa.diagnosis.diagnose",
+        "safedpa.diagnosis.identifiability.check",
+        "safedpa.diagnosis.identifiability.rehearsal",
+    ):
         monkeypatch.setattr(f"{module}.library_for", lambda _: [effect("car", name) for name in names])
 
 

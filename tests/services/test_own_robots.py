@@ -17,9 +17,9 @@ from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.robot import robot_named, robots
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FunctionBarrier
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa.stand_in import world_number
 from safedpa.systems import systems
 from safedpa_services.command_line.group import safedpa

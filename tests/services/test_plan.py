@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from safedpa.bus import MemoryBroker, MemoryTransport
-from safedpa.bus.security.certificates import Card
+from safedpa.bus.security.certificates import PemCredentials
 from safedpa.errors import SafedpaError
 from safedpa_services.command_line import up
 from safedpa_sim.robots import CHANGES, TASKS
@@ -150,7 +150,7 @@ def test_model_settings_and_rate_are_the_robots_own(planned):
 
 
 def card_of(role):
-    return Card(role, b"", b"", b"")
+    return PemCredentials(role, b"", b"", b"")
 
 
 @pytest.fixture

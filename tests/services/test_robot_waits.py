@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus.loop.process import Stop
+from safedpa.bus.service.process import StopSignal
 from safedpa_services.supervisor.child import Child
 
 _ROBOT = """
 import argparse, pathlib, time
-from safedpa.bus.loop.process import run_process
+from safedpa.bus.service.process import run_process
 
 def work(options, stop):
     ready = options.folder / "ready"
@@ -87,7 +87,7 @@ def test_a_robot_asked_to_end_while_it_waits_ends_without_having_begun(robot: Ch
 
 
 def test_the_end_of_the_process_ends_the_waiting() -> None:
-    stop = Stop()
+    stop = StopSignal()
     stop.set("the supervisor is gone")
     stop.await_word()
     assert stop()

@@ -12,9 +12,9 @@ from tests.services.messages import finding_of, health_of, state_of, verdict_of
 
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport
 from safedpa_services.supervisor.screen import screen
-from safedpa_services.supervisor.view import view_of
+from safedpa_services.supervisor.view import render_view
 from safedpa_services.supervisor.warnings import Warnings
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.watch import RunMonitor
 from safedpa_services.terminal import terminal
 
 PAGE = "http://127.0.0.1:8080/live?token=t"
@@ -22,7 +22,7 @@ PAGE = "http://127.0.0.1:8080/live?token=t"
 
 @pytest.fixture
 def watch():
-    return Watch(Bus(MemoryTransport(MemoryBroker()), "fleet"))
+    return RunMonitor(Bus(MemoryTransport(MemoryBroker()), "fleet"))
 
 
 def child_of(folder, code=None, *, heartbeat=True, restarts=0):
@@ -34,7 +34,7 @@ def child_of(folder, code=None, *, heartbeat=True, restarts=0):
 def drawn(watch, child):
     """The view's lines."""
     console = terminal(file=io.StringIO(), width=200)
-    console.print(view_of(watch, [], child, ["a hint"], ["a warning"]))
+    console.print(render_view(watch, [], child, ["a hint"], ["a warning"]))
     return console.file.getvalue().splitlines()
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from safedpa.dynamics import Setting, fingerprint, load_model
 from safedpa.errors import InputError
-from safedpa.safety import FilterSettings, MarginCalibration, shipped
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety import FilterSettings, MarginCalibration, defaults
+from safedpa.safety.defaults import margin_for, settings_named
 
 
 def test_the_shipped_margin_belongs_to_the_shipped_car() -> None:
@@ -62,7 +62,7 @@ def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others
     (tmp_path / "named_margins").mkdir()
     for name, (period, coverage) in told.items():
         replace(own, period=period, coverage=coverage).save(tmp_path / "named_margins" / f"{name}.toml")
-    monkeypatch.setattr(shipped, "files", lambda _: tmp_path)
+    monkeypatch.setattr(defaults, "files", lambda _: tmp_path)
     assert margin_for(model) == replace(own, slower={"0.2": own.epsilon, "0.4": own.epsilon})
 
 
@@ -104,8 +104,8 @@ def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(
             return FilterSettings(eta=0.9)
 
     known = {"own": Declared(), "car": Declared()}
-    monkeypatch.setattr(shipped, "robots", lambda: known)
-    monkeypatch.setattr(shipped, "robot_named", known.__getitem__)
+    monkeypatch.setattr(defaults, "robots", lambda: known)
+    monkeypatch.setattr(defaults, "robot_named", known.__getitem__)
     monkeypatch.chdir(tmp_path)
     assert settings_named("own").eta == 0.9
     assert settings_named("car").eta != 0.9, "what ships under that name"

@@ -14,14 +14,14 @@ import pytest
 from tests.services.messages import health_of, state_of, verdict_of
 
 from safedpa.bus import HEALTH, NO_ROBOT, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport, Request
-from safedpa.bus.overview import FleetOverview
-from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.messages.requests import ORDER
+from safedpa.bus.monitor import FleetOverview
 from safedpa.errors import BusError, InputError, SafedpaError
 from safedpa_services import serving
 from safedpa_services.command_line import change_requests, stop_orders
-from safedpa_services.command_line.bus_options import answered
+from safedpa_services.command_line.bus_options import request_answer
 from safedpa_services.metrics.exporter import FleetCollector
-from safedpa_services.router.pulse import Pulse
+from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.router import Router
 
 OPTIONS = {"who": "ann", "as_json": True, "certificates": None, "connect": (), "fleet": "f"}
@@ -113,7 +113,7 @@ def test_an_order_is_answered_within_seconds_or_fails():
             return answer
 
         bus: Any = SimpleNamespace(request=request, fleet="f")
-        return answered(bus, "r1", Request(do="stop", who="ann"), ORDER, "no safety filter answers")
+        return request_answer(bus, "r1", Request(do="stop", who="ann"), ORDER, "no safety filter answers")
 
     assert order(TAKEN) is TAKEN
     with pytest.raises(InputError, match="refused by name"):
@@ -153,7 +153,7 @@ def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
             super().listen(wait)
 
     loop.answer_requests(answer, kinds=(ORDER,))
-    monkeypatch.setattr("safedpa.bus.overview.FleetOverview", lambda bus, name: Overview(bus, name, clock))
+    monkeypatch.setattr("safedpa.bus.monitor.FleetOverview", lambda bus, name: Overview(bus, name, clock))
     monkeypatch.setattr(stop_orders, "bus_of", lambda _: Bus(MemoryTransport(broker), "f"))
     obeys = does == "stands"
     with nullcontext() if obeys else pytest.raises(SafedpaError, match="r1 did not obey within the time"):
@@ -215,7 +215,7 @@ def test_a_router_whose_work_stands_still_is_ended_after_seconds(clock, waits):
         ended.append(clock.now)
         gone.set()
 
-    Pulse(stands)
+    LoopWatchdog(stands)
     gone.wait()
     assert 3.0 <= ended[0] <= 10.0
 
@@ -228,7 +228,7 @@ def test_a_service_gives_way_to_the_networks_thread_within_a_millisecond(monkeyp
 
     before = sys.getswitchinterval()
     monkeypatch.setattr(serving, "ZenohTransport", joins)
-    monkeypatch.setattr(serving, "settings_from", lambda _: None)
+    monkeypatch.setattr(serving, "transport_settings_from_options", lambda _: None)
     try:
         with pytest.raises(BusError):
             serving.serve([], Namespace(), lambda: True)

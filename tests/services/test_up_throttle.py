@@ -10,7 +10,7 @@ from safedpa.effects import effect
 from safedpa.records import load_column_map, load_run
 from safedpa_services.driving import drive_command
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.session_files import saved
+from safedpa_services.workbench.session_files import save_model_files
 
 pytestmark = [pytest.mark.long, pytest.mark.processes, pytest.mark.slow]
 
@@ -65,7 +65,7 @@ def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
     """
     names = ("turning_drag", "viscous_drag", "rolling_resistance", "drive_dead_zone")
     nearest = [effect("car", name) for name in names]
-    monkeypatch.setattr("safedpa.diagnosis.stepwise.library_for", lambda _: nearest)
+    monkeypatch.setattr("safedpa.diagnosis.interactive.library_for", lambda _: nearest)
     logs = sorted((data_folder / "dart_rc_car").glob("91*/*.csv"))[:2]
     if not logs:
         pytest.skip(f"no car logs in {data_folder}")
@@ -73,9 +73,11 @@ def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
     runs = [load_run(path, given.system, load_column_map("dart_car_columns")) for path in logs]
     before = jobs.opened(given, runs, 1.0, quiet)[-1]
     found = jobs.search(before.step, runs, 1.0, quiet)
-    version = jobs.taken(before.step, found.proposal, "turning_drag", runs, 1.0, quiet)  # what all four logs name
+    version = jobs.add_candidate(
+        before.step, found.proposal, "turning_drag", runs, 1.0, quiet
+    )  # what all four logs name
     assert version.error < 0.8 * before.error
-    said = saved(version.step, runs, given, tmp_path / "out", quiet)
+    said = save_model_files(version.step, runs, given, tmp_path / "out", quiet)
     command = shlex.split(said[said.index("safedpa up") :])
     assert command[1:4] == ["up", "--model", str(tmp_path / "out" / "model.toml")]
     driven = drive(tmp_path, *command[2:], "--seconds", SECONDS)

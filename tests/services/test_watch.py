@@ -7,10 +7,10 @@ import pytest
 from tests.services.messages import finding_of, health_of, state_of, verdict_of
 
 from safedpa.bus import FINDING, HEALTH, STATE, VERDICT, Answer, Bus, MemoryBroker, MemoryTransport
-from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.messages.requests import ORDER
 from safedpa.errors import SafedpaError
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import Watch, summary_of
+from safedpa_services.supervisor.watch import RunMonitor, summary_of
 
 CORRIDOR = (0.1, 0.1)
 
@@ -28,7 +28,7 @@ def loop(broker):
 
 @pytest.fixture
 def watch(broker):
-    return Watch(Bus(MemoryTransport(broker), "fleet"))
+    return RunMonitor(Bus(MemoryTransport(broker), "fleet"))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from safedpa.networks import Weights
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.shipped import settings_named
-from safedpa_sim.training.car_task import EPISODE_TICKS, CarShelter, Driving, Rewards
+from safedpa.safety.defaults import settings_named
+from safedpa_sim.training.car_task import EPISODE_TICKS, CarShelter, DrivingTask, Rewards
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
@@ -29,14 +29,14 @@ def weights(configuration: Configuration, untrained: Callable[[Configuration], W
     return untrained(configuration)
 
 
-def straight(driving: Driving, speed: float) -> np.ndarray:
+def straight(driving: DrivingTask, speed: float) -> np.ndarray:
     """Chosen actions that ask for a speed [m/s] straight ahead."""
     chosen = np.zeros((driving.count, 2), dtype=np.float32)
     chosen[:, 0] = (speed - 0.7) / 1.3
     return chosen
 
 
-def room(driving: Driving) -> np.ndarray:
+def room(driving: DrivingTask) -> np.ndarray:
     """m from each car to the nearest obstacle or wall, negative within it."""
     (x, y, yaw), scene = driving.state.T[:3], driving.scene
     rear, front, radius = scene.footprint.T
@@ -84,16 +84,16 @@ def test_many_ways_are_obstructed_and_every_footprint_occurs() -> None:
 def test_the_same_seed_drives_the_same(configuration: Configuration, weights: Weights) -> None:
     ends = []
     for _ in range(2):
-        driving = Driving(configuration, weights, 8, 5)
+        driving = DrivingTask(configuration, weights, 8, 5)
         for _ in range(20):
             driving.advance(straight(driving, 1.0))
         ends.append(driving.state.copy())
     np.testing.assert_array_equal(*ends)
-    assert not np.array_equal(ends[0], Driving(configuration, weights, 8, 6).state)
+    assert not np.array_equal(ends[0], DrivingTask(configuration, weights, 8, 6).state)
 
 
 def test_nothing_solid_is_driven_through(configuration: Configuration, weights: Weights) -> None:
-    driving = Driving(configuration, weights, CARS, 1, sheltered=False)
+    driving = DrivingTask(configuration, weights, CARS, 1, sheltered=False)
     touched = np.zeros(CARS, dtype=bool)
     random = np.random.default_rng(2)
     for _ in range(150):
@@ -107,7 +107,7 @@ def test_nothing_solid_is_driven_through(configuration: Configuration, weights: 
 def test_the_filter_keeps_straight_drives_from_contact(configuration: Configuration, weights: Weights) -> None:
     contacts = {}
     for sheltered in (True, False):
-        driving = Driving(configuration, weights, CARS, 3, sheltered=sheltered, calm=True)
+        driving = DrivingTask(configuration, weights, CARS, 3, sheltered=sheltered, calm=True)
         contacts[sheltered] = sum(int(driving.advance(straight(driving, 2.0)).began.sum()) for _ in range(100))
     assert contacts[False] > CARS / 2
     assert contacts[True] <= 0.4 * contacts[False], (
@@ -125,7 +125,7 @@ def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monk
         return decide(self, *given)
 
     monkeypatch.setattr(CarShelter, "decide", watched)
-    driving = Driving(configuration, weights, CARS, 7)
+    driving = DrivingTask(configuration, weights, CARS, 7)
     chosen = settings_named("car").with_barriers(clearance=0.0)
     alone, corrected = SafetyFilter.for_model(BatchedCars(configuration).model, chosen), 0
     for _ in range(60):
@@ -149,14 +149,16 @@ def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monk
 def test_progress_is_rewarded_and_contact_costs_the_given_penalty(configuration, weights) -> None:
     rewards = {}
     for penalty in (0.0, 7.0):
-        driving = Driving(configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), sheltered=False, calm=True)
+        driving = DrivingTask(
+            configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), sheltered=False, calm=True
+        )
         moves = [driving.advance(straight(driving, 2.0)) for _ in range(60)]
         rewards[penalty] = sum(move.reward for move in moves), sum(move.began for move in moves)
     (plain, began), (punished, same) = rewards[0.0], rewards[7.0]
     np.testing.assert_array_equal(began, same)
     np.testing.assert_allclose(plain - punished, 7.0 * began, rtol=1e-4, atol=1e-4)
 
-    driving = Driving(configuration, weights, CARS, 9, calm=True)
+    driving = DrivingTask(configuration, weights, CARS, 9, calm=True)
     before = np.hypot(*(driving.scene.goal - driving.state[:, :2]).T)
     total = sum(driving.advance(straight(driving, 1.0)).reward for _ in range(10))
     gained = before - np.hypot(*(driving.scene.goal - driving.state[:, :2]).T)
@@ -164,7 +166,7 @@ def test_progress_is_rewarded_and_contact_costs_the_given_penalty(configuration,
 
 
 def test_a_car_within_the_goals_radius_has_reached_it(configuration: Configuration, weights: Weights) -> None:
-    driving = Driving(configuration, weights, 4, 2, calm=True)
+    driving = DrivingTask(configuration, weights, 4, 2, calm=True)
     driving.scene.goal[:2] = driving.state[:2, :2] + 0.1
     moved = driving.advance(straight(driving, 0.0))
     assert moved.reached.tolist() == [True, True, False, False]
@@ -175,7 +177,7 @@ def test_a_car_within_the_goals_radius_has_reached_it(configuration: Configurati
 def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configuration, weights: Weights) -> None:
     changed = {}
     for calm in (True, False):
-        driving = Driving(configuration, weights, CARS, 4, calm=calm)
+        driving = DrivingTask(configuration, weights, CARS, 4, calm=calm)
         first, latent = driving.environment.copy(), driving.latent.copy()
         for _ in range(60):
             driving.advance(straight(driving, 0.5))
@@ -187,7 +189,7 @@ def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configu
 
 
 def test_as_an_environment_it_restarts_and_reports_the_last_observation(configuration, weights) -> None:
-    driving = Driving(configuration, weights, 4, 2)
+    driving = DrivingTask(configuration, weights, 4, 2)
     length = driving.observation().shape[1]
     environment = PracticeEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
     np.testing.assert_allclose(environment.reset(), driving.observation() / 2.0)

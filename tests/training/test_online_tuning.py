@@ -11,7 +11,7 @@ from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.networks import load_weights, save_weights
 from safedpa.networks.weights import STRIDE
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.training import online_tuning
@@ -29,7 +29,7 @@ from safedpa_sim.training.residual_networks import (
     residual_weights,
     untrained_residual,
 )
-from safedpa_sim.training.tuning_data import Drive, record_circles
+from safedpa_sim.training.tuning_data import TuningDrive, record_circles
 
 WEIGHTS = load_model("car_simulated").base.weights
 SCALE = torch.from_numpy(np.array(WEIGHTS["increment_scale"]))
@@ -37,7 +37,7 @@ SCALE = torch.from_numpy(np.array(WEIGHTS["increment_scale"]))
 
 @pytest.fixture(scope="module")
 def circles():
-    return [Drive(run.states, run.actions[:-1]) for run in record_circles(1600, 12, 400)]
+    return [TuningDrive(run.states, run.actions[:-1]) for run in record_circles(1600, 12, 400)]
 
 
 def predictor():
@@ -89,7 +89,7 @@ def test_what_the_drives_that_are_left_out_contradict_is_refused_and_the_model_s
     """In one drive the car turns the other way at every steer: fitted to either, the other goes wrong."""
     states, actions = circles[1]
     model = predictor()
-    contradicting = [circles[0], Drive(states, actions * np.array([1.0, -1.0]))]
+    contradicting = [circles[0], TuningDrive(states, actions * np.array([1.0, -1.0]))]
     tuned, taken = tuned_online(model, contradicting, SCALE, OnlineTuning(ridges=(1e-3,)))
     assert taken.refused
     assert taken.ridge is None
@@ -103,7 +103,7 @@ def test_what_the_drives_that_are_left_out_contradict_is_refused_and_the_model_s
 def test_of_a_single_drive_the_end_is_left_out_and_decides(circles):
     states, actions = circles[0]
     turned = np.concatenate([actions[:300] * np.array([1.0, -1.0]), actions[300:]])
-    _, taken = tuned_online(predictor(), [Drive(states, turned)], SCALE, OnlineTuning(ridges=(1e-3,)))
+    _, taken = tuned_online(predictor(), [TuningDrive(states, turned)], SCALE, OnlineTuning(ridges=(1e-3,)))
     assert taken.refused
     _, taken = tuned_online(predictor(), circles[:1], SCALE, OnlineTuning(ridges=(1e-2,)))
     assert not taken.refused
@@ -119,7 +119,7 @@ def test_a_model_without_any_error_stays_as_it_was(circles, monkeypatch):
 def test_drives_that_are_too_short_are_refused(circles):
     states, actions = circles[0]
     with pytest.raises(InputError, match="has 200 transitions, wanted two of more than 72, or one of more than 288"):
-        tuned_online(predictor(), [Drive(states[:201], actions[:200])], SCALE)
+        tuned_online(predictor(), [TuningDrive(states[:201], actions[:200])], SCALE)
 
 
 def test_settings_that_cannot_be_are_refused():
@@ -231,7 +231,7 @@ def test_phi_moved_to_the_axle_gives_the_latent_of_the_point():
         (0.05 * torch.arange(53.0), 0.01 * torch.randn(53, generator=generator), yaw, 1.0 + 0.0 * yaw), 1
     )
     actions = torch.tensor([[1.0, 0.1]]).expand(52, 2)
-    drive = Drive(states.numpy(), actions.numpy())
+    drive = TuningDrive(states.numpy(), actions.numpy())
     latents = [
         model.latent(model.seen(lived_of(model.networks, [drive])).lived.rows[None])
         for model in (asked, moved, NetworkPredictor(weights))
@@ -257,7 +257,7 @@ LAGGING = CAR.simulator.with_effect(effect("car", "steering_lag"), {})
 
 @pytest.fixture(scope="module")
 def circles_residual():
-    return [Drive(run.states, run.actions[:-1]) for run in record_circles(900, 8, 300)]
+    return [TuningDrive(run.states, run.actions[:-1]) for run in record_circles(900, 8, 300)]
 
 
 def judged(predictor, drives):

@@ -18,7 +18,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.training import car_task, stages
-from safedpa_sim.training.car_task import Driving, evaluate, practice
+from safedpa_sim.training.car_task import DrivingTask, evaluate, practice
 from safedpa_sim.training.configuration import Configuration, Practising, load_configuration, parse_configuration
 from safedpa_sim.training.configuration import configurations as shipped
 from safedpa_sim.training.phase_1b import PolicyCheckpoint, train_policy
@@ -79,7 +79,7 @@ def test_scenes_are_for_the_car_alone(small: Configuration, weights: Weights) ->
     radii = draw_scenes(np.random.default_rng(0), 200, loads=False).footprint
     np.testing.assert_array_equal(radii, np.broadcast_to(BODY, radii.shape))
     assert len(np.unique(draw_scenes(np.random.default_rng(0), 200).footprint[:, 2])) > 4
-    driving = Driving(small, weights, 8, 0)
+    driving = DrivingTask(small, weights, 8, 0)
     np.testing.assert_array_equal(driving.scene.footprint, np.broadcast_to(BODY, (8, 3)))
 
 
@@ -95,13 +95,13 @@ def test_no_filter_stands_before_an_action_in_any_phase(small, weights, monkeypa
 
 
 def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, weights: Weights) -> None:
-    driving = Driving(small, weights, 8, 3)
+    driving = DrivingTask(small, weights, 8, 3)
     before = driving.observation()
     driving.scene.footprint[:, 0] += 0.3
     driving.scene.footprint[:, 2] = 0.45
     np.testing.assert_array_equal(driving.observation(), before)
     told = replace(small, practice=replace(small.practice, footprint=True))
-    other = Driving(told, weights, 8, 3)
+    other = DrivingTask(told, weights, 8, 3)
     before = other.observation()
     other.scene.footprint[:, 2] = 0.45
     assert not np.array_equal(other.observation(), before)
@@ -127,7 +127,7 @@ def _footprints(message: StateMessage) -> list[tuple[float, ...]]:
 
 
 def test_a_body_of_another_length_is_refused(weights: Weights, small: Configuration, tmp_path: Path) -> None:
-    seen = len(Driving(small, weights, 2, 0).observation()[0])
+    seen = len(DrivingTask(small, weights, 2, 0).observation()[0])
     tensors = {"policy.0.weight": np.zeros((2, seen)), "policy.0.bias": np.zeros(2), "observation_body": np.zeros(2)}
     tensors |= {"observation_middle": np.zeros(seen), "observation_scale": np.ones(seen)}
     with pytest.raises(InputError, match="'observation_body' holds 2 numbers, wanted 3"):
@@ -161,18 +161,18 @@ def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(small,
 
 def test_development_drives_are_not_trained_on(small, taught, weights, monkeypatch) -> None:
     """Other seeds: a training begins with its own, or with that and the steps done, whole rollouts of all cars."""
-    made: list[tuple[Driving, int]] = []
+    made: list[tuple[DrivingTask, int]] = []
 
-    def driving(configuration: Configuration, with_: Weights, cars: int, seed: int, **named: Any) -> Driving:
-        made.append((Driving(configuration, with_, cars, seed, **named), seed))
+    def driving(configuration: Configuration, with_: Weights, cars: int, seed: int, **named: Any) -> DrivingTask:
+        made.append((DrivingTask(configuration, with_, cars, seed, **named), seed))
         return made[-1][0]
 
-    monkeypatch.setattr(car_task, "Driving", driving)
+    monkeypatch.setattr(car_task, "DrivingTask", driving)
     evaluate(small, taught[0], cars=64, seed=small.seed)
     for name in ("car_paper", "car_paper_small"):
         phase = load_configuration(name).phase_1b
         assert (made[0][1] - small.seed) % (phase.cars * phase.rollout)
-    trained_on, developed = Driving(small, weights, 64, small.seed).scene.start, made[0][0].scene.start
+    trained_on, developed = DrivingTask(small, weights, 64, small.seed).scene.start, made[0][0].scene.start
     assert not set(map(tuple, trained_on.tolist())) & set(map(tuple, developed.tolist()))
 
 

@@ -9,7 +9,7 @@ import torch
 from safedpa.networks import HistoryEncoder
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.histories import history_rows, joined, lived
+from safedpa_sim.training.histories import history_rows, joined, transition_sequence
 from safedpa_sim.training.networks import HistoryNetwork, affine_networks, history_network
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.phase_2 import train_history_encoder
@@ -72,7 +72,7 @@ def test_the_same_seed_gives_the_same_encoder(weights, tmp_path):
 def test_a_history_sees_its_own_drive_only_and_zeros_before_it(weights):
     networks = affine_networks(weights)
     states, actions = torch.randn(2, 6, 4), torch.randn(2, 5, 2)
-    drives = lived(networks, states, actions)
+    drives = transition_sequence(networks, states, actions)
     seen = drives.histories(torch.tensor([7]), 4)[0]
     rows = history_rows(networks, states[1, :2], actions[1, :2], states[1, 1:3])
     assert torch.equal(seen[:2], torch.zeros(2, 9))
@@ -83,7 +83,7 @@ def test_a_history_sees_its_own_drive_only_and_zeros_before_it(weights):
 
 @pytest.mark.long
 def test_drawn_transitions_keep_their_distance_from_the_ends(weights):
-    drives = lived(affine_networks(weights), torch.randn(3, 31, 4), torch.randn(3, 30, 2))
+    drives = transition_sequence(affine_networks(weights), torch.randn(3, 31, 4), torch.randn(3, 30, 2))
     index = drives.draw(500, torch.Generator().manual_seed(0), before=10, ahead=15)
     assert int((index % 30).min()) == 10
     assert int((index % 30).max()) == 15

@@ -14,8 +14,8 @@ from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks
 from safedpa.policy import PolicyNode
 from safedpa.records import write_csv
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
 from safedpa_services.command_line import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot

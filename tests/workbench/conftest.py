@@ -18,7 +18,7 @@ from safedpa.bus.transport import ports
 from safedpa.dynamics import PhysicsModel, Setting, save_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "throttle", "steer")
 NOISE = np.array([0.002, 0.002, 0.003, 0.015])
@@ -190,11 +190,11 @@ import json, sys, threading, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
-from safedpa.bus.loop.process import Stop
+from safedpa.bus.service.process import StopSignal
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.page_address import Serving
+from safedpa_services.workbench.recordings import InputSelection
+from safedpa_services.workbench.page_address import PageServerOptions
 from safedpa_services.workbench.server import serve
 
 broker = MemoryBroker()
@@ -227,7 +227,8 @@ def drive():
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
-serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
+bench, options = Bench(InputSelection(), Path(sys.argv[1])), PageServerOptions("127.0.0.1", int(sys.argv[2]))
+serve(bench, options, browser=False, bus=bus, stop=StopSignal())
 """
 
 

@@ -10,20 +10,20 @@ from tests.records.ros_logs import bag
 
 from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map
-from safedpa.records.column_map import native_map
-from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
 from safedpa.robots.car.system import CAR
 from safedpa.systems import systems
-from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_text, units_for
-from safedpa_services.workbench.file_preview import checked, raw_rows
-from safedpa_services.workbench.recordings import Made
+from safedpa_services.workbench.column_form import DERIVED, QuantityForm, guess_columns, lines_of, map_text, units_for
+from safedpa_services.workbench.file_preview import check_recording, raw_rows
+from safedpa_services.workbench.recordings import EditedColumnMap
 
 NUMBERS = st.floats(-1e6, 1e6).filter(bool)
 
 
 def test_names_with_units_are_guessed(plain):
     header = ["Timestamp [ms]", "pos_x", "pos_y", "heading_deg", "velocity", "gas", "steering angle [deg]", "battery"]
-    found = {line.target: line for line in guessed(plain.system, header)}
+    found = {line.target: line for line in guess_columns(plain.system, header)}
     assert {target: line.source for target, line in found.items()} == {
         "t": "Timestamp [ms]", "x": "pos_x", "y": "pos_y", "yaw": "heading_deg", "speed": "velocity",
         "throttle": "gas", "steer": "steering angle [deg]",
@@ -34,18 +34,19 @@ def test_names_with_units_are_guessed(plain):
 def test_native_names_are_guessed_as_they_are(plain):
     header = ["t", "x", "y", "yaw", "speed", "throttle", "steer"]
     assert (
-        Made(map_text(plain.system, guessed(plain.system, header))).columns.columns == native_map(plain.system).columns
+        EditedColumnMap(map_text(plain.system, guess_columns(plain.system, header))).columns.columns
+        == native_map(plain.system).columns
     )
 
 
 def test_a_speed_that_the_log_lacks_is_derived(plain):
-    found = {line.target: line for line in guessed(plain.system, ["time", "x", "y", "yaw", "throttle", "steer"])}
+    found = {line.target: line for line in guess_columns(plain.system, ["time", "x", "y", "yaw", "throttle", "steer"])}
     assert found["speed"].source == DERIVED
     assert found["yaw"].derivation == ""
 
 
 def test_no_column_is_guessed_twice():
-    lines = guessed(systems()["pendulum"], ["time", "position", "velocity", "torque"])
+    lines = guess_columns(systems()["pendulum"], ["time", "position", "velocity", "torque"])
     sources = [line.source for line in lines]
     assert sources == ["time", "position", "velocity", "torque"]
 
@@ -55,7 +56,7 @@ def test_a_map_that_ships_comes_back_from_the_form(name, plain):
     columns = load_column_map(name)
     known = [plain.system, *systems().values()]
     system = next(one for one in known if one.name == columns.robot and set(one.action_names) <= set(columns.columns))
-    assert Made(map_text(system, lines_of(system, columns)), name).columns == columns
+    assert EditedColumnMap(map_text(system, lines_of(system, columns)), name).columns == columns
 
 
 @settings(max_examples=40)
@@ -68,15 +69,15 @@ def test_a_map_that_ships_comes_back_from_the_form(name, plain):
 )
 def test_what_is_written_is_read_again(source, scale, offset, flip, unit):
     system = systems()["point"]
-    lines = [Line("x", "m", source, unit, scale, offset, flip), Line("y", "m", "y")]
+    lines = [QuantityForm("x", "m", source, unit, scale, offset, flip), QuantityForm("y", "m", "y")]
     column = parse_column_map(map_text(system, lines)).columns["x"]
     assert (column.source, column.scale, column.offset, column.flip) == (source, scale, offset, flip)
     assert (column.unit or "m") == unit
 
 
 def test_one_column_for_two_quantities_is_refused(plain):
-    lines = [Line("x", "m", "a"), Line("y", "m", "a")]
-    made = Made(map_text(plain.system, lines))
+    lines = [QuantityForm("x", "m", "a"), QuantityForm("y", "m", "a")]
+    made = EditedColumnMap(map_text(plain.system, lines))
     with pytest.raises(ColumnMapError, match="already the source"):
         assert made.columns
 
@@ -89,13 +90,13 @@ def test_the_preview_is_in_si_units_and_names_what_is_wrong(plain, drives, tmp_p
     header = "time;x;y;yaw deg;speed;throttle;steer\n"
     rows = [f"{0.05 * k};{0.05 * k};0;{90 + 0.01 * k};1;0.1;0\n" for k in range(100)]
     foreign.write_text(header + "".join(rows), encoding="utf-8")
-    columns = Made(map_text(plain.system, guessed(plain.system, raw_rows(foreign).names))).columns
-    found = checked(foreign, plain.system, columns)
+    columns = EditedColumnMap(map_text(plain.system, guess_columns(plain.system, raw_rows(foreign).names))).columns
+    found = check_recording(foreign, plain.system, columns)
     assert found.problem == ""
     assert "100 rows in 1 stretch" in found.sentence
     assert found.rows[0][3] == pytest.approx(math.pi / 2)
     assert any("turned by -90 degrees against yaw" in message for message in found.findings)
-    assert "column 't' is missing" in checked(foreign, plain.system, None).problem
+    assert "column 't' is missing" in check_recording(foreign, plain.system, None).problem
 
 
 def test_files_that_cannot_be_previewed_are_refused_in_one_line(tmp_path):
@@ -115,10 +116,10 @@ def test_the_fields_of_a_bag_s_topics_are_guessed_and_the_map_reads_it(tmp_path:
     path = next(bag(tmp_path / "drive", "mcap", 100).glob("*.mcap"))
     names = raw_rows(path).names
     assert "/odom:@header" in names
-    lines = guessed(CAR, names)
+    lines = guess_columns(CAR, names)
     assert lines[0].source == "/odom:@header"
     columns = parse_column_map(map_text(CAR, lines))
-    found = checked(path, CAR, columns)
+    found = check_recording(path, CAR, columns)
     assert not found.problem
     assert "100 rows in 1 stretch" in found.sentence
     shipped = load_column_map("f1tenth_bag")

@@ -2,12 +2,12 @@
 
 import pytest
 
-from safedpa.diagnosis.document import Candidate, Value
+from safedpa.diagnosis.report_schema import Candidate, FittedValue
 from safedpa_services.workbench.evidence import card_of
 
 
 def candidate(score, error=0.2, std=0.05):
-    numbers = {"coefficient": Value(0.5, std, "1/m")}
+    numbers = {"coefficient": FittedValue(0.5, std, "1/m")}
     return Candidate(0, "quadratic_drag", numbers, error, score, (), "rejected", "")
 
 

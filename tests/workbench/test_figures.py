@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safedpa_services.workbench import panel_path, panel_where
-from safedpa_services.workbench.live_book import Mark, RobotBook
+from safedpa_services.workbench.live_book import RobotHistory, TimelineMark
 from safedpa_services.workbench.live_panels import (
     driven_lines,
     error_bars,
@@ -25,11 +25,11 @@ WHEN = (0.0, 100.0, 179.0, 181.0, 240.0, 299.0)
 
 @pytest.fixture
 def book():
-    made = RobotBook("r1")
+    made = RobotHistory("r1")
     made.path.extend((t, (t, 0.0, 0.0, 1.0)) for t in (*np.arange(0.0, NOW, 5.0), NOW))
     for t in WHEN:
         made.errors.append((t, 0.01 * t, 0.02 * t, 1.0 + t, 13.8))
-        made.marks.append(Mark(t, "finding" if t == 240.0 else "model", f"at {t:.0f} s"))
+        made.marks.append(TimelineMark(t, "finding" if t == 240.0 else "model", f"at {t:.0f} s"))
     return made
 
 
@@ -83,7 +83,7 @@ def test_the_field_shows_the_path_of_the_last_twenty_seconds(book):
 )
 def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_the_line(errors, before, band, bars):
     """A finding comes each second. One of 55 seconds would still tell of what was before the change."""
-    book = RobotBook("r1", before=before, finding=SimpleNamespace(band=band))
+    book = RobotHistory("r1", before=before, finding=SimpleNamespace(band=band))
     book.errors.extend((float(at), error, 0.0, 0.0, 13.8) for at, error in enumerate(errors))
     page = error_bars(book)
     shown = re.findall(r"<span>(\w+)[^<]*</span><span class=.value.>([\d.]+)<.*?width:([\d.]+)%", page)
@@ -93,7 +93,7 @@ def test_the_bar_of_now_is_the_median_of_five_seconds_and_the_longest_bar_fills_
 
 
 def test_the_table_of_a_drive_is_empty_until_a_robot_is_heard_and_then_has_its_clock_goals_and_room():
-    book = RobotBook("r1")
+    book = RobotHistory("r1")
     assert driven_lines(book) == ""
     book.state = SimpleNamespace(robot_time=41.6, goals_reached=3, collisions=1)
     rows = re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td>", driven_lines(book))
@@ -166,7 +166,7 @@ def test_the_bars_of_versions_are_as_long_as_their_errors(errors, widths, finish
     pytest.importorskip("nicegui")
     from tests.workbench.tab import Tab
 
-    from safedpa_services.workbench.panel_fall import FallPanel
+    from safedpa_services.workbench.panel_fall import ErrorReductionPanel
 
     none = SimpleNamespace(error=SimpleNamespace(scale=(), per_state=()), windows=ROBOT_WITHOUT_STATES)
     versions = [SimpleNamespace(label=f"version {at}", error=error, comparison=none) for at, error in enumerate(errors)]
@@ -177,7 +177,7 @@ def test_the_bars_of_versions_are_as_long_as_their_errors(errors, widths, finish
 
     async def story():
         with Tab() as tab:
-            FallPanel(lambda _: None, lambda: None, lambda: None).show(session)
+            ErrorReductionPanel(lambda _: None, lambda: None, lambda: None).show(session)
             return " ".join(tab.lines)
 
     said = finished(story())

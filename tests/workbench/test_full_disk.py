@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from safedpa.compare.output import writable
+from safedpa.comparison.output import require_writable_folder
 from safedpa.disk import why_not_written
 from safedpa.errors import InputError, RecordingError
-from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.recordings import InputSelection
 from safedpa_services.workbench.rerun_view import write_view
-from safedpa_services.workbench.session_files import Kept, write_session
+from safedpa_services.workbench.session_files import SavedSession, write_session
 
 pytest.importorskip("nicegui")
 FULL = "the disk is full: make room"
@@ -34,11 +34,11 @@ def test_a_full_disk_is_called_so(number):
 def test_nothing_is_left_of_a_file_that_found_no_room(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", _full)
     with pytest.raises(RecordingError, match=FULL):
-        write_session(Kept(Choice("car", ("run.csv",))), tmp_path)
+        write_session(SavedSession(InputSelection("car", ("run.csv",))), tmp_path)
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(Path, "mkdir", _full)
     with pytest.raises(InputError, match=FULL):
-        writable(tmp_path / "new", create=True)
+        require_writable_folder(tmp_path / "new", create=True)
 
 
 def test_no_view_is_begun_without_room(tmp_path, monkeypatch):

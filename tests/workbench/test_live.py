@@ -21,7 +21,7 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.errors import InputError
-from safedpa_services.workbench.live_book import RobotBook
+from safedpa_services.workbench.live_book import RobotHistory
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_panels import (
     change_lines,
@@ -97,7 +97,7 @@ def model(tick, step):
 
 @pytest.fixture
 def book():
-    made = RobotBook("r1")
+    made = RobotHistory("r1")
     for tick in range(200):
         made.take(state(tick), 0.05 * tick)
     return made
@@ -173,7 +173,7 @@ def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
     ],
 )
 def test_the_account_of_a_drive_counts_its_goals_and_collisions(tick, goals, collisions, account):
-    book = RobotBook("r1")
+    book = RobotHistory("r1")
     if tick is not None:
         book.take(state(tick, goals_reached=goals, collisions=collisions), 1.0)
     assert book.account() == account

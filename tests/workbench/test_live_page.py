@@ -12,14 +12,14 @@ from tests.services.messages import finding_of, state_of, verdict_of
 from tests.workbench.tab import Tab
 
 from safedpa.bus import Answer
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench import page
 from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.live_link import Told
+from safedpa_services.workbench.live_book import RobotHistory
+from safedpa_services.workbench.live_link import QueryResult
 from safedpa_services.workbench.live_page import LivePage
-from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.recordings import InputSelection
+from safedpa_services.workbench.rerun_view import RerunViewerServer
 
 FORESEEN = ("the margin goes from 1 to 2",)
 STATUS = Answer(ok=True, sentence="change 1 begins", candidates=("drag", "wind"), foreseen=FORESEEN, earlier=1)
@@ -37,7 +37,7 @@ class Link:
 
     def __init__(self, *answers):
         self.answers, self.asked, self.untold = list(answers), list[Any](), set[object]()
-        book = RobotBook("r1")
+        book = RobotHistory("r1")
         book.take(state_of(tick=20, robot_time=1.0), 1.0)
         book.take(verdict_of("passed", h_now=0.4, margin=0.03), 1.0)
         book.take(finding_of("candidates", model="a" * 8, number=7, report='{"candidates": []}'), 1.0)
@@ -49,7 +49,7 @@ class Link:
 
 
 def told(answer):
-    return Told(answer, answer.sentence)
+    return QueryResult(answer, answer.sentence)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def can_be_read(notice):
         ("reject drag", "reject", told(STATUS), "Rejected: change 1 begins.", "positive"),
         (BACK, "roll_back", told(STATUS), "Rolled back: change 1 begins.", "positive"),
         ("accept drag", "accept", told(REFUSED), "Refused because nobody is there.", "negative"),
-        ("accept drag", "accept", Told(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
+        ("accept drag", "accept", QueryResult(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
     ],
 )
 def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(shown, button, do, answer, words, kind):
@@ -159,12 +159,12 @@ def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(finis
 
     heards: list[Any] = []
     monkeypatch.setattr(page, "wishes_dark", light)
-    bench = Troubled(Choice(), tmp_path)
+    bench = Troubled(InputSelection(), tmp_path)
     bench.trouble = "the worker was ended: start it again"
 
     async def story():
         with Tab() as tab:
-            await page.Page(bench, RerunDoor(), Shelf.of((), ())).begin()
+            await page.WorkbenchPage(bench, RerunViewerServer(), FileStore.of((), ())).begin()
             opened: Any = object()
             bench.session = opened
             heards[0]("trouble")

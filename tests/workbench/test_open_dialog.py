@@ -11,10 +11,10 @@ from nicegui.elements.upload_files import SmallFileUpload
 from tests.workbench.tab import Tab
 
 from safedpa.records import McapRecorder
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench.file_preview import RawRows
 from safedpa_services.workbench.open_dialog import ColumnsTable, OpenDialog
-from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.recordings import InputSelection
 
 NATIVE, GUESSED, DART = "native names", "guessed from the names", "dart_car_columns"
 OWN = "t,x,y,yaw,speed,target_speed,steer"
@@ -24,7 +24,7 @@ BUS = "needs no column map"
 
 
 def opened(folder):
-    return OpenDialog(lambda _: asyncio.sleep(0), folder, Shelf.of((), (folder,)))
+    return OpenDialog(lambda _: asyncio.sleep(0), folder, FileStore.of((), (folder,)))
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_
             dialog = opened(tmp_path)
             (columns,) = tab.all(ui.select)
             columns.value = chosen
-            dialog.show(Choice("car", (str(path),)))
+            dialog.show(InputSelection("car", (str(path),)))
             sources = [select.value for select in tab.all(ui.select)[1::2]]
             return columns.value, sources, any(BUS in line for line in tab.lines)
 
@@ -75,7 +75,7 @@ def test_without_a_model_or_a_recording_no_columns_are_shown(model, named, tmp_p
 
     async def story():
         with Tab() as tab:
-            opened(tmp_path).show(Choice(model, (str(path),) if named else ()))
+            opened(tmp_path).show(InputSelection(model, (str(path),) if named else ()))
             return [select.value for select in tab.all(ui.select)]
 
     assert finished(story()) == [NATIVE]
@@ -83,11 +83,11 @@ def test_without_a_model_or_a_recording_no_columns_are_shown(model, named, tmp_p
 
 @pytest.mark.parametrize("name", ["/\x1b[2J\u202eodom:x", "/<script>alert(1)</script>:x", "/" + "a" * 5000])
 def test_a_topic_of_a_bag_is_offered_as_text_and_kept_as_it_is(name, plain, finished):
-    from safedpa_services.workbench.column_form import guessed
+    from safedpa_services.workbench.column_form import guess_columns
 
     async def story():
         with Tab() as tab:
-            ColumnsTable(lambda: None).show(guessed(plain.system, [name]), RawRows((name,), ()))
+            ColumnsTable(lambda: None).show(guess_columns(plain.system, [name]), RawRows((name,), ()))
             return dict(tab.all(ui.select)[0].options)
 
     options = finished(story())

@@ -7,14 +7,23 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import Setting, fingerprint
 from safedpa.errors import InputError
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.brush import ERROR, TIME, Brush, default_axes, error_map, inside_of, time_of, values_of
+from safedpa_services.workbench.brush import (
+    ERROR,
+    TIME,
+    Brush,
+    default_axes,
+    error_map,
+    summarize_selection,
+    time_of,
+    values_of,
+)
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.panel_path import curves_figure, excerpt_of, path_figure
 from safedpa_services.workbench.panel_where import brush_of_map, brush_of_time, map_figure, time_figure, window_near
 from safedpa_services.workbench.session import Session
-from safedpa_services.workbench.session_files import saved
+from safedpa_services.workbench.session_files import save_model_files
 
 
 def quiet(_share):
@@ -75,7 +84,7 @@ def test_adding_lowers_the_error_and_undo_takes_it_back(searched, versions):
 def test_a_candidate_against_the_ranking_is_fitted_on_demand(searched, found, runs):
     effect = found.candidates[-1].effect
     assert searched.settled(effect) is None
-    searched.add(jobs.taken(searched.present.step, found.proposal, effect, runs, 1.0, quiet))
+    searched.add(jobs.add_candidate(searched.present.step, found.proposal, effect, runs, 1.0, quiet))
     assert [item.name for item in searched.present.model.effects] == [effect]
 
 
@@ -137,7 +146,7 @@ def test_two_ranges_select_what_lies_in_both(versions, low, width, start, second
     one, other = Brush({"speed": (low, low + width)}), Brush({TIME: (start, start + seconds)})
     both = Brush({**one.ranges, **other.ranges})
     assert (both.mask(comparison) == (one.mask(comparison) & other.mask(comparison))).all()
-    assert inside_of(comparison, both.mask(comparison)).windows == int(both.mask(comparison).sum())
+    assert summarize_selection(comparison, both.mask(comparison)).windows == int(both.mask(comparison).sum())
 
 
 def test_every_window_is_counted_in_one_cell_of_the_map(versions):
@@ -200,7 +209,7 @@ def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_p
     from safedpa.dynamics import load_model
 
     version = searched.settled("quadratic_drag")
-    said = saved(version.step, runs, plain, tmp_path / "out", quiet)
+    said = save_model_files(version.step, runs, plain, tmp_path / "out", quiet)
     assert f"safedpa up --model {tmp_path / 'out' / 'model.toml'} --margin" in said
     model = load_model(tmp_path / "out" / "model.toml")
     assert model.settings["quadratic_drag.coefficient"].value == pytest.approx(0.3, abs=0.01)
@@ -238,4 +247,4 @@ def test_the_rerun_recording_is_twenty_seconds_of_one_stretch_from_the_chosen_st
 def test_a_folder_that_cannot_be_written_to_is_refused(versions, plain, runs, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match="choose another folder"):
-        saved(versions[-1].step, runs, plain, tmp_path / "file" / "out", quiet)
+        save_model_files(versions[-1].step, runs, plain, tmp_path / "file" / "out", quiet)

@@ -13,27 +13,29 @@ from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa.systems import Variable
 from safedpa.systems.driven import why_not_driven
 from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import Choice, Made
+from safedpa_services.workbench.recordings import EditedColumnMap, InputSelection
 from safedpa_services.workbench.session_files import (
     SESSION_FILE,
-    Kept,
+    SavedSession,
     absolute,
-    newest_in,
-    place_for,
+    newest_session,
     read_session,
+    session_folder_for,
     write_session,
 )
 
 BALL = Path(__file__).parents[2] / "docs" / "examples" / "falling_ball.py"
-KEPT = Kept(
-    Choice("car", ("/a/one.csv", "/a/two.csv"), Made('format = 1\nrobot = "car"\n', "dart_car_columns"), 0.8),
+KEPT = SavedSession(
+    InputSelection(
+        "car", ("/a/one.csv", "/a/two.csv"), EditedColumnMap('format = 1\nrobot = "car"\n', "dart_car_columns"), 0.8
+    ),
     (("rejected", "payload"), ("added", "quadratic_drag")),
 )
 
 
 @pytest.mark.parametrize("columns", [None, "dart_car_columns", KEPT.choice.columns])
 def test_what_is_written_is_read(tmp_path, columns):
-    kept = Kept(Choice("car", KEPT.choice.runs, columns, 0.8), KEPT.decisions)
+    kept = SavedSession(InputSelection("car", KEPT.choice.runs, columns, 0.8), KEPT.decisions)
     write_session(kept, tmp_path)
     assert read_session(tmp_path / SESSION_FILE) == kept
 
@@ -58,28 +60,28 @@ def test_what_is_no_session_is_refused_in_a_line(tmp_path, change, words):
 
 def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_path):
     base = tmp_path / "workbench"
-    assert place_for(base, KEPT.choice) == (base, ())
-    assert newest_in(base) is None
+    assert session_folder_for(base, KEPT.choice) == (base, ())
+    assert newest_session(base) is None
     write_session(KEPT, base)
-    assert place_for(base, KEPT.choice) == (base, KEPT.decisions)
-    other = Choice("pendulum", ("/a/three.csv",))
-    assert place_for(base, other) == (tmp_path / "workbench-2", ())
-    write_session(Kept(other), tmp_path / "workbench-2")
-    assert place_for(base, other) == (tmp_path / "workbench-2", ())
-    assert newest_in(base) == tmp_path / "workbench-2" / SESSION_FILE
+    assert session_folder_for(base, KEPT.choice) == (base, KEPT.decisions)
+    other = InputSelection("pendulum", ("/a/three.csv",))
+    assert session_folder_for(base, other) == (tmp_path / "workbench-2", ())
+    write_session(SavedSession(other), tmp_path / "workbench-2")
+    assert session_folder_for(base, other) == (tmp_path / "workbench-2", ())
+    assert newest_session(base) == tmp_path / "workbench-2" / SESSION_FILE
 
 
 def test_a_model_that_no_session_tells_of_is_not_replaced(tmp_path):
     base = tmp_path / "workbench"
     base.mkdir()
     (base / "model.toml").write_text("kept", encoding="utf-8")
-    assert place_for(base, KEPT.choice) == (tmp_path / "workbench-2", ())
+    assert session_folder_for(base, KEPT.choice) == (tmp_path / "workbench-2", ())
 
 
 def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.csv").touch()
-    assert absolute(Choice("car", ("one.csv",))) == Choice("car", (str(tmp_path / "one.csv"),))
+    assert absolute(InputSelection("car", ("one.csv",))) == InputSelection("car", (str(tmp_path / "one.csv"),))
 
 
 def test_a_refusal_of_up_names_the_system_and_what_was_wanted():
@@ -90,7 +92,7 @@ def test_a_refusal_of_up_names_the_system_and_what_was_wanted():
 
 
 def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path):
-    bench = Bench(Choice(), tmp_path)
+    bench = Bench(InputSelection(), tmp_path)
     bench.session = object()
     bench.given = plain
     assert bench.warning == ""
@@ -102,7 +104,7 @@ def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path)
 @pytest.mark.long
 @pytest.mark.processes
 def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, short_drive, finished):
-    choice = Choice(str(drives[0]), (str(short_drive),))
+    choice = InputSelection(str(drives[0]), (str(short_drive),))
     news = []
 
     async def worked(bench, until):

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from safedpa.diagnosis.stepwise import first_step, given_error, proposal, with_candidate, with_final
+from safedpa.diagnosis.interactive import first_step, given_error, proposal, with_candidate, with_final
 from safedpa.errors import InputError
 from safedpa.records import load_run
 

@@ -7,15 +7,15 @@ import pytest
 pytest.importorskip("nicegui")
 from nicegui import Client, ui
 
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench import live_page, page
 from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.recordings import InputSelection
+from safedpa_services.workbench.rerun_view import RerunViewerServer
 
 
 def test_an_error_in_one_tab_is_kept_and_the_others_hear(tmp_path, caplog):
-    bench, heard = Bench(Choice(), tmp_path), []
+    bench, heard = Bench(InputSelection(), tmp_path), []
 
     def raises(news):
         raise RuntimeError(f"planted at {news}")
@@ -65,10 +65,10 @@ class Attended(Bench):
 
 
 def test_a_tab_that_went_while_it_was_asked_does_not_begin_to_listen(tmp_path, monkeypatch, finished):
-    bench, heard = Attended(Choice(), tmp_path), []
+    bench, heard = Attended(InputSelection(), tmp_path), []
 
     def built():
-        return page.Page(bench, RerunDoor(), Shelf.of((), ()))
+        return page.WorkbenchPage(bench, RerunViewerServer(), FileStore.of((), ()))
 
     _opened(built, page, monkeypatch, finished, leaves=True)
     bench.listen("another", heard.append)

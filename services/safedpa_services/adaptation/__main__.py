@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 
-from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 from safedpa_services.nodes import adaptation
 from safedpa_services.serving import serve, service_parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
     return serve((adaptation(options),), options, stop)
 
 
 if __name__ == "__main__":
-    run_process(work, service_parser("safedpa-adaptation"), Urgency.ADAPTATION)
+    run_process(work, service_parser("safedpa-adaptation"), RealtimePriority.ADAPTATION)

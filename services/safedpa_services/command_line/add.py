@@ -13,9 +13,9 @@ from safedpa.extras import needs
 from safedpa_services.command_line.names import complete_effects, complete_models
 from safedpa_services.command_line.options import (
     force_option,
-    given_model,
     inputs_of,
-    loaded_runs,
+    load_given_model,
+    load_runs,
     run_options,
     value_text,
 )
@@ -56,15 +56,15 @@ def command(
     changes are fitted as well. Prints the fitted numbers and the error on data that was not used for fitting, before
     and after.
     """
-    from safedpa.compare.output import refuse_inputs, writable_file
-    from safedpa.diagnosis.addition import add_effect
+    from safedpa.comparison.output import refuse_inputs, require_writable_file
+    from safedpa.diagnosis.add_effect import add_effect
     from safedpa.dynamics import save_model
 
-    loaded = given_model(model, effects)
+    loaded = load_given_model(model, effects)
     refuse_inputs([out], inputs_of(model, runs, columns, effects), force)
-    writable_file(out)
+    require_writable_file(out)
     law = _law(where, varies, edge, effect)
-    found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon, law)
+    found = add_effect(loaded, effect, load_runs(loaded, runs, columns), horizon, law)
     save_model(found.model, out)
     before, after = found.before.value, found.after.value
     if as_json:

@@ -13,7 +13,7 @@ from safedpa.errors import InputError, SafedpaError
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
 
-__all__ = ["answered", "bus_of", "listening_options", "who_option"]
+__all__ = ["bus_of", "listening_options", "request_answer", "who_option"]
 
 _ANSWER_SECONDS = 2.0
 
@@ -59,7 +59,7 @@ def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
     return Bus(ZenohTransport(settings), options["fleet"])
 
 
-def answered(bus: Bus, robot: str, request: Request, kind: str, nobody: str) -> Answer:
+def request_answer(bus: Bus, robot: str, request: Request, kind: str, nobody: str) -> Answer:
     """The answer to an order. Raises InputError where it is refused, SafedpaError with the words ``nobody`` where none
     comes within 2 s."""
     answer = bus.request(robot, request, _ANSWER_SECONDS, kind)

@@ -38,13 +38,13 @@ def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: f
     Fewer than 123 drives (for 99 %) are cut into blocks instead, and say nothing about drives. The setting ``margin``
     says which of the margins a filter uses: conformal, drive or theorem.
     """
-    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.calibration.from_recordings import calibration_from_recordings
+    from safedpa.comparison.output import refuse_inputs, require_writable_folder
     from safedpa.dynamics import load_model
-    from safedpa.safety.recorded import calibration_from_recordings
-    from safedpa.safety.shipped import settings_named
+    from safedpa.safety.defaults import settings_named
 
     refuse_inputs([out], recordings)
-    writable(out.parent)
+    require_writable_folder(out.parent)
     calibration = calibration_from_recordings(
         load_model(model), settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d")
     )

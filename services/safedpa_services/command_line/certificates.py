@@ -32,8 +32,8 @@ def command(
     Certificates that are there already stay, so that a robot can be added later. authority.key.pem is what makes
     certificates: keep it away from robots and services, each of which needs authority.pem and its own two files alone.
     """
-    from safedpa.bus.security.access import ROUTER, check_names, role_of_robot, roles_of
-    from safedpa.bus.security.authority import HOSTS, Authority, check_days
+    from safedpa.bus.security.access_control import ROUTER, check_names, role_of_robot, roles_of
+    from safedpa.bus.security.certificate_authority import HOSTS, Authority, check_days
 
     check_names(fleet, robots)
     check_days(days)  # before the authority is made

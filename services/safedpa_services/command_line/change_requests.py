@@ -12,7 +12,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.bus_options import bus_of, listening_options, who_option
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
@@ -95,4 +95,4 @@ def _tell(robot: str, end: Answer, *, as_json: bool) -> None:
         table = {"robot": robot, "change": end.change, "model": end.fingerprint, "sentence": end.sentence}
         click.echo(json.dumps(table))
     else:
-        say(f"{robot}: {end.sentence}; model {end.fingerprint} in force")
+        print_plain(f"{robot}: {end.sentence}; model {end.fingerprint} in force")

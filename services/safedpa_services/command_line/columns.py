@@ -14,7 +14,7 @@ from safedpa_services.command_line.names import complete_robots
 from safedpa_services.command_line.options import as_json_option, effects_option
 
 if TYPE_CHECKING:
-    from safedpa.records.bags import AbstractLog
+    from safedpa.records.readers.bags import AbstractLog
     from safedpa.systems import System
 
 __all__ = ["command"]
@@ -33,8 +33,8 @@ def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -
     """
     from safedpa.dynamics import load_own
     from safedpa.errors import InputError
-    from safedpa.records.bags import kind_of, topic_log
-    from safedpa.records.bags.proposal import best_system, map_proposed, sources_of
+    from safedpa.records.column_map.propose import best_system, propose_map, sources_of
+    from safedpa.records.readers.bags import kind_of, topic_log
     from safedpa.robot import DEFAULT_ROBOT, robot_named
 
     if effects is not None:
@@ -48,7 +48,7 @@ def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -
         opened = topic_log(log)
         system = best_system(systems, sources_of(opened.topics().values()))
         others = [other for other in systems if other is not system]
-        text, topics = map_proposed(opened, system, others), _topics(opened)
+        text, topics = propose_map(opened, system, others), _topics(opened)
     else:
         text, topics = _of_table(log, systems), []
     click.echo(json.dumps({"log": str(log), "topics": topics, "map": text}) if as_json else text, nl=as_json)
@@ -69,11 +69,11 @@ def _topics(log: AbstractLog) -> list[dict[str, object]]:
 
 
 def _of_table(log: Path, systems: Sequence[System]) -> str:
-    from safedpa_services.workbench.column_form import guessed, map_text
+    from safedpa_services.workbench.column_form import guess_columns, map_text
     from safedpa_services.workbench.file_preview import raw_rows
 
     names = raw_rows(log, 1).names
-    forms = [(system, guessed(system, names)) for system in systems]
+    forms = [(system, guess_columns(system, names)) for system in systems]
     system, lines = max(forms, key=lambda form: sum(bool(line.source) for line in form[1]))
     missing = [f'# {line.target} = "..."   # {line.si}: no column looks like it' for line in lines if not line.source]
     said = ", ".join(map(printable, names))

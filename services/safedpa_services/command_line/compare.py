@@ -13,14 +13,14 @@ from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     folder_option,
     force_option,
-    given_model,
     inputs_of,
-    loaded_runs,
+    load_given_model,
+    load_runs,
     run_options,
 )  # fmt: skip
 
 if TYPE_CHECKING:
-    from safedpa.compare.comparison import Comparison
+    from safedpa.comparison.comparison import Comparison
 
 __all__ = ["command"]
 
@@ -54,18 +54,18 @@ def command(
     Predicts open loop from a start every 0.1 s, prints the errors beside predictors that know no physics, and writes
     compare.html (readable offline) with compare.json beside it.
     """
-    from safedpa.compare.comparison import compare_model
-    from safedpa.compare.output import results_folder
-    from safedpa.compare.summary import as_json as document_of
-    from safedpa.compare.summary import worse_sentence
+    from safedpa.comparison.comparison import compare_model
+    from safedpa.comparison.output import results_folder
+    from safedpa.comparison.summary import as_json as document_of
+    from safedpa.comparison.summary import worse_sentence
     from safedpa.report.comparison_page import write_comparison
     from safedpa_services.progress import progress
 
-    loaded = given_model(model, effects)
-    earlier = None if before is None else given_model(before, None)
+    loaded = load_given_model(model, effects)
+    earlier = None if before is None else load_given_model(before, None)
     names, read = ("compare.html", "compare.json"), inputs_of(model, runs, columns, effects, before)
     with results_folder(out, "compare", model, names, read, force) as folder:
-        recorded = loaded_runs(loaded, runs, columns)
+        recorded = load_runs(loaded, runs, columns)
         with progress("comparing") as tell:
             tell(0, 2)
             comparison = compare_model(loaded, recorded, horizon)
@@ -79,7 +79,7 @@ def command(
 
 
 def _show(comparison: Comparison, page: Path, change: str) -> None:
-    from safedpa.compare.summary import naive_sentence, run_sentence, state_sentence, where_sentence
+    from safedpa.comparison.summary import naive_sentence, run_sentence, state_sentence, where_sentence
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False, soft_wrap=False)
@@ -99,7 +99,7 @@ def _show(comparison: Comparison, page: Path, change: str) -> None:
 
 
 def _error_table(comparison: Comparison) -> Any:
-    from safedpa.compare.comparison import PREDICTORS
+    from safedpa.comparison.comparison import PREDICTORS
 
     table = _table(f"Error after {comparison.horizon:g} s and on the way", "state", "after")
     for name in PREDICTORS:
@@ -122,7 +122,7 @@ def _error_table(comparison: Comparison) -> Any:
 
 
 def _where_table(comparison: Comparison) -> Any:
-    from safedpa.compare.summary import bin_text, worst_bins
+    from safedpa.comparison.summary import bin_text, worst_bins
 
     table = _table("Where it is worst", "range")
     for title in ("error", "x average", "share", "windows"):
@@ -139,7 +139,7 @@ def _where_table(comparison: Comparison) -> Any:
 
 
 def _run_table(comparison: Comparison) -> Any:
-    from safedpa.compare.summary import shortened
+    from safedpa.comparison.summary import shortened
 
     table = _table("Runs", "run")
     for title in ("seconds", "period", "windows", "error"):
@@ -151,7 +151,7 @@ def _run_table(comparison: Comparison) -> Any:
 
 
 def _state_table(comparison: Comparison) -> Any:
-    from safedpa.compare.summary import shortened
+    from safedpa.comparison.summary import shortened
 
     names = comparison.windows.system.state_names
     table = _table("Error by run and state", "run")
@@ -168,7 +168,7 @@ def _show_findings(console: Any, comparison: Comparison) -> None:
     found: dict[str, list[str]] = {}
     for run, finding in comparison.findings:
         found.setdefault(finding.message, []).append(run)
-    from safedpa.compare.summary import shortened
+    from safedpa.comparison.summary import shortened
 
     console.print("Data quality", style="italic")
     if not found:

@@ -14,15 +14,15 @@ import click
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.up import driven, planned, unasked
-from safedpa_services.lines import say
+from safedpa_services.command_line.up import default_options, driven, planned
+from safedpa_services.lines import print_plain
 
 if TYPE_CHECKING:
-    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.service.process import StopSignal
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
-    from safedpa_services.supervisor.story import Story
-    from safedpa_services.supervisor.watch import Watch
+    from safedpa_services.supervisor.story import DemoNarrator
+    from safedpa_services.supervisor.watch import RunMonitor
 
 _AFTER = 25.0
 """s of driving before the change: the first 20 teach the diagnosis what is usual."""
@@ -49,13 +49,13 @@ def command(**options: Any) -> None:
     0.08 rad, and no model is told. The diagnosis notices, searches for what the model lacks and proposes it; a click on
     Accept (or --yes) mends the model while the car drives. At the end: the fall of the error, and a report.
     """
-    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.service.process import StopSignal
 
     _check(options)
-    stop = Stop()
+    stop = StopSignal()
     with planned(_asked(options)) as plan:
         stop.listen_to_signals()
-        demonstration = _Demonstration(plan.with_page_alone(), stop, options)
+        demonstration = _DemoRun(plan.with_page_alone(), stop, options)
         summary = driven(demonstration.plan, stop, demonstration.shown)
     result = demonstration.result(summary)
     if options["as_json"]:
@@ -69,7 +69,7 @@ def command(**options: Any) -> None:
 def _asked(options: dict[str, Any]) -> dict[str, Any]:
     """Options of the drive."""
     own = {"robot": DEFAULT_ROBOT, "model": _MODEL, "change": _CHANGE, "change_after": _AFTER, "diagnosis": True}
-    return {**unasked(), **own, "seed": options["seed"], "headless": options["headless"], "out": options["out"]}
+    return {**default_options(), **own, "seed": options["seed"], "headless": options["headless"], "out": options["out"]}
 
 
 def _check(options: dict[str, Any]) -> None:
@@ -87,28 +87,28 @@ def _check(options: dict[str, Any]) -> None:
         browser_at_hand()
 
 
-class _Demonstration:
+class _DemoRun:
     """The loop of ``up``, with a story told about it in place of its table of processes."""
 
-    def __init__(self, plan: Plan, stop: Stop, options: dict[str, Any]) -> None:
+    def __init__(self, plan: Plan, stop: StopSignal, options: dict[str, Any]) -> None:
         self.plan, self._stop, self._options = plan, stop, options
-        self.story: Story | None = None
+        self.story: DemoNarrator | None = None
         self._opened = False
         self._picture: threading.Thread | None = None
         self._trouble = ""
 
     @contextmanager
-    def shown(self, watch: Watch, services: Sequence[Child], robot: Child) -> Iterator[Callable[[], None]]:
+    def shown(self, watch: RunMonitor, services: Sequence[Child], robot: Child) -> Iterator[Callable[[], None]]:
         """Yields what the supervisor calls in each turn."""
-        from safedpa_services.supervisor.story import Story
+        from safedpa_services.supervisor.story import DemoNarrator
         from safedpa_services.supervisor.warnings import Warnings
 
         def tell(line: str) -> None:
             if not self._options["as_json"]:
-                say(f"{0.0 if watch.state is None else watch.state.robot_time:5.0f} s  {line}")
+                print_plain(f"{0.0 if watch.state is None else watch.state.robot_time:5.0f} s  {line}")
 
         warnings = Warnings((robot, *services), self.plan.folder)
-        self.story = story = Story(watch.bus, watch.robot, tell, self._options["yes"])
+        self.story = story = DemoNarrator(watch.bus, watch.robot, tell, self._options["yes"])
         tell(f"a car drives behind its filter; after {_AFTER:.0f} s its steering is bent, and no model is told")
 
         def turn() -> None:
@@ -173,11 +173,11 @@ class _Demonstration:
         }
 
 
-def _clock(watch: Watch) -> float:
+def _clock(watch: RunMonitor) -> float:
     return 0.0 if watch.state is None else watch.state.robot_time
 
 
-def _failure(story: Story, summary: dict[str, Any]) -> str:
+def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
     """Why the story did not end well, in a line; empty where it did."""
     from safedpa_services.supervisor.story import WANTED_FALL
 
@@ -191,7 +191,7 @@ def _failure(story: Story, summary: dict[str, Any]) -> str:
     return ""
 
 
-def _report(story: Story, summary: dict[str, Any], folder: Path) -> str:
+def _report(story: DemoNarrator, summary: dict[str, Any], folder: Path) -> str:
     """report.html, and the models before and after, in the folder of the drive."""
     from dataclasses import replace
 
@@ -225,7 +225,7 @@ def _tell(result: dict[str, Any]) -> None:
             click.echo(f"  {name:8}{'█' * length:{_BAR}} {value:.3f}")
         click.echo(f"It fell by {100 * result['fall']:.0f} % with {result['effect']}.")
     for stand in result["standstills"]:
-        say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        print_plain(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     drove = f"{result['robot_seconds']:.0f} s, {result['goals_reached']} goals, {result['collisions']} collisions"
     click.echo(f"Drove for {drove}.")
     for name in ("report", "picture", "recording"):

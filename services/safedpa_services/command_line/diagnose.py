@@ -11,7 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
+from safedpa_services.command_line.fleet_diagnosis import fleet_options, run_fleet_diagnosis, wants_fleet
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
@@ -19,19 +19,19 @@ from safedpa_services.command_line.options import (
     effects_option,
     folder_option,
     force_option,
-    given_model,
     horizon_option,
     inputs_of,
-    loaded_runs,
+    load_given_model,
+    load_runs,
     value_text,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from safedpa.diagnosis.document import Report
+    from safedpa.diagnosis.report_schema import Report
     from safedpa.records.run import Run
-    from safedpa_services.driving import MarginBeside
+    from safedpa_services.driving import CalibratedMargin
 
 __all__ = ["command", "story_lines"]
 
@@ -74,7 +74,7 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
         _checked(model, runs, options)
         return 0
     if wants_fleet(options["fleet"], options["by"]):
-        return diagnosed_fleet(model, runs, **options)
+        return run_fleet_diagnosis(model, runs, **options)
     unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["anew"] * options["anew"]
     if unused:
         raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or what a robot is with --by")
@@ -86,15 +86,15 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
 
 def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
     """What the runs could show."""
-    from safedpa.diagnosis.check import as_document, check_lines, checked
+    from safedpa.diagnosis.identifiability.check import as_document, check_identifiability, check_lines
     from safedpa_services.progress import progress
 
     if not runs:
         raise InputError("--check: got no runs; wanted recordings of a robot")
-    loaded = given_model(model, options["effects"])
-    recorded = loaded_runs(loaded, runs, options["columns"])
+    loaded = load_given_model(model, options["effects"])
+    recorded = load_runs(loaded, runs, options["columns"])
     with progress("checking"):
-        found = checked(loaded, recorded)
+        found = check_identifiability(loaded, recorded)
     if options["as_json"]:
         click.echo(json.dumps(as_document(found), allow_nan=False))
     else:
@@ -103,16 +103,16 @@ def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None
 
 def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
     """One robot's diagnosis: read, searched, written, told."""
-    from safedpa.compare.output import results_folder
+    from safedpa.comparison.output import results_folder
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.document import as_document
-    from safedpa_services.progress import narrated, progress
+    from safedpa.diagnosis.report_schema import as_document
+    from safedpa_services.progress import progress, progress_with_notes
 
-    loaded = given_model(model, options["effects"])
+    loaded = load_given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
     with results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"]) as out:
-        recorded = loaded_runs(loaded, runs, options["columns"])
-        with narrated("diagnosing") as narrate:
+        recorded = load_runs(loaded, runs, options["columns"])
+        with progress_with_notes("diagnosing") as narrate:
             report = diagnose(loaded, recorded, options["horizon"], narrate)
         document = as_document(report)
         with progress("writing") as tell:
@@ -127,20 +127,20 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
         _show(report, out, margin, options["effects"])
 
 
-def _margin(report: Report, runs: Sequence[Run], out: Path) -> MarginBeside:
+def _margin(report: Report, runs: Sequence[Run], out: Path) -> CalibratedMargin:
     """The filter's margin for the diagnosed model, beside it; none where the data allowed no verdict."""
-    from safedpa.compare.excerpt import excerpt
-    from safedpa_services.driving import MarginBeside, margin_beside
+    from safedpa.comparison.excerpt import subsample_runs
+    from safedpa_services.driving import CalibratedMargin, calibrate_margin_file
 
     path = out / "margin.toml"
     judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
     if not judged:
         path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
-        return MarginBeside()
-    return margin_beside(report.models[-1], runs, path, lambda some: excerpt(some, ROWS, report.horizon))
+        return CalibratedMargin()
+    return calibrate_margin_file(report.models[-1], runs, path, lambda some: subsample_runs(some, ROWS, report.horizon))
 
 
-def _margin_document(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> dict[str, Any]:
+def _margin_document(report: Report, out: Path, margin: CalibratedMargin, own: Path | None) -> dict[str, Any]:
     """Where the margin lies and of which steps [s] it is, None: none; what is said of it; how to drive."""
     from safedpa_services.driving import drive_command
 
@@ -153,7 +153,7 @@ def _margin_document(report: Report, out: Path, margin: MarginBeside, own: Path 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
     from safedpa.dynamics import LearnedBase, save_model, write_model
-    from safedpa.records.atomic import atomic_path
+    from safedpa.records.writers.tables import atomic_path
     from safedpa.report.diagnosis_page import write_report
     from safedpa.report.diagnosis_recording import write_recording
 
@@ -169,7 +169,7 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
     write_recording(document, runs, report.models, out)
 
 
-def _show(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> None:
+def _show(report: Report, out: Path, margin: CalibratedMargin, own: Path | None) -> None:
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False, soft_wrap=True)
@@ -186,11 +186,11 @@ def _show(report: Report, out: Path, margin: MarginBeside, own: Path | None) -> 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:
     """The diagnosis as lines and their styles: error, where, what is missing, the falling error, what remains, next."""
-    from safedpa.diagnosis.document import as_document
-    from safedpa.report.diagnosis_story import story_of
+    from safedpa.diagnosis.report_schema import as_document
+    from safedpa.report.diagnosis_story import report_text
     from safedpa.report.undecided_story import closest_rows
 
-    story = story_of(as_document(report))
+    story = report_text(as_document(report))
     lines = [(_verdict(report, story.lead), "bold")]
     worst = next((item for item in report.where if math.isfinite(item["ratio"])), None)
     if worst is not None:

@@ -9,7 +9,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.json_answer import answers_json, tell
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
 
@@ -19,7 +19,7 @@ __all__ = ["command"]
 @click.option(
     "--format",
     "kind",
-    type=Choice(["csv", "parquet", "ros2", "simulators"]),
+    type=SuggestingChoice(["csv", "parquet", "ros2", "simulators"]),
     help="csv: text, every digit kept; parquet: smaller, faster; ros2: a rosbag2 (MCAP); simulators: of a model.",
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")
@@ -49,7 +49,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
             raise InputError("--onnx: got options of a recording too; leave --format, --out and --robot out")
         _export_networks(source, folder)
         return
-    from safedpa.compare.output import refuse_inputs
+    from safedpa.comparison.output import refuse_inputs
 
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
@@ -61,7 +61,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
         _export_bag(source, out, robot)
         return
     need("diagnosis", what=f"--format {kind}")
-    from safedpa.records.write import export_recording
+    from safedpa.records.writers.tables import export_recording
 
     exported = export_recording(source, out, kind, robot)
     for finding in exported.findings:
@@ -71,15 +71,15 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
 
 def _export_model(source: Path, out: Path) -> None:
-    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.comparison.output import refuse_inputs, require_writable_folder
     from safedpa.dynamics import load_model
-    from safedpa.dynamics.elsewhere import Elsewhere, table_of
+    from safedpa.dynamics.elsewhere import SimulatorExport, export_table
     from safedpa.robot import robot_named
 
     model = load_model(source)
-    found = robot_named(model.system.name).elsewhere(model) or Elsewhere()
-    texts = {"parameters.json": table_of(model, found), **found.documents}
-    writable(out, create=True)
+    found = robot_named(model.system.name).elsewhere(model) or SimulatorExport()
+    texts = {"parameters.json": export_table(model, found), **found.documents}
+    require_writable_folder(out, create=True)
     refuse_inputs([out / name for name in texts], [source])
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
-    from safedpa.fleet import RobotsFound, Workers
+    from safedpa.fleet import DiscoveredRobots, Workers
 
-__all__ = ["diagnosed_fleet", "fleet_options", "wants_fleet"]
+__all__ = ["fleet_options", "run_fleet_diagnosis", "wants_fleet"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Job = TypeVar("Job")
@@ -44,7 +44,7 @@ def fleet_options(command: Command) -> Command:
         click.option("--jobs", type=int, metavar="N", help="Of a fleet: robots at a time; by default one a core."),
         click.option(
             "--by",
-            type=Choice(["auto", "folder", "file", "robot"]),
+            type=SuggestingChoice(["auto", "folder", "file", "robot"]),
             default="auto",
             show_default=True,
             help="What a robot of a fleet is: a folder of recordings, a file, or a name inside MCAP recordings.",
@@ -65,9 +65,9 @@ def wants_fleet(fleet: Path | None, by: str) -> bool:
     return fleet is not None or by != "auto"
 
 
-def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
+def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     """Diagnoses a fleet and tells; the exit code: 0, or 2 where no robot's recordings could be used."""
-    from safedpa.compare.output import results_folder
+    from safedpa.comparison.output import results_folder
     from safedpa.fleet import Fleet, Options, diagnose_fleet
     from safedpa_services.progress import progress
 
@@ -106,7 +106,7 @@ def _absolute(name: str) -> str:
     return str(Path(name).resolve()) if Path(name).is_file() else name
 
 
-def _found(runs: Sequence[str], options: dict[str, Any]) -> RobotsFound:
+def _found(runs: Sequence[str], options: dict[str, Any]) -> DiscoveredRobots:
     from safedpa.fleet import robots_in_folder, robots_of_files
 
     fleet: Path | None = options["fleet"]

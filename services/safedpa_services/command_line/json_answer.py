@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 
 __all__ = ["answers_json", "finish", "tell"]
 
@@ -49,7 +49,7 @@ def tell(line: str = "", *, err: bool = False, facts: Mapping[str, Any] | None =
     document = None if context is None else context.meta.get(_KEY)
     if document is None:
         if line:
-            say(line, err=err)
+            print_plain(line, err=err)
         return
     for name, value in (facts or {}).items():
         document[name] = [*document.get(name, ()), *value] if isinstance(value, list) else value

@@ -11,10 +11,10 @@ from click.shell_completion import CompletionItem
 
 from safedpa.errors import did_you_mean
 
-__all__ = ["Choice", "complete_effects", "complete_models", "complete_robots"]
+__all__ = ["SuggestingChoice", "complete_effects", "complete_models", "complete_robots"]
 
 
-class Choice(click.Choice[Any]):
+class SuggestingChoice(click.Choice[Any]):
     """One of a few words; a wrong one is answered with the nearest."""
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from safedpa.diagnosis.document import Value
+    from safedpa.diagnosis.report_schema import FittedValue
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
 __all__ = [
-    "Grouped",
+    "GroupedCommand",
     "as_json_option",
     "columns_option",
     "effects_option",
     "folder_option",
     "force_option",
-    "given_model",
     "horizon_option",
     "inputs_of",
-    "loaded_runs",
+    "load_given_model",
+    "load_runs",
     "run_options",
     "runs_argument",
     "value_text",
@@ -76,7 +76,7 @@ def inputs_of(model: str, runs: Sequence[str], *others: str | Path | None) -> li
     return [model, *runs, *(item for item in others if item is not None)]
 
 
-def given_model(name: str, effects: Path | None) -> PhysicsModel:
+def load_given_model(name: str, effects: Path | None) -> PhysicsModel:
     """The model, once the user's own effects and systems are known."""
     from safedpa.dynamics import load_model, load_own
 
@@ -85,9 +85,9 @@ def given_model(name: str, effects: Path | None) -> PhysicsModel:
     return load_model(name)
 
 
-def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
+def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
     """The recordings, named so that they can be told apart; with a progress bar of its own."""
-    from safedpa.compare.comparison import with_distinct_names
+    from safedpa.comparison.comparison import with_distinct_names
     from safedpa.records import load_column_map, load_run
     from safedpa_services.progress import progress
 
@@ -101,7 +101,7 @@ def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) 
     return with_distinct_names(found, paths)
 
 
-class Grouped(click.Command):
+class GroupedCommand(click.Command):
     """``groups``: heading to names of parameters; one may stand under several, and what is in none comes last."""
 
     def __init__(self, *arguments: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
@@ -120,7 +120,7 @@ class Grouped(click.Command):
                     formatter.write_dl(rows)
 
 
-def value_text(name: str, value: Value) -> str:
+def value_text(name: str, value: FittedValue) -> str:
     """coefficient 0.121 +- 0.003 1/m"""
     spread = "" if value.std is None else f" +- {value.std:.2g}"
     return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")

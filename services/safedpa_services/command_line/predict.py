@@ -13,9 +13,9 @@ from safedpa_services.command_line.options import (
     columns_option,
     effects_option,
     force_option,
-    given_model,
     horizon_option,
     inputs_of,
+    load_given_model,
 )  # fmt: skip
 
 __all__ = ["command"]
@@ -39,15 +39,15 @@ def command(
     Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
     t and the states, one line per measured row up to the horizon.
     """
-    from safedpa.compare.output import refuse_inputs, writable_file
-    from safedpa.compare.rollout import predict_run
+    from safedpa.comparison.output import refuse_inputs, require_writable_file
+    from safedpa.comparison.rollout import predict_run
     from safedpa.records import load_column_map, load_run
-    from safedpa.records.write import write_columns
+    from safedpa.records.writers.tables import write_columns
 
     refuse_inputs([out], inputs_of(model, [run], columns, effects), force)
-    loaded = given_model(model, effects)
+    loaded = load_given_model(model, effects)
     recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
-    writable_file(out)
+    require_writable_file(out)
     table = predict_run(loaded, recorded, horizon)
     write_columns(table, out, "csv")
     starts = len(set(table["start_t"].tolist()))

@@ -15,8 +15,8 @@ from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
     effects_option,
-    given_model,
-    loaded_runs,
+    load_given_model,
+    load_runs,
     runs_argument,
 )
 
@@ -51,15 +51,15 @@ def command(
     The runs are simulated anew, with their own commands and noise, and diagnosed: does a drive like these show what one
     wants to know? Takes a diagnosis for each effect and size.
     """
-    from safedpa.diagnosis.rehearsal import rehearsal_of
+    from safedpa.diagnosis.identifiability.rehearsal import rehearse_diagnosis
     from safedpa_services.progress import progress
 
     if seed < 0 or not all(size > 0 for size in sizes):
         raise InputError("--size: wanted more than 0; --seed: wanted 0 or more")
-    loaded = given_model(model, effects)
-    recorded = loaded_runs(loaded, runs, columns)
+    loaded = load_given_model(model, effects)
+    recorded = load_runs(loaded, runs, columns)
     with progress("rehearsing") as tell:
-        found = rehearsal_of(loaded, recorded, sizes, names, seed, tell)
+        found = rehearse_diagnosis(loaded, recorded, sizes, names, seed, tell)
     if as_json:
         trials = [asdict(trial) for trial in found.trials]
         click.echo(json.dumps({"format": 1, "trials": trials, "agreeing": found.agreeing}, allow_nan=False))

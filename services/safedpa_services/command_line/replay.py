@@ -12,13 +12,13 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.options import as_json_option, effects_option
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
     from safedpa.replay.tape import RobotTape
-    from safedpa.replay.what_if import Change
-    from safedpa.safety.calibration import MarginCalibration
+    from safedpa.replay.what_if import WhatIfChange
+    from safedpa.safety.margins.calibration import MarginCalibration
 
 
 @click.command()
@@ -67,13 +67,13 @@ def command(**options: Any) -> int:
 
 def _check_out(options: dict[str, Any]) -> None:
     """Refuses a place where what is written would be taken for a part of what was read."""
-    from safedpa.compare.output import writable
+    from safedpa.comparison.output import require_writable_folder
     from safedpa.replay.tape import files_of
 
     out: Path | None = options["out"]
     if out is None:
         return
-    writable(out.parent, create=True)
+    require_writable_folder(out.parent, create=True)
     folders = [run.resolve() for run in options["runs"] if run.is_dir()]
     if out.resolve() in [file.resolve() for file in files_of(options["runs"])] or (
         out.suffix == ".mcap" and out.resolve().parent in folders
@@ -95,11 +95,11 @@ def _folders(options: dict[str, Any]) -> tuple[Path, ...]:
     return () if options["weights"] is None else (options["weights"],)
 
 
-def _change(options: dict[str, Any]) -> Change:
+def _change(options: dict[str, Any]) -> WhatIfChange:
     from safedpa.dynamics import load_model
-    from safedpa.replay.what_if import Change
+    from safedpa.replay.what_if import WhatIfChange
     from safedpa.robot import DEFAULT_ROBOT
-    from safedpa.safety.shipped import margin_for
+    from safedpa.safety.defaults import margin_for
 
     model = None if options["model"] is None else load_model(options["model"])
     margin: float | MarginCalibration | None = None
@@ -109,16 +109,16 @@ def _change(options: dict[str, Any]) -> Change:
         except ValueError:
             of_any = model or load_model(DEFAULT_ROBOT)  # a margin that is named is the same for every model
             margin = margin_for(of_any, options["margin"])
-    return Change(model, options["eta"], margin, options["filtered"])
+    return WhatIfChange(model, options["eta"], margin, options["filtered"])
 
 
 def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.comparison import TOLERANCE
     from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
-    from safedpa.replay.report import Saved, document_of, lines_of
+    from safedpa.replay.report import ReplayOutputs, document_of, lines_of
 
-    saved = Saved()
+    saved = ReplayOutputs()
     wanted = options["out"] is not None
     tell = saved.take if wanted else saved.leave
     found = replay(tape, _window(options), 0.0 if options["exact"] else TOLERANCE, _folders(options), tell)
@@ -128,7 +128,7 @@ def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> i
     if options["as_json"]:
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
-        say("\n".join(lines_of(tape, found, gaps, assumed)))
+        print_plain("\n".join(lines_of(tape, found, gaps, assumed)))
     return _code(found)
 
 
@@ -136,8 +136,8 @@ def _code(found: Replay) -> int:
     return 0 if found.agrees and any(part.compared for part in found.services) else 1
 
 
-def _changed(tape: RobotTape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
-    from safedpa.replay.report import told_lines, what_if_document, what_if_lines, write_decisions
+def _changed(tape: RobotTape, change: WhatIfChange, assumed: list[str], options: dict[str, Any]) -> int:
+    from safedpa.replay.report import note_lines, what_if_document, what_if_lines, write_decisions
     from safedpa.replay.what_if import summary_of, what_if
 
     decisions = what_if(tape, change, _window(options), _folders(options))
@@ -150,8 +150,8 @@ def _changed(tape: RobotTape, change: Change, assumed: list[str], options: dict[
         document["findings"] = [asdict(finding) for finding in tape.findings]
         click.echo(json.dumps(document if driven is None else document | {"closed_loop": driven}))
         return 0
-    say(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
-    say("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
+    print_plain(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
+    print_plain("\n".join([*note_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
     if driven is not None:
         click.echo("\n".join(_driven_lines(driven)))
     return 0
@@ -163,7 +163,7 @@ def _words(options: dict[str, Any]) -> str:
     return ", ".join(given) or "nothing changed"
 
 
-def _driven(tape: RobotTape, change: Change, options: dict[str, Any]) -> dict[str, Any]:
+def _driven(tape: RobotTape, change: WhatIfChange, options: dict[str, Any]) -> dict[str, Any]:
     from safedpa_sim.recorded_drive import drive_again
 
     return drive_again(tape, change, _folders(options))
@@ -182,11 +182,13 @@ def _draw(tape: RobotTape, path: Path) -> None:
     from safedpa.replay.setups import model_of_document
     from safedpa.safety.settings import parse_settings
     from safedpa_services.dashboard.dashboard import draw_recording
-    from safedpa_services.dashboard.look import look_of
+    from safedpa_services.dashboard.look import display_settings
 
     filters = tape.setups.get("safety_filter", [])
     if not filters:
         raise InputError("--rrd: no setup of a safety filter in the recording; wanted one, for the robot's shape")
     setup = filters[0][1]
-    draw_recording(tape.files, look_of(model_of_document(setup.document), parse_settings(setup.settings)), path)
+    draw_recording(
+        tape.files, display_settings(model_of_document(setup.document), parse_settings(setup.settings)), path
+    )
     click.echo(f"{path}: open it with 'rerun {path}'", err=True)

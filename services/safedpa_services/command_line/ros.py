@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 from safedpa_services.command_line.options import as_json_option
 
 __all__ = ["command"]
@@ -51,7 +51,7 @@ def _discover(endpoint: str, domain: int, as_json: bool) -> None:
 @click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="where the services meet; default: on this machine")
-@click.option("--mode", type=Choice(["peer", "client"]), help="how to join the bus; default: peer")
+@click.option("--mode", type=SuggestingChoice(["peer", "client"]), help="how to join the bus; default: peer")
 @click.option("--certificates", type=click.Path(path_type=Path), metavar="DIR", help="prove by those who this is")
 @needs("ros")
 def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, certificates: Path | None) -> None:
@@ -59,13 +59,13 @@ def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, cer
 
     Ends at Ctrl-C; the robot is braked first. 'safedpa serve' starts the services.
     """
-    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.service.process import StopSignal
     from safedpa_services.ros_gateway.__main__ import parser, work
 
     words = [part for endpoint in connect for part in ("--connect", endpoint)]
     words += ["--mode", mode] if mode else []
     words += ["--certificates", str(certificates)] if certificates is not None else []
     options = parser().parse_args([str(file), "--fleet", fleet, *words])
-    stop = Stop()
+    stop = StopSignal()
     stop.listen_to_signals()
     sys.exit(work(options, stop))

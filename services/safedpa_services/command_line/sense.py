@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from safedpa_services.command_line.bus_options import answered, bus_of, listening_options, who_option
-from safedpa_services.lines import say
+from safedpa_services.command_line.bus_options import bus_of, listening_options, request_answer, who_option
+from safedpa_services.lines import print_plain
 
 __all__ = ["command"]
 
@@ -27,15 +27,15 @@ def command(robot: str, sources: tuple[str, ...], zones: tuple[str, ...], **opti
     is started again. What only a source sees that is off is hidden; with none left the filter brakes.
     """
     from safedpa.bus import Request
-    from safedpa.bus.wire.requests import SENSE
+    from safedpa.bus.messages.requests import SENSE
 
     switches = (*(f"source {text}" for text in sources), *(f"zone {text}" for text in zones))
     who = options["who"] or getpass.getuser()
     request = Request(do="switch" if switches else "status", switches=switches, who=who)
     with bus_of(options) as bus:
         nobody = "no perception answers; wanted a running loop with one (safedpa up --laser), whose endpoint is named"
-        answer = answered(bus, robot, request, SENSE, f"{nobody} with --connect")
+        answer = request_answer(bus, robot, request, SENSE, f"{nobody} with --connect")
     if options["as_json"]:
         click.echo(json.dumps({"sentence": answer.sentence}))
     else:
-        say(answer.sentence)
+        print_plain(answer.sentence)

@@ -12,13 +12,13 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
 from safedpa_services.command_line.json_answer import answers_json, finish, tell
-from safedpa_services.command_line.up import planned, unasked
+from safedpa_services.command_line.up import default_options, planned
 
 if TYPE_CHECKING:
-    from safedpa_services.ros_gateway.robot_file import Served
+    from safedpa_services.ros_gateway.robot_file import ServedRobot
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
-    from safedpa_services.supervisor.securing import Wallet
+    from safedpa_services.supervisor.securing import CertificateStore
 
 __all__ = ["command"]
 
@@ -50,14 +50,14 @@ def command(file: Path, **options: Any) -> None:
     [wish]; else the robot joins the bus by itself (docs/bus.md). Without [wish] --policy says who wishes, with
     [[scans]] perception runs too. With certificates a router lets everybody say and hear what is his. Until Ctrl-C.
     """
-    from safedpa.bus.loop.process import Stop
-    from safedpa.bus.security.access import role_of_robot
+    from safedpa.bus.security.access_control import role_of_robot
+    from safedpa.bus.service.process import StopSignal
     from safedpa.dynamics import load_own_everywhere
-    from safedpa_services.ros_gateway.robot_file import RobotFile, load_served
+    from safedpa_services.ros_gateway.robot_file import RobotFile, load_served_robot
 
     if options["robot_file"] is not None:
         load_own_everywhere(options["robot_file"])
-    asked = load_served(file)
+    asked = load_served_robot(file)
     speaks_ros = isinstance(asked, RobotFile)
     wishes = isinstance(asked, RobotFile) and bool(asked.wish.topic)
     if options["perception"] and not (isinstance(asked, RobotFile) and asked.scans):
@@ -72,7 +72,7 @@ def command(file: Path, **options: Any) -> None:
         raise InputError(f"{file}: nobody wishes; name one with --policy, or a topic in [wish] of a ROS robot")
     if not options["headless"]:
         need("view", what="the dashboard", instead="leave it out with --headless")
-    stop, own = Stop(), _own_certificates(options, speaks_ros=speaks_ros)
+    stop, own = StopSignal(), _own_certificates(options, speaks_ros=speaks_ros)
     with planned(_as_asked(asked, options), own) as made:
         stop.listen_to_signals()
         plan = replace(made, senses=isinstance(asked, RobotFile) and bool(asked.scans))
@@ -85,9 +85,9 @@ def command(file: Path, **options: Any) -> None:
         _serve(plan, gateway, services, stop)
 
 
-def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> Wallet | None:
+def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> CertificateStore | None:
     """The person's own, if he names them. Raises InputError for what does not go together."""
-    from safedpa_services.supervisor.securing import Wallet
+    from safedpa_services.supervisor.securing import CertificateStore
 
     if options["secure"] and options["certificates"] is not None:
         raise InputError("--secure: got it with --certificates, whose own are used; leave one of the two out")
@@ -96,13 +96,13 @@ def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> Wallet | 
             "--secure: its certificates go with this start, and a robot that joins by itself has none of them; make "
             "some with 'safedpa certificates DIR', and name them with --certificates DIR"
         )
-    return None if options["certificates"] is None else Wallet(options["certificates"])
+    return None if options["certificates"] is None else CertificateStore(options["certificates"])
 
 
-def _as_asked(asked: Served, options: dict[str, Any]) -> dict[str, Any]:
+def _as_asked(asked: ServedRobot, options: dict[str, Any]) -> dict[str, Any]:
     """Options of a drive, as far as they hold without a simulator."""
     return {
-        **unasked(),
+        **default_options(),
         **options,
         "robot": asked.robot,
         "name": asked.name,
@@ -123,7 +123,7 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.supervisor import Supervisor
-    from safedpa_services.supervisor.watch import Watch
+    from safedpa_services.supervisor.watch import RunMonitor
 
     where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.door or plan.endpoint}
     tell(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
@@ -136,13 +136,13 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
     if plan.wallet is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-        watch = Watch(bus, plan.name)
-        code = Supervisor(list(services), gateway, watch, stop, _Sayings(watch), lambda: stop.hurried).run()
+        watch = RunMonitor(bus, plan.name)
+        code = Supervisor(list(services), gateway, watch, stop, _DriveReporter(watch), lambda: stop.hurried).run()
     if code != 0 and gateway is not None:
         raise SafedpaError(f"robot: {gateway.last_words()}")
 
 
-class _Sayings:
+class _DriveReporter:
     """Says when the robot begins to drive, and when it brakes by itself: once each time."""
 
     def __init__(self, watch: Any) -> None:

@@ -18,7 +18,7 @@ from safedpa_services.command_line.bus_options import bus_of, listening_options
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from safedpa.bus.overview import Concern, FleetOverview, RobotOverview, ServiceOverview
+    from safedpa.bus.monitor import Alert, FleetOverview, RobotOverview, ServiceOverview
 
 __all__ = ["command", "document_of"]
 
@@ -37,7 +37,7 @@ def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
 
     Exit code 0 when everything is healthy, 1 when something is not or nobody is on the bus.
     """
-    from safedpa.bus.overview import FleetOverview
+    from safedpa.bus.monitor import FleetOverview
 
     if not 0.5 <= seconds <= 3600.0:
         raise InputError(f"--seconds: got {seconds:g}, wanted 0.5 to 3600; heartbeats come four times a second")
@@ -73,16 +73,16 @@ def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> st
 
 
 def _draw(document: dict[str, Any], picture: Path | None) -> None:
-    from safedpa_services.command_line.status_table import picture_of
+    from safedpa_services.command_line.status_table import render_status_table
     from safedpa_services.terminal import terminal
 
     console = terminal(soft_wrap=False)
     if not console.is_terminal:
         console = terminal(width=max(_FEWEST_COLUMNS, console.width))
-    console.print(picture_of(document, console.width))
+    console.print(render_status_table(document, console.width))
     if picture is not None:
         drawn = terminal(width=console.width, file=io.StringIO(), record=True, force_terminal=True)
-        drawn.print(picture_of(document, console.width))
+        drawn.print(render_status_table(document, console.width))
         _write_svg(drawn, f"safedpa status --fleet {document['fleet']}", picture)
 
 
@@ -102,11 +102,11 @@ def _watched(fleet: FleetOverview) -> bool:
     from rich.live import Live
     from rich.text import Text
 
-    from safedpa.bus.loop.process import Stop
-    from safedpa_services.command_line.status_table import picture_of
-    from safedpa_services.terminal import Shown, terminal
+    from safedpa.bus.service.process import StopSignal
+    from safedpa_services.command_line.status_table import render_status_table
+    from safedpa_services.terminal import SanitizedRenderable, terminal
 
-    stop, console, healthy = Stop(), terminal(), False
+    stop, console, healthy = StopSignal(), terminal(), False
     stop.listen_to_signals()
     with Live(console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop") as live:
         while not stop():
@@ -117,7 +117,9 @@ def _watched(fleet: FleetOverview) -> bool:
                 heard = time.monotonic() - fleet.since
                 live.update(Text(f"fleet '{fleet.bus.fleet}': nobody was heard for {heard:.0f} s"), refresh=True)
             else:
-                live.update(Shown(picture_of(document, console.width, console.height)), refresh=True)
+                live.update(
+                    SanitizedRenderable(render_status_table(document, console.width, console.height)), refresh=True
+                )
     return healthy
 
 
@@ -126,10 +128,10 @@ _LEVELS = ("trouble", "attention", "well")
 
 def document_of(fleet: FleetOverview) -> dict[str, Any]:
     """Robots and processes, the worst first, and what is not as it should be; ``healthy`` is false with any trouble."""
-    from safedpa.bus.overview import fleet_concerns
+    from safedpa.bus.monitor import fleet_alerts
 
     now = fleet.clock()
-    concerns = fleet_concerns(fleet)
+    concerns = fleet_alerts(fleet)
     robots = [_robot(robot, now) for robot in fleet.robots.values()]
     robots.sort(key=lambda row: (_LEVELS.index(row["health"]), -row["late"], -row["fallback"], row["robot"]))
     services = [_service(known, concerns, now) for known in fleet.services.values() if not fleet.replaced(known)]
@@ -145,7 +147,7 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     }
 
 
-def _concern(concern: Concern) -> dict[str, Any]:
+def _concern(concern: Alert) -> dict[str, Any]:
     return {
         "level": concern.level,
         "robot": concern.robot,
@@ -156,19 +158,19 @@ def _concern(concern: Concern) -> dict[str, Any]:
     }
 
 
-def _level(concerns: Sequence[Concern]) -> str:
+def _level(concerns: Sequence[Alert]) -> str:
     levels = {concern.level for concern in concerns}
     return next((level for level in _LEVELS if level in levels), "well")
 
 
 def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
-    from safedpa.bus.overview import concerns_of
+    from safedpa.bus.monitor import robot_alerts
 
     state, verdict = robot.state, robot.verdict
     p50, p99 = robot.latency(0.5), robot.latency(0.99)
     row: dict[str, Any] = {
         "robot": robot.name,
-        "health": _level(concerns_of(robot, now)),
+        "health": _level(robot_alerts(robot, now)),
         "verdict": verdict.status if verdict else "",
         "h": verdict.h_now if verdict else None,
         "margin": verdict.margin if verdict else None,
@@ -194,7 +196,7 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
     return {**row, **{status: shares[status] / total for status in named}}
 
 
-def _service(service: ServiceOverview, concerns: Sequence[Concern], now: float) -> dict[str, Any]:
+def _service(service: ServiceOverview, concerns: Sequence[Alert], now: float) -> dict[str, Any]:
     health = service.health
     own = [concern for concern in concerns if concern.service == service.name and concern.robot in service.robots]
     own += [concern for concern in concerns if concern.service == service.name and not concern.robot]

@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["picture_of"]
+__all__ = ["render_status_table"]
 
 _COLOURS = {
     "well": "green",
@@ -32,7 +32,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class _Column:
+class _TableColumn:
     title: str
     width: int
     """Characters that it is given; what is longer is cut."""
@@ -66,43 +66,43 @@ def _more(row: Row) -> str:
 
 
 _ROBOTS = (
-    _Column("robot", 12, lambda row: row["robot"], left=True),
-    _Column("health", 9, lambda row: row["health"], left=True),
-    _Column("Hz", 5, _number("rate", ".1f")),
-    _Column("verdict", 9, lambda row: row["verdict"], left=True),
-    _Column("h", 6, _number("h", "+.2f")),
-    _Column("corr %", 6, _number("corrected", ".1f", 100.0)),
-    _Column("fall %", 6, _number("fallback", ".1f", 100.0)),
-    _Column("late %", 6, _number("late", ".2f", 100.0)),
-    _Column("p99 ms", 6, _number("sense_to_act_p99", ".1f", 1e3), 90),
-    _Column("held %", 6, _number("coverage", ".1f", 100.0), 100),
-    _Column("diagnosis", 10, lambda row: row["diagnosis"], 115, left=True),
-    _Column("age s", 5, _number("age", ".2f"), 125),
-    _Column("of Hz", 5, _number("wanted_rate", ".0f"), 135),
-    _Column("p50 ms", 6, _number("sense_to_act_p50", ".1f", 1e3), 145),
-    _Column("time s", 8, _number("time", ".1f"), 155),
-    _Column("goals", 5, _number("goals", "d"), 165),
-    _Column("hits", 4, _number("collisions", "d"), 172),
-    _Column("model", 12, _model, 190, left=True),
-    _Column("sources, age s", 24, _sources, 215, left=True),
+    _TableColumn("robot", 12, lambda row: row["robot"], left=True),
+    _TableColumn("health", 9, lambda row: row["health"], left=True),
+    _TableColumn("Hz", 5, _number("rate", ".1f")),
+    _TableColumn("verdict", 9, lambda row: row["verdict"], left=True),
+    _TableColumn("h", 6, _number("h", "+.2f")),
+    _TableColumn("corr %", 6, _number("corrected", ".1f", 100.0)),
+    _TableColumn("fall %", 6, _number("fallback", ".1f", 100.0)),
+    _TableColumn("late %", 6, _number("late", ".2f", 100.0)),
+    _TableColumn("p99 ms", 6, _number("sense_to_act_p99", ".1f", 1e3), 90),
+    _TableColumn("held %", 6, _number("coverage", ".1f", 100.0), 100),
+    _TableColumn("diagnosis", 10, lambda row: row["diagnosis"], 115, left=True),
+    _TableColumn("age s", 5, _number("age", ".2f"), 125),
+    _TableColumn("of Hz", 5, _number("wanted_rate", ".0f"), 135),
+    _TableColumn("p50 ms", 6, _number("sense_to_act_p50", ".1f", 1e3), 145),
+    _TableColumn("time s", 8, _number("time", ".1f"), 155),
+    _TableColumn("goals", 5, _number("goals", "d"), 165),
+    _TableColumn("hits", 4, _number("collisions", "d"), 172),
+    _TableColumn("model", 12, _model, 190, left=True),
+    _TableColumn("sources, age s", 24, _sources, 215, left=True),
 )
 _SERVICES = (
-    _Column("process", 14, lambda row: row["service"], left=True),
-    _Column("health", 9, lambda row: row["health"], left=True),
-    _Column("state", 8, lambda row: row["state"], left=True),
-    _Column("robots", 6, _number("robots", "d")),
-    _Column("steps/s", 7, _number("steps_per_second", ".1f")),
-    _Column("step us", 7, _number("step_microseconds", ".0f")),
-    _Column("stale", 6, _number("stale", "d")),
-    _Column("refused", 7, _number("refused", "d")),
-    _Column("age s", 5, _number("age", ".2f"), 95),
-    _Column("pid", 7, _number("pid", "d"), 105),
-    _Column("version", 8, lambda row: row["software"], 115, left=True),
-    _Column("", 70, _more, 150, left=True),
+    _TableColumn("process", 14, lambda row: row["service"], left=True),
+    _TableColumn("health", 9, lambda row: row["health"], left=True),
+    _TableColumn("state", 8, lambda row: row["state"], left=True),
+    _TableColumn("robots", 6, _number("robots", "d")),
+    _TableColumn("steps/s", 7, _number("steps_per_second", ".1f")),
+    _TableColumn("step us", 7, _number("step_microseconds", ".0f")),
+    _TableColumn("stale", 6, _number("stale", "d")),
+    _TableColumn("refused", 7, _number("refused", "d")),
+    _TableColumn("age s", 5, _number("age", ".2f"), 95),
+    _TableColumn("pid", 7, _number("pid", "d"), 105),
+    _TableColumn("version", 8, lambda row: row["software"], 115, left=True),
+    _TableColumn("", 70, _more, 150, left=True),
 )
 
 
-def picture_of(document: dict[str, Any], width: int, height: int = 0) -> Group:
+def render_status_table(document: dict[str, Any], width: int, height: int = 0) -> Group:
     """Headline, concerns, robots and processes in ``width`` columns; with a ``height`` in so many rows at most."""
     robots, services, concerns = document["robots"], document["services"], document["concerns"]
     rows = _rows(height, len(robots), len(services), len(_grouped(concerns)))
@@ -171,7 +171,7 @@ def _listed(robots: Sequence[str]) -> str:
     return shown if len(robots) <= 4 else f"{shown} and {len(robots) - 4} more"
 
 
-def _table(columns: Sequence[_Column], rows: Sequence[Row], width: int) -> Table:
+def _table(columns: Sequence[_TableColumn], rows: Sequence[Row], width: int) -> Table:
     shown = [column for column in columns if width >= column.least_width]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for column in shown:

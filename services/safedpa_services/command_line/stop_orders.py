@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from safedpa.errors import SafedpaError
-from safedpa_services.command_line.bus_options import answered, bus_of
-from safedpa_services.lines import say
+from safedpa_services.command_line.bus_options import bus_of, request_answer
+from safedpa_services.lines import print_plain
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer
-    from safedpa.bus.overview import FleetOverview, RobotOverview
+    from safedpa.bus.monitor import FleetOverview, RobotOverview
 
 __all__ = ["give_order"]
 
@@ -30,16 +30,16 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     answers or a robot that drives does not obey.
     """
     from safedpa.bus import Request
-    from safedpa.bus.loop.service import NO_ROBOT
-    from safedpa.bus.overview import FleetOverview
-    from safedpa.bus.wire.requests import ORDER
+    from safedpa.bus.messages.requests import ORDER
+    from safedpa.bus.monitor import FleetOverview
+    from safedpa.bus.service.service_loop import NO_ROBOT
 
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")
         request = Request(do=do, who=options["who"] or getpass.getuser())
         nobody = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
         nobody += ". Robots without a filter brake by themselves"
-        answer = answered(bus, robot or NO_ROBOT, request, ORDER, nobody)
+        answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, nobody)
         told = _obeyed(fleet, do)
     _tell(answer, told, as_json=options["as_json"])
     slow = [name for name, sentence in told.items() if sentence.startswith("still ")]
@@ -77,6 +77,6 @@ def _tell(answer: Answer, told: dict[str, str], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps({"sentence": answer.sentence, "robots": told}))
         return
-    say(answer.sentence)
+    print_plain(answer.sentence)
     for name, sentence in told.items():
-        say(f"{name}: {sentence}")
+        print_plain(f"{name}: {sentence}")

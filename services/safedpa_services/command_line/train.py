@@ -14,7 +14,7 @@ from safedpa.dynamics import load_own_everywhere
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa.robot import robot_named, robots
-from safedpa_services.command_line.names import Choice, complete_robots
+from safedpa_services.command_line.names import SuggestingChoice, complete_robots
 
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
@@ -37,7 +37,9 @@ __all__ = ["command"]
 @click.option("--tune", is_flag=True, help="only tune WEIGHTS on the recorded RUNs")
 @click.option("--weights", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: what to tune")
 @click.option("--columns", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: column map of the runs")
-@click.option("--what", type=Choice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune")
+@click.option(
+    "--what", type=SuggestingChoice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
+)
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("train")
 def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:

@@ -13,22 +13,22 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.names import Choice, complete_models, complete_robots
-from safedpa_services.command_line.options import Grouped
-from safedpa_services.lines import say
+from safedpa_services.command_line.names import SuggestingChoice, complete_models, complete_robots
+from safedpa_services.command_line.options import GroupedCommand
+from safedpa_services.lines import print_plain
 
 if TYPE_CHECKING:
-    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.service.process import StopSignal
     from safedpa.dynamics import PhysicsModel
     from safedpa.robot import AbstractRobot
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
-    from safedpa_services.supervisor.securing import Wallet
-    from safedpa_services.supervisor.watch import Watch
+    from safedpa_services.supervisor.securing import CertificateStore
+    from safedpa_services.supervisor.watch import RunMonitor
 
-    ShownBy = Callable[[Watch, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
+    ShownBy = Callable[[RunMonitor, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
 
-__all__ = ["command", "driven", "planned", "unasked"]
+__all__ = ["command", "default_options", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -69,7 +69,7 @@ GROUPS = {
 """Options as ``--help`` groups them."""
 
 
-@click.command(cls=Grouped, groups=GROUPS)
+@click.command(cls=GroupedCommand, groups=GROUPS)
 @click.option(
     "--robot", shell_complete=complete_robots, help=f"kind of robot; default: {DEFAULT_ROBOT}, or that of --robot-file"
 )
@@ -78,14 +78,14 @@ GROUPS = {
 @click.option(
     "--robots", type=int, default=1, show_default=True, help="how many, each in a scene of its own: r1, r2 ..."
 )
-@click.option("--load", type=Choice(LOADS), help="what the car tows; default: none")
-@click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
+@click.option("--load", type=SuggestingChoice(LOADS), help="what the car tows; default: none")
+@click.option("--change", type=SuggestingChoice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
 @click.option(
     "--laser", is_flag=True, default=None, help="the car is told no obstacles: a laser and perception see them"
 )
 @click.option("--people", type=int, metavar="COUNT", help="who walk about where a car with --laser drives; default: 0")
-@click.option("--task", type=Choice(TASKS), help="what the pendulum has to do; default: balance")
+@click.option("--task", type=SuggestingChoice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
 @click.option("--force", type=float, metavar="NEWTON", help="of the wind on the point robot; default: 0")
@@ -124,7 +124,7 @@ GROUPS = {
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
     """Drive: robot, adaptation, policy, safety filter, recorder, diagnosis, dashboard, workbench: a process each."""
-    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.service.process import StopSignal
     from safedpa.dynamics import load_own_everywhere
 
     need("sim", what="the simulated robot", instead="run a robot of your own (docs/bus.md)")
@@ -135,7 +135,7 @@ def command(**options: Any) -> None:
     options = {**options, "robot": _robot_of(options)}
     if options["perception"] and not options["laser"]:
         raise InputError("--perception: got a file without --laser; a robot that is told everything has no perception")
-    stop = Stop()
+    stop = StopSignal()
     with planned(options) as plan:
         stop.listen_to_signals()
         summary = driven(plan, stop, _screen_of(plan, quiet=options["as_json"]))
@@ -145,7 +145,7 @@ def command(**options: Any) -> None:
         _tell(summary)
 
 
-def unasked() -> dict[str, Any]:
+def default_options() -> dict[str, Any]:
     """Every option as it is where a person says nothing: what other commands that drive begin with."""
     return dict(command.make_context("up", []).params)
 
@@ -169,7 +169,7 @@ def _robot_of(options: dict[str, Any]) -> str:
 
 
 @contextmanager
-def planned(options: dict[str, Any], known: Wallet | None = None) -> Iterator[Plan]:
+def planned(options: dict[str, Any], known: CertificateStore | None = None) -> Iterator[Plan]:
     """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones.
 
     ``known``: a person's own certificates, in place of those that --secure throws away.
@@ -181,9 +181,9 @@ def planned(options: dict[str, Any], known: Wallet | None = None) -> Iterator[Pl
         yield _plan({**options, "wallet": wallet, "endpoint": endpoint})
 
 
-def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | None]:
+def _certificates(options: dict[str, Any]) -> AbstractContextManager[CertificateStore | None]:
     """Throw-away certificates, if the person wants them."""
-    from safedpa_services.supervisor.securing import throw_away_certificates
+    from safedpa_services.supervisor.securing import ephemeral_certificates
 
     if not options["secure"]:
         return nullcontext()
@@ -193,7 +193,7 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | No
         )
     if options["listen"]:
         raise InputError("--listen: got it with --secure, which is for this machine alone; docs/security.md has more")
-    return throw_away_certificates(options["fleet"], options["name"])
+    return ephemeral_certificates(options["fleet"], options["name"])
 
 
 @contextmanager
@@ -225,7 +225,7 @@ def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.dynamics import load_model
     from safedpa.perception import load_perception
     from safedpa.robot import robot_named
-    from safedpa.safety.shipped import margin_for
+    from safedpa.safety.defaults import margin_for
     from safedpa_services.driving import RATES
     from safedpa_services.supervisor.plan import Plan
 
@@ -291,8 +291,8 @@ def _check_numbers(options: dict[str, Any]) -> None:
 
 def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> None:
     """Refuses the model of another robot, and settings of another one, before any process starts."""
-    from safedpa.safety.scenes import scene_of
-    from safedpa.safety.shipped import settings_named
+    from safedpa.runtime.scene import scene_of
+    from safedpa.safety.defaults import settings_named
     from safedpa.systems.driven import why_not_driven
 
     refusal = why_not_driven(model.system, robot)
@@ -382,19 +382,19 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
         )
 
 
-def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
+def driven(plan: Plan, stop: StopSignal, shown_by: ShownBy) -> dict[str, Any]:
     """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError where the robot failed."""
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.supervisor import Supervisor
-    from safedpa_services.supervisor.watch import Watch, summary_of
+    from safedpa_services.supervisor.watch import RunMonitor, summary_of
 
     services, robot = plan.services(), plan.robot_process()
     if plan.wallet is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-        watch = Watch(bus, plan.names[0])
-        others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
+        watch = RunMonitor(bus, plan.names[0])
+        others = [(plan.robot_process(k + 1), RunMonitor(bus, name)) for k, name in enumerate(plan.names[1:])]
         shown = [*(child for child, _ in others), *services]
         with shown_by(watch, shown, robot) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
@@ -434,12 +434,12 @@ def _tell(summary: dict[str, Any]) -> None:
         )
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
-        say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        print_plain(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
     if restarts:
         click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
     if summary["recording_error"]:
-        say(f"recording broke off: {summary['recording_error']}", err=True)
+        print_plain(f"recording broke off: {summary['recording_error']}", err=True)
     click.echo(f"recording: {summary['recording']}")

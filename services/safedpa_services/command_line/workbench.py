@@ -17,7 +17,7 @@ from safedpa_services.command_line.options import columns_option, effects_option
 
 if TYPE_CHECKING:
     from safedpa_services.workbench.bench import Bench
-    from safedpa_services.workbench.recordings import Choice
+    from safedpa_services.workbench.recordings import InputSelection
 
 __all__ = ["command"]
 
@@ -101,11 +101,11 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
-    from safedpa_services.workbench.page_address import Serving
+    from safedpa_services.workbench.page_address import PageServerOptions
     from safedpa_services.workbench.server import chosen_port, serve
 
     bench, browser = _bench(options), not options["no_browser"]
-    serving = Serving(
+    serving = PageServerOptions(
         options["host"],
         chosen_port(options["host"], options["port"]),
         options["name"],
@@ -132,17 +132,20 @@ def _announce(where: str) -> None:
 def _bench(options: dict[str, Any]) -> Bench:
     """What the page begins with: a session that goes on, or what was named."""
     from safedpa_services.workbench.bench import Bench
-    from safedpa_services.workbench.recordings import Choice
-    from safedpa_services.workbench.session_files import newest_in, read_session
+    from safedpa_services.workbench.recordings import InputSelection
+    from safedpa_services.workbench.session_files import newest_session, read_session
 
     if not 0.0 < options["horizon"] < math.inf:
         raise InputError(f"--horizon: got {options['horizon']} s, wanted a positive number of seconds; choose 1, say")
-    out, named = options["out"], Choice(options["model"], options["runs"], options["columns"], options["horizon"])
+    out, named = (
+        options["out"],
+        InputSelection(options["model"], options["runs"], options["columns"], options["horizon"]),
+    )
     if options["session"] is not None and named.model:
         raise InputError(f"MODEL {named.model}: got it with --session, which names its own; leave one of them out")
     _look_at(named)
     live = options["fleet"] or options["connect"] or options["replay"]
-    file = options["session"] or (None if named.model or live else newest_in(out))
+    file = options["session"] or (None if named.model or live else newest_session(out))
     if file is None:
         return Bench(named, out)
     kept = read_session(file)
@@ -150,10 +153,10 @@ def _bench(options: dict[str, Any]) -> Bench:
     return Bench(kept.choice, out, kept.decisions, file.parent)
 
 
-def _look_at(named: Choice) -> None:
+def _look_at(named: InputSelection) -> None:
     """Raises InputError for a model or a file that is none; what is in the files, the page can help with."""
     from safedpa.dynamics import load_model
-    from safedpa.records.bags.kinds import kind_of
+    from safedpa.records.readers.bags.detect import kind_of
 
     if named.model:
         load_model(named.model)

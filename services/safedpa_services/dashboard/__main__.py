@@ -9,23 +9,30 @@ import uuid
 from pathlib import Path
 
 from safedpa.bus import NO_ROBOT
-from safedpa.bus.loop.process import Stop, bus_from, run_process
+from safedpa.bus.service.process import StopSignal, bus_from_options, run_process
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
-from safedpa_services.dashboard.doors import FIRST_OF_ITS_OWN, DataDoor, Door, choose_port, opened, own_loopback
+from safedpa_services.dashboard.doors import (
+    FIRST_OF_ITS_OWN,
+    DataProxy,
+    ViewerServer,
+    choose_port,
+    open_server,
+    private_loopback,
+)
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.look import display_settings
 from safedpa_services.serving import service_parser
 
 _DRIVE_ENDED = "The drive has ended, and this dashboard with it: what is shown is the last of it."
 _DASHBOARD_ENDED = "This dashboard was ended: what is shown is the last that it heard; the robots do not need it."
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Shows until ``stop``; returns exit code 0."""
     os.nice(10)  # the loop comes first; what arrives meanwhile waits, and is thinned out when it waits for long
     os.environ.setdefault("RUST_LOG", "error")
@@ -33,25 +40,25 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     if not options.viewer and not options.save:
         raise InputError("--no-viewer: got no --save either; name a file to record to, or leave --no-viewer out")
     settings = settings_named(options.settings)
-    look = look_of(load_model(options.model), settings)
-    from safedpa_services.dashboard.painter import Painter
+    look = display_settings(load_model(options.model), settings)
+    from safedpa_services.dashboard.painter import RerunRecording
 
     grpc_port = choose_port(options.grpc_port, 9876, "--grpc-port", options.bind) if options.viewer else None
     save = Path(options.save) if options.save else None
-    behind = own_loopback()
+    behind = private_loopback()
     data_port = choose_port(None, FIRST_OF_ITS_OWN, "--grpc-port", behind) if options.viewer else None
-    painter = Painter(look, options.fleet, save=save, bind=behind, grpc_port=data_port)
+    painter = RerunRecording(look, options.fleet, save=save, bind=behind, grpc_port=data_port)
     if grpc_port is not None and data_port is not None:
         own = (behind, data_port)
-        grpc_port = opened(
-            lambda port: DataDoor(options.bind, port, own, options.name),
+        grpc_port = open_server(
+            lambda port: DataProxy(options.bind, port, own, options.name),
             grpc_port,
             wished=options.grpc_port is not None,
         )
     address = "" if grpc_port is None else _open_door(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
     sys.stdout.flush()
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         bus.announce(NO_ROBOT, "dashboard", uuid.uuid4().hex[:12])
         dashboard = Dashboard(bus, FleetView(look, options.fleet), painter, options.robot, address)
         dashboard.run(stop)
@@ -63,7 +70,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
     first = choose_port(options.web_port, 9090, "--web-port", options.bind)
     wished = options.web_port is not None
-    port = opened(lambda port: Door(options.bind, port, grpc_port, options.name), first, wished=wished)
+    port = open_server(lambda port: ViewerServer(options.bind, port, grpc_port, options.name), first, wished=wished)
     host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
     return f"http://{host}:{port}"
 

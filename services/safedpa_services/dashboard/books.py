@@ -26,9 +26,9 @@ from safedpa_services.dashboard.palette import (
     VERMILLION,
     YELLOW,
 )
-from safedpa_services.dashboard.shapes import Curves, Entry, Note, States, StateSet
+from safedpa_services.dashboard.shapes import Curves, Note, States, StateSet, TimelineEntry
 
-__all__ = ["STAGE_COLOURS", "FindingBook", "HealthBook", "ResidualBook"]
+__all__ = ["STAGE_COLOURS", "FindingHistory", "HealthHistory", "ResidualHistory"]
 
 STAGE_COLOURS: Final = {
     "learning": GREY,
@@ -46,7 +46,7 @@ _LONGEST = 400
 """Characters of a line in the log."""
 
 
-class FindingBook:
+class FindingHistory:
     """Entries of one robot's findings and changes of the model."""
 
     def __init__(self) -> None:
@@ -56,28 +56,28 @@ class FindingBook:
         self._model = ""
         self._lane = ""
 
-    def lanes(self) -> list[Entry]:
+    def lanes(self) -> list[TimelineEntry]:
         """The lanes of the diagnosis and the model as they are now."""
         lanes = (("diagnosis", self._stage), ("model", self._lane))
-        return [Entry(("verdict", name), States(state)) for name, state in lanes if state]
+        return [TimelineEntry(("verdict", name), States(state)) for name, state in lanes if state]
 
     @staticmethod
-    def start() -> list[Entry]:
+    def start() -> list[TimelineEntry]:
         """Static entries: names and colours."""
         models = {f"model {number + 1}": (SKY if number % 2 == 0 else YELLOW) for number in range(_MOST_MODELS)}
         return [
-            Entry(("diagnosis", "error"), _ERROR, static=True),
-            Entry(("verdict", "diagnosis"), StateSet(STAGE_COLOURS), static=True),
-            Entry(("verdict", "model"), StateSet(models), static=True),
+            TimelineEntry(("diagnosis", "error"), _ERROR, static=True),
+            TimelineEntry(("verdict", "diagnosis"), StateSet(STAGE_COLOURS), static=True),
+            TimelineEntry(("verdict", "model"), StateSet(models), static=True),
         ]
 
-    def add(self, message: FindingMessage | ModelMessage) -> list[Entry]:
+    def add(self, message: FindingMessage | ModelMessage) -> list[TimelineEntry]:
         """Error and band always; a mark and a line of the log where the stage or the model changes."""
         return self._finding(message) if isinstance(message, FindingMessage) else self._change(message)
 
-    def _finding(self, message: FindingMessage) -> list[Entry]:
+    def _finding(self, message: FindingMessage) -> list[TimelineEntry]:
         band = message.band if message.band > 0.0 else math.nan
-        entries = [Entry(("diagnosis", "error"), Curves((_gap(message.error), _gap(band))))]
+        entries = [TimelineEntry(("diagnosis", "error"), Curves((_gap(message.error), _gap(band))))]
         entries += self._in_force(message.model)
         if (message.stage, message.number) == (self._stage, self._number):
             return entries
@@ -86,16 +86,16 @@ class FindingBook:
         where = f" ({message.where})" if message.where else ""
         level = "WARN" if message.stage in ("raised", "candidates", "nothing") else "INFO"
         note = Note(f"diagnosis: {message.sentence}{where}"[:_LONGEST], colour, level)
-        return [*entries, Entry(("verdict", "diagnosis"), States(message.stage)), Entry(("log",), note)]
+        return [*entries, TimelineEntry(("verdict", "diagnosis"), States(message.stage)), TimelineEntry(("log",), note)]
 
-    def _change(self, message: ModelMessage) -> list[Entry]:
+    def _change(self, message: ModelMessage) -> list[TimelineEntry]:
         words = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
         told = words.get(message.step, message.step)
         who = f", by {message.who}" if message.who else ""
         text = f"model {message.fingerprint or message.replaces} {told}: {message.why}{who}"
-        return [Entry(("log",), Note(text[:_LONGEST], PURPLE, "WARN" if message.step == "drop" else "INFO"))]
+        return [TimelineEntry(("log",), Note(text[:_LONGEST], PURPLE, "WARN" if message.step == "drop" else "INFO"))]
 
-    def _in_force(self, fingerprint: str) -> list[Entry]:
+    def _in_force(self, fingerprint: str) -> list[TimelineEntry]:
         if fingerprint == self._model:
             return []
         self._model = fingerprint
@@ -103,7 +103,7 @@ class FindingBook:
             self._models.append(fingerprint)
         number = self._models.index(fingerprint) + 1 if fingerprint in self._models else _MOST_MODELS
         self._lane = f"model {number}"
-        return [Entry(("verdict", "model"), States(self._lane))]
+        return [TimelineEntry(("verdict", "model"), States(self._lane))]
 
 
 def _gap(value: float) -> float:
@@ -124,16 +124,16 @@ class _Service:
     """Whether it spoke of this robot, not of the fleet alone."""
 
 
-class HealthBook:
+class HealthHistory:
     """States as they change, step times at each heartbeat; ``now`` [s] is the dashboard's monotonic clock."""
 
     def __init__(self) -> None:
         self._services: dict[str, _Service] = {}
 
-    def add(self, message: HealthMessage, now: float, *, own: bool = True) -> list[Entry]:
+    def add(self, message: HealthMessage, now: float, *, own: bool = True) -> list[TimelineEntry]:
         """Entries of one heartbeat; ``own`` False: of a service of the whole fleet, until it speaks of this robot."""
         name = message.service or "unnamed"
-        entries: list[Entry] = []
+        entries: list[TimelineEntry] = []
         if name not in self._services:
             if len(self._services) >= _MOST_SERVICES:
                 return []
@@ -144,7 +144,7 @@ class HealthBook:
             return []
         service.heard, service.own = now, own
         if 0.0 <= message.step_microseconds < 1e9:
-            entries.append(Entry(("steps", name), Curves((1e-3 * message.step_microseconds,))))
+            entries.append(TimelineEntry(("steps", name), Curves((1e-3 * message.step_microseconds,))))
         return [*entries, *_change(name, service, message.state)]
 
     @property
@@ -152,35 +152,35 @@ class HealthBook:
         """The state of each service as it is shown."""
         return {name: service.shown for name, service in self._services.items()}
 
-    def lanes(self) -> list[Entry]:
+    def lanes(self) -> list[TimelineEntry]:
         """The lane of each service as it is now."""
-        return [Entry(("services", name), States(state)) for name, state in self.states.items() if state]
+        return [TimelineEntry(("services", name), States(state)) for name, state in self.states.items() if state]
 
-    def silences(self, now: float) -> list[Entry]:
+    def silences(self, now: float) -> list[TimelineEntry]:
         """Entries of the services that fell silent since the last call."""
         late = [item for item in self._services.items() if now - item[1].heard > SILENT_SECONDS]
         return [entry for name, service in late for entry in _change(name, service, "silent")]
 
 
-def _change(name: str, service: _Service, state: str) -> list[Entry]:
+def _change(name: str, service: _Service, state: str) -> list[TimelineEntry]:
     if state == service.shown:
         return []
     service.shown = state
-    return [Entry(("services", name), States(state))]
+    return [TimelineEntry(("services", name), States(state))]
 
 
-def _styles(name: str, index: int) -> list[Entry]:
+def _styles(name: str, index: int) -> list[TimelineEntry]:
     curve = Curves((), (name,), (SERIES[index % len(SERIES)],), (1.5,))
     return [
-        Entry(("services", name), StateSet(HEALTH_COLOURS), static=True),
-        Entry(("steps", name), curve, static=True),
+        TimelineEntry(("services", name), StateSet(HEALTH_COLOURS), static=True),
+        TimelineEntry(("steps", name), curve, static=True),
     ]
 
 
 _REMEMBERED_TICKS = 8
 
 
-class ResidualBook:
+class ResidualHistory:
     """Residuals r[k+1] = x[k+1] - predicted[k][0] of one robot and one epoch, angles the short way round.
 
     A pair counts once, and only when the filter's action was in force over the period: the prediction is about that

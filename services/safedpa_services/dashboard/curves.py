@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from safedpa.bus import LatentMessage, VerdictMessage
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SERIES, SKY, VERMILLION
-from safedpa_services.dashboard.shapes import Bands, Curves, Entry
+from safedpa_services.dashboard.shapes import Bands, Curves, TimelineEntry
 
 __all__ = ["action_entries", "barrier_entries", "latent_entries", "legend_names", "residual_entry", "style_entries"]
 
@@ -22,21 +22,23 @@ _ACTION = (("wish", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0),
 _WITHOUT_BARRIER = ("fallback", "disabled", "stopped")
 
 
-def style_entries(look: Look) -> list[Entry]:
+def style_entries(look: DisplaySettings) -> list[TimelineEntry]:
     """Names, colours and widths of the curves; static."""
-    entries = [Entry(("barrier",), _styles(_BARRIER), static=True)]
+    entries = [TimelineEntry(("barrier",), _styles(_BARRIER), static=True)]
     for variable in look.system.action:
-        entries.append(Entry(("action", variable.name), _styles(_ACTION), static=True))
+        entries.append(TimelineEntry(("action", variable.name), _styles(_ACTION), static=True))
     shown = zip(look.latent_names, _short(look.latent_names), look.latent_units, strict=True)
     for index, (name, short, unit) in enumerate(shown):
-        entries.append(Entry(("latent", name), Bands(0.0, 0.0, short, unit, SERIES[index % len(SERIES)]), static=True))
+        entries.append(
+            TimelineEntry(("latent", name), Bands(0.0, 0.0, short, unit, SERIES[index % len(SERIES)]), static=True)
+        )
     names = tuple(f"{variable.name} [{variable.unit}]" for variable in look.system.state)
     colours = tuple(SERIES[index % len(SERIES)] for index in range(len(names)))
     residual = Curves((), names, colours, tuple(1.5 for _ in names))
-    return [*entries, Entry(("residual",), residual, static=True)]
+    return [*entries, TimelineEntry(("residual",), residual, static=True)]
 
 
-def legend_names(look: Look) -> tuple[str, ...]:
+def legend_names(look: DisplaySettings) -> tuple[str, ...]:
     """The latents as the legend has them, with units."""
     named = zip(_short(look.latent_names), look.latent_units, strict=True)
     return tuple(f"{name} [{unit}]" if unit not in ("", "1") else name for name, unit in named)
@@ -52,7 +54,7 @@ def _styles(rows: tuple[tuple[str, int, float], ...]) -> Curves:
     return Curves((), tuple(row[0] for row in rows), tuple(row[1] for row in rows), tuple(row[2] for row in rows))
 
 
-def latent_entries(latent: LatentMessage, look: Look) -> list[Entry]:
+def latent_entries(latent: LatentMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """Each entry of the latent with its standard deviation, named by the model."""
     entries = []
     for index, value in enumerate(latent.values[:_MOST_CURVES]):
@@ -62,30 +64,32 @@ def latent_entries(latent: LatentMessage, look: Look) -> list[Entry]:
         if _plottable(value):
             spread = deviation if 0.0 <= deviation < _LARGEST else 0.0
             unit = look.latent_units[index] if known else ""
-            entries.append(Entry(("latent", name), Bands(value, spread, name, unit, SERIES[index % len(SERIES)])))
+            entries.append(
+                TimelineEntry(("latent", name), Bands(value, spread, name, unit, SERIES[index % len(SERIES)]))
+            )
     return entries
 
 
-def barrier_entries(verdict: VerdictMessage) -> list[Entry]:
+def barrier_entries(verdict: VerdictMessage) -> list[TimelineEntry]:
     """h now and predicted, its threshold 0 and the margin; nothing of h where the filter did not compute it."""
     unknown = verdict.status in _WITHOUT_BARRIER and verdict.h_now == verdict.h_next == 0.0
     now, ahead = (math.nan, math.nan) if unknown else (verdict.h_now, verdict.h_next)
-    return [Entry(("barrier",), Curves((_gap(now), _gap(ahead), _gap(verdict.margin), 0.0)))]
+    return [TimelineEntry(("barrier",), Curves((_gap(now), _gap(ahead), _gap(verdict.margin), 0.0)))]
 
 
-def action_entries(verdict: VerdictMessage, look: Look) -> list[Entry]:
+def action_entries(verdict: VerdictMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """Wish and filtered action of each entry of the action, between the actuator's limits."""
     entries = []
     for index, variable in enumerate(look.system.action):
         wish, filtered = (_gap(row[index]) if index < len(row) else math.nan for row in (verdict.wish, verdict.action))
         values = (wish, filtered, look.action_low[index], look.action_high[index])
-        entries.append(Entry(("action", variable.name), Curves(values)))
+        entries.append(TimelineEntry(("action", variable.name), Curves(values)))
     return entries
 
 
-def residual_entry(residual: tuple[float, ...]) -> Entry:
+def residual_entry(residual: tuple[float, ...]) -> TimelineEntry:
     """Measured minus predicted state."""
-    return Entry(("residual",), Curves(tuple(_gap(value) for value in residual)))
+    return TimelineEntry(("residual",), Curves(tuple(_gap(value) for value in residual)))
 
 
 def _plottable(value: float) -> bool:

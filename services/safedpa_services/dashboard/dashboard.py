@@ -19,16 +19,16 @@ from safedpa.bus import (
     VERDICT,
     Bus,
     HealthMessage,
-    Received,
+    ReceivedMessage,
     decode,
     topic_of,
 )
 from safedpa.errors import MessageError
 from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.look import DisplaySettings
 
 if TYPE_CHECKING:
-    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.painter import RerunRecording
 
 __all__ = ["Dashboard", "draw_recording"]
 
@@ -40,7 +40,7 @@ _HEARTBEAT_SECONDS = 0.25
 class Dashboard:
     """Draws the fleet of a bus until it is stopped. It only listens: nobody waits for it."""
 
-    def __init__(self, bus: Bus, view: FleetView, painter: Painter, robot: str = "*", detail: str = "") -> None:
+    def __init__(self, bus: Bus, view: FleetView, painter: RerunRecording, robot: str = "*", detail: str = "") -> None:
         self._bus = bus
         self._view = view
         self._painter = painter
@@ -106,12 +106,12 @@ _BATCH_SECONDS = 0.25
 """Messages that are drawn together, by the clock of the recording."""
 
 
-def draw_recording(files: Sequence[Path], look: Look, path: Path) -> None:
+def draw_recording(files: Sequence[Path], look: DisplaySettings, path: Path) -> None:
     """Writes all robots of the recordings to an .rrd file. Raises InputError when it cannot be written."""
-    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.painter import RerunRecording
 
     view, fleet, known = FleetView(look), "recording", 0
-    painter = Painter(look, fleet, save=path, bind="127.0.0.1", grpc_port=None)
+    painter = RerunRecording(look, fleet, save=path, bind="127.0.0.1", grpc_port=None)
     for items in _batches(files):
         frames = view.take(list(items), items[-1].at)
         if len(view.fields) != known:
@@ -121,8 +121,8 @@ def draw_recording(files: Sequence[Path], look: Look, path: Path) -> None:
     painter.close()
 
 
-def _batches(files: Sequence[Path]) -> Iterator[list[Received]]:
-    batch: list[Received] = []
+def _batches(files: Sequence[Path]) -> Iterator[list[ReceivedMessage]]:
+    batch: list[ReceivedMessage] = []
     for item in _received(files):
         if batch and item.at - batch[0].at > _BATCH_SECONDS:
             yield batch
@@ -132,9 +132,9 @@ def _batches(files: Sequence[Path]) -> Iterator[list[Received]]:
         yield batch
 
 
-def _received(files: Sequence[Path]) -> Iterator[Received]:
+def _received(files: Sequence[Path]) -> Iterator[ReceivedMessage]:
     """As from the bus, with the time of recording [s] in place of the time of arrival."""
-    from safedpa.records.mcap_messages import read_payloads
+    from safedpa.records.readers.mcap import read_payloads
 
     for path in files:
         for key, at, topic, payload in read_payloads(path, topics=_TOPICS):
@@ -142,4 +142,4 @@ def _received(files: Sequence[Path]) -> Iterator[Received]:
                 message = decode(topic.message, payload)
             except MessageError:
                 continue
-            yield Received(topic, topic_of(key)[1], message, payload, key, 1e-9 * at)
+            yield ReceivedMessage(topic, topic_of(key)[1], message, payload, key, 1e-9 * at)

@@ -24,7 +24,7 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 
-__all__ = ["FIRST_OF_ITS_OWN", "DataDoor", "Door", "choose_port", "opened", "own_loopback"]
+__all__ = ["FIRST_OF_ITS_OWN", "DataProxy", "ViewerServer", "choose_port", "open_server", "private_loopback"]
 
 _ATTEMPTS = 50
 _MOST_CONNECTIONS = 64
@@ -53,7 +53,7 @@ def choose_port(wanted: int | None, first: int, option: str, bind: str) -> int:
     raise InputError(f"{option}: no free port from {first} to {first + _ATTEMPTS - 1}; name one")
 
 
-def opened(door: Callable[[int], object], first: int, *, wished: bool) -> int:
+def open_server(door: Callable[[int], object], first: int, *, wished: bool) -> int:
     """The port at which a door was opened: ``first``, or the next where that was taken since it was chosen.
 
     Another dashboard that is started at the same moment looks at the same ports. Raises InputError where the first was
@@ -79,7 +79,7 @@ def _is_free(port: int, bind: str) -> bool:
     return True
 
 
-class Door:
+class ViewerServer:
     """Serves the viewer's program, and sends a browser that comes without an address of data to those of ``grpc_port``.
 
     So the address to remember is short, and works from another machine as it does from this one. Asked for under a
@@ -128,7 +128,7 @@ class Door:
                 del format, arguments
 
         try:
-            self._server = _Bounded((bind, port), Answering)
+            self._server = _BoundedHttpServer((bind, port), Answering)
         except OSError as error:
             raise InputError(f"--web-port {port}: {error.strerror}; choose another") from error
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
@@ -139,7 +139,7 @@ class Door:
         self._server.server_close()
 
 
-class _Bounded(ThreadingHTTPServer):
+class _BoundedHttpServer(ThreadingHTTPServer):
     """So many connections at once and no more; who says nothing is sent away after a while."""
 
     daemon_threads = True
@@ -191,7 +191,7 @@ _DROPPED = frozenset({b"connection", b"keep-alive", b"upgrade", b"http2-settings
 """Of a request's headers: what would have the connection carry something else than this one request."""
 
 
-def own_loopback() -> str:
+def private_loopback() -> str:
     """An address of the loopback interface that nobody guesses, where the system has more than one (Linux)."""
     for _ in range(_GUESSES):
         address = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
@@ -201,7 +201,7 @@ def own_loopback() -> str:
     return "127.0.0.1"
 
 
-class DataDoor:
+class DataProxy:
     """Listens at ``bind`` and ``port``, and hands on to ``behind`` what asks for it under a name of ours.
 
     ``names`` are those beside the machine's own. Raises InputError when the port is taken.

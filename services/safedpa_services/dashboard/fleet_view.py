@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, Received, Refused, StateMessage, Topic
-from safedpa_services.dashboard.look import Look
+from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, ReceivedMessage, RejectedMessage, StateMessage, Topic
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.palette import ORANGE
 from safedpa_services.dashboard.pendulum import phase_bounds
 from safedpa_services.dashboard.robot_view import RobotView
-from safedpa_services.dashboard.shapes import Entry, Frame, Note, Page
+from safedpa_services.dashboard.shapes import MarkdownPage, Note, TimelineEntry, TimelineFrame
 from safedpa_services.dashboard.world import field_of
 
-__all__ = ["FleetView", "Pace", "Scene", "Thinner", "TimeLine"]
+__all__ = ["DrawingRate", "DrawingThrottle", "FleetView", "Scene", "TimeLine"]
 
 SHORTEST_INTERVAL = 0.05
 """s of robot time between two drawn messages of one kind."""
@@ -28,7 +28,7 @@ _CALM_SECONDS = 2.0
 _LARGEST_FACTOR = 64
 
 
-class Pace:
+class DrawingRate:
     """One number for the whole dashboard: every ``factor``-th picture is drawn. Doubles while behind."""
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class Pace:
         return self.factor != before
 
 
-class Thinner:
+class DrawingThrottle:
     """Decides for one robot, by kind of message, and counts what was left out because drawing was behind."""
 
     def __init__(self) -> None:
@@ -120,9 +120,9 @@ Scene = tuple[float, float, float, float]
 
 
 @dataclass
-class _Robot:
+class _RobotDisplay:
     view: RobotView
-    thinner: Thinner = field(default_factory=Thinner)
+    thinner: DrawingThrottle = field(default_factory=DrawingThrottle)
     epoch: int | None = None
     refused: int = 0
     newest: dict[str, float] = field(default_factory=dict)
@@ -132,7 +132,7 @@ class _Robot:
 class FleetView:
     """Turns received messages into frames, oldest first."""
 
-    def __init__(self, look: Look, fleet: str = "fleet") -> None:
+    def __init__(self, look: DisplaySettings, fleet: str = "fleet") -> None:
         self._look = look
         self._fleet = fleet
         self._services: dict[str, str] = {}
@@ -140,24 +140,24 @@ class FleetView:
         self._refusal = ""
         self._heard = 0.0
         self._next_keyframe = 0.0
-        self._robots: dict[str, _Robot] = {}
+        self._robots: dict[str, _RobotDisplay] = {}
         self._time = TimeLine()
-        self.pace = Pace()
+        self.pace = DrawingRate()
         self.fields: dict[str, Scene] = {}
         """Robots that have sent a state, in order of appearance, with the field that their view shall show."""
         self.refused = 0
 
-    def take(self, items: list[Received | Refused], now: float) -> list[Frame]:
+    def take(self, items: list[ReceivedMessage | RejectedMessage], now: float) -> list[TimelineFrame]:
         """Frames of what arrived until ``now`` [s], the dashboard's monotonic clock."""
-        lag = max((now - item.at for item in items if isinstance(item, Received)), default=0.0)
+        lag = max((now - item.at for item in items if isinstance(item, ReceivedMessage)), default=0.0)
         frames = [self._wait()]
         frames += self._pace_note(now) if self.pace.observe(lag, now) else []
         self._heard = now if items else self._heard
         for item in items:
-            if isinstance(item, Received) and item.robot == NO_ROBOT:
+            if isinstance(item, ReceivedMessage) and item.robot == NO_ROBOT:
                 frames += self._take_fleet_health(item)
             else:
-                frames.append(self._refuse(item, now) if isinstance(item, Refused) else self._take(item))
+                frames.append(self._refuse(item, now) if isinstance(item, RejectedMessage) else self._take(item))
         for name, robot in self._robots.items():
             silent = robot.view.health.silences(now)
             if silent:
@@ -167,17 +167,17 @@ class FleetView:
             frames += self._keyframes(now)
         return [frame for frame in frames if frame.entries]
 
-    def end(self, sentence: str, now: float) -> list[Frame]:
+    def end(self, sentence: str, now: float) -> list[TimelineFrame]:
         """The last frames: each robot's page says why nothing more comes."""
         frames = []
         for name in self.fields:
             robot = self._robots[name]
             robot.view.now.end(sentence)
             at = max(robot.newest.values(), default=0.0)
-            frames.append(self._frame(name, None, at, [Entry(("log",), Note(sentence, ORANGE))]))
+            frames.append(self._frame(name, None, at, [TimelineEntry(("log",), Note(sentence, ORANGE))]))
         if not self.fields:
             text = f"# It ended while it waited for a robot\n\n{sentence}"
-            frames.append(Frame(0.0, (Entry(("waiting",), Page(text), static=True),)))
+            frames.append(TimelineFrame(0.0, (TimelineEntry(("waiting",), MarkdownPage(text), static=True),)))
         return [*frames, *self._keyframes(now)]
 
     @property
@@ -185,18 +185,18 @@ class FleetView:
         """Messages not drawn because drawing was behind."""
         return sum(robot.thinner.left_out for robot in self._robots.values())
 
-    def _take(self, item: Received) -> Frame:
-        message, nothing = item.message, Frame(0.0, ())
+    def _take(self, item: ReceivedMessage) -> TimelineFrame:
+        message, nothing = item.message, TimelineFrame(0.0, ())
         robot = self._robots.get(item.robot)
         if robot is None and item.topic not in (STATE, HEALTH):
             return nothing
-        entries: list[Entry] = []
+        entries: list[TimelineEntry] = []
         if isinstance(message, HealthMessage):
             self._hear_of(f"{message.service} of {item.robot}", message.state)
         if robot is None:
             if len(self._robots) >= MOST_ROBOTS:
                 return nothing
-            robot = self._robots[item.robot] = _Robot(RobotView(self._look))
+            robot = self._robots[item.robot] = _RobotDisplay(RobotView(self._look))
             entries = robot.view.start()
         if isinstance(message, StateMessage):
             self._know_field(item.robot, message)
@@ -205,7 +205,7 @@ class FleetView:
         draw = item.topic is HEALTH or robot.thinner.draws(item.topic.name, message.robot_time, self.pace.factor)
         return self._frame(item.robot, item.topic, at, entries + robot.view.take(message, item.at, draw=draw))
 
-    def _take_fleet_health(self, item: Received) -> list[Frame]:
+    def _take_fleet_health(self, item: ReceivedMessage) -> list[TimelineFrame]:
         message = item.message
         if not isinstance(message, HealthMessage) or message.service == "dashboard":
             return []
@@ -220,7 +220,7 @@ class FleetView:
         if service in self._services or len(self._services) < MOST_ROBOTS:
             self._services[service] = state
 
-    def _moment(self, item: Received, robot: _Robot) -> float:
+    def _moment(self, item: ReceivedMessage, robot: _RobotDisplay) -> float:
         if item.topic is HEALTH or item.message.epoch != robot.epoch:
             return self._time.now(item.at)  # a heartbeat may be of a robot's earlier life
         return self._time.at(item.robot, item.message.epoch, item.message.robot_time, item.at)
@@ -230,27 +230,27 @@ class FleetView:
             own = phase_bounds(state, self._look) if self._look.is_pendulum else field_of(state)
             self.fields[name] = own or (-1.4, 1.4, -1.4, 1.4)
 
-    def _refuse(self, item: Refused, now: float) -> Frame:
+    def _refuse(self, item: RejectedMessage, now: float) -> TimelineFrame:
         self.refused += 1
         self._refusal = self._refusal or f"{item.key}: {item.reason}"
         robot = self._robots.get(item.robot)
         if robot is None:
-            return Frame(0.0, ())
+            return TimelineFrame(0.0, ())
         robot.refused += 1
         if robot.refused > _TOLD_REFUSALS:
-            return Frame(0.0, ())
+            return TimelineFrame(0.0, ())
         last = " (further ones are not told)" if robot.refused == _TOLD_REFUSALS else ""
         note = Note(f"refused {item.reason[:200]}{last}", ORANGE, "WARN")
-        return self._frame(item.robot, None, self._time.now(now), [Entry(("log",), note)])
+        return self._frame(item.robot, None, self._time.now(now), [TimelineEntry(("log",), note)])
 
-    def _pace_note(self, now: float) -> list[Frame]:
+    def _pace_note(self, now: float) -> list[TimelineFrame]:
         factor = self.pace.factor
         text = "dashboard: every picture is drawn" if factor == 1 else f"dashboard: behind, draws one in {factor}"
         note = Note(f"{text}; {self.left_out} left out so far", ORANGE, "INFO" if factor == 1 else "WARN")
         at = self._time.now(now)
-        return [self._frame(name, None, at, [Entry(("log",), note)]) for name in self.fields]
+        return [self._frame(name, None, at, [TimelineEntry(("log",), note)]) for name in self.fields]
 
-    def _frame(self, name: str, topic: Topic | None, at: float, entries: list[Entry]) -> Frame:
+    def _frame(self, name: str, topic: Topic | None, at: float, entries: list[TimelineEntry]) -> TimelineFrame:
         """Entries of one robot, which its page and its next keyframe hear of."""
         robot = self._robots[name]
         if topic is not None:
@@ -258,29 +258,29 @@ class FleetView:
         for entry in entries:
             if isinstance(entry.shape, Note):
                 robot.view.now.add(at, entry.shape)
-        return Frame(at, _under(name, entries))
+        return TimelineFrame(at, _under(name, entries))
 
-    def _keyframes(self, now: float) -> list[Frame]:
+    def _keyframes(self, now: float) -> list[TimelineFrame]:
         frames = []
         for name in self.fields:
             robot = self._robots[name]
             frames += [
-                Frame(robot.newest[topic], _under(name, entries))
+                TimelineFrame(robot.newest[topic], _under(name, entries))
                 for topic, entries in robot.view.keyframe().items()
                 if topic in robot.newest
             ]
-            page = Entry(("now",), robot.view.now.page(now))
-            frames.append(Frame(max(robot.newest.values(), default=0.0), _under(name, [page])))
+            page = TimelineEntry(("now",), robot.view.now.page(now))
+            frames.append(TimelineFrame(max(robot.newest.values(), default=0.0), _under(name, [page])))
         return frames
 
-    def _wait(self) -> Frame:
+    def _wait(self) -> TimelineFrame:
         """The page that is shown while there is no robot, where it has changed."""
         page = self._waiting if self.fields else waiting_page(self._fleet, self._services, self._refusal)
         if page == self._waiting:
-            return Frame(0.0, ())
+            return TimelineFrame(0.0, ())
         self._waiting = page
-        return Frame(0.0, (Entry(("waiting",), page, static=True),))
+        return TimelineFrame(0.0, (TimelineEntry(("waiting",), page, static=True),))
 
 
-def _under(robot: str, entries: list[Entry]) -> tuple[Entry, ...]:
-    return tuple(Entry(("robots", robot, *entry.path), entry.shape, entry.static) for entry in entries)
+def _under(robot: str, entries: list[TimelineEntry]) -> tuple[TimelineEntry, ...]:
+    return tuple(TimelineEntry(("robots", robot, *entry.path), entry.shape, entry.static) for entry in entries)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from safedpa_services.dashboard.shapes import Point
 
-__all__ = ["FARTHEST", "Pose", "capsule", "drawable", "rectangle"]
+__all__ = ["FARTHEST", "BodyPose", "capsule", "drawable", "rectangle"]
 
 FARTHEST = 1e5
 """m; what lies beyond is not drawn: the viewer computes with 32 bits."""
@@ -17,7 +17,7 @@ _ARC_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Pose:
+class BodyPose:
     """Where a body stands: m, rad."""
 
     x: float

@@ -15,7 +15,7 @@ from safedpa.robot import AbstractRobot, robot_like
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
 
-__all__ = ["Look", "look_of", "wind_reader"]
+__all__ = ["DisplaySettings", "display_settings", "wind_reader"]
 
 Wind = tuple[float, float]
 """m/s towards positive angles, and upward."""
@@ -68,7 +68,7 @@ _WHEELBASE = "base.wheelbase"
 
 
 @dataclass(frozen=True)
-class Look:
+class DisplaySettings:
     """Names, units and sizes for drawing."""
 
     system: System
@@ -112,12 +112,12 @@ class Look:
         return self.system.state_names == ("angle", "rate")
 
 
-def look_of(model: PhysicsModel, settings: FilterSettings) -> Look:
+def display_settings(model: PhysicsModel, settings: FilterSettings) -> DisplaySettings:
     """What model and filter settings say; limits that do not fit the model's action are left to the model."""
     actions = len(model.system.action)
     fits = len(settings.action_low) == actions
     wheelbase = model.settings.get(_WHEELBASE)
-    return Look(
+    return DisplaySettings(
         system=model.system,
         latent_names=model.latent_names,
         latent_units=tuple(model.parameters[path].unit for path in model.latent_names),

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Sequence
 
 from safedpa.bus import FindingMessage, LatentMessage, Message, StateMessage, SurroundingsMessage, VerdictMessage
-from safedpa.safety.standstill import what_to_do
-from safedpa_services.dashboard.look import Look
-from safedpa_services.dashboard.shapes import Note, Page
+from safedpa.safety.deadlock.detector import what_to_do
+from safedpa_services.dashboard.look import DisplaySettings
+from safedpa_services.dashboard.shapes import MarkdownPage, Note
 
 __all__ = ["NowPage", "waiting_page"]
 
@@ -25,7 +25,7 @@ _MARKDOWN = re.compile(r"([\\`*_\[\]<>#|~])")
 class NowPage:
     """Of one robot; ``now`` [s] is the dashboard's monotonic clock."""
 
-    def __init__(self, look: Look) -> None:
+    def __init__(self, look: DisplaySettings) -> None:
         self._look = look
         self._lines: deque[tuple[float, str]] = deque(maxlen=_MOST_LINES)
         self._state: StateMessage | None = None
@@ -58,14 +58,14 @@ class NowPage:
         """From now on the page begins with why nothing more comes; until the next state."""
         self._ended = sentence
 
-    def page(self, now: float) -> Page:
+    def page(self, now: float) -> MarkdownPage:
         """The page as it is at ``now``."""
         parts = [f"**{_plain(self._ended)}**"] if self._ended else [*self._verdict_lines(), *self._waiting_lines(now)]
         parts.append(self._numbers())
         if self._lines:
             told = "\n".join(f"- {at:.1f} s: {_plain(text)}" for at, text in reversed(self._lines))
             parts.append(f"Said last:\n\n{told}")
-        return Page("\n\n".join(part for part in parts if part))
+        return MarkdownPage("\n\n".join(part for part in parts if part))
 
     def _verdict_lines(self) -> list[str]:
         verdict = self._verdict
@@ -126,7 +126,7 @@ def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
     return [told[:_LONGEST] for told in (*ages, *seen.amiss, *zones, *ordered)]
 
 
-def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Page:
+def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> MarkdownPage:
     """While no robot has sent a state: what is awaited, who was heard, by name with its state, and what was refused."""
     parts = [
         "# Waiting for a robot",
@@ -139,7 +139,7 @@ def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Page:
         parts.append("Nothing at all is heard: start `safedpa up`, or check `--fleet` and `--connect`.")
     if refused:
         parts.append(f"Refused: {_plain(refused[:_LONGEST])}.")
-    return Page("\n\n".join(parts))
+    return MarkdownPage("\n\n".join(parts))
 
 
 def _plain(text: str) -> str:

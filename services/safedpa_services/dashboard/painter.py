@@ -15,27 +15,27 @@ from safedpa.errors import InputError
 from safedpa.systems import Variable
 from safedpa_services.dashboard.curves import legend_names
 from safedpa_services.dashboard.fleet_view import Scene
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.shapes import (
     Bands,
     Curves,
     Discs,
-    Entry,
-    Frame,
     Lines,
+    MarkdownPage,
     Note,
-    Page,
     Rings,
     Shape,
     States,
     StateSet,
+    TimelineEntry,
+    TimelineFrame,
 )
 
-__all__ = ["Painter", "meaning"]
+__all__ = ["RerunRecording", "meaning"]
 
 
-def meaning(look: Look) -> str:
+def meaning(look: DisplaySettings) -> str:
     """The page, in Markdown."""
     world = ((look.system.name, _PENDULUM), *_ANGLE) if look.is_pendulum else _WORLD
     return "\n\n".join(f"**{name}**: {text}" for name, text in (*world, *_PANES))
@@ -81,7 +81,7 @@ _BATCH_SECONDS = 0.4
 """Rows of one path wait for so long to be sent together: half the size of the file for a barely later picture."""
 
 
-class Painter:
+class RerunRecording:
     """A recording that goes to a file, to viewers, or to both.
 
     Raises InputError when the file cannot be written or the port is taken.
@@ -89,7 +89,7 @@ class Painter:
 
     def __init__(
         self,
-        look: Look,
+        look: DisplaySettings,
         fleet: str,
         *,
         save: Path | None,
@@ -113,8 +113,8 @@ class Painter:
             self._stream.set_sinks(*sinks)
         except (RuntimeError, ValueError, OSError) as error:
             raise InputError(f"recording {save}, port {grpc_port}: {error}; choose another --save or port") from error
-        self._log(Entry(("waiting",), waiting_page(fleet, {}), static=True))
-        self._log(Entry(("meaning",), Page(meaning(look)), static=True))
+        self._log(TimelineEntry(("waiting",), waiting_page(fleet, {}), static=True))
+        self._log(TimelineEntry(("meaning",), MarkdownPage(meaning(look)), static=True))
         self.arrange({})
 
     def arrange(self, fields: dict[str, Scene]) -> None:
@@ -125,7 +125,7 @@ class Painter:
                 self._stream.log(["robots", name, plane], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
         self._stream.send_blueprint(_blueprint_of(fields, self._look))
 
-    def draw(self, frames: list[Frame]) -> None:
+    def draw(self, frames: list[TimelineFrame]) -> None:
         """Hands the frames to the viewers and the file; does not wait for either."""
         for frame in frames:
             self._stream.set_time(_TIME_LINE, duration=frame.at)
@@ -138,7 +138,7 @@ class Painter:
             self._stream.flush(timeout_sec=_FLUSH_SECONDS)
         self._stream.disconnect()
 
-    def _log(self, entry: Entry, at: float = 0.0) -> None:
+    def _log(self, entry: TimelineEntry, at: float = 0.0) -> None:
         self._stream.log(list(entry.path), _archetype(entry.shape, at, static=entry.static), static=entry.static)
 
 
@@ -170,7 +170,7 @@ def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR091
             return rr.StateConfiguration(values=list(colours), colors=_colours(tuple(colours.values())))
         case Note(text, colour, level):
             return rr.TextLog(f"{at:.1f} s  {text}", level=level, color=colour)
-        case Page(text):
+        case MarkdownPage(text):
             return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
@@ -195,7 +195,7 @@ _BACKGROUND = [24, 26, 30]
 _LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
 
 
-def _blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
+def _blueprint_of(fields: dict[str, Scene], look: DisplaySettings) -> rrb.Blueprint:
     """One tab for each of the first robots; a page that says what is awaited while there is none."""
     tabs = [_tab(name, scene, look) for name, scene in list(fields.items())[:_MOST_TABS]]
     waiting = rrb.TextDocumentView(origin="/waiting", name="waiting for a robot")
@@ -209,7 +209,7 @@ def _blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
     )
 
 
-def _tab(name: str, scene: Scene, look: Look) -> Any:
+def _tab(name: str, scene: Scene, look: DisplaySettings) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
     words = rrb.Tabs(
         rrb.TextDocumentView(origin=f"{origin}/now", name="now, and said last"),
@@ -246,7 +246,7 @@ def _action(origin: str, variable: Variable) -> Any:
     return _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: wished and let through", 8)
 
 
-def _planes(origin: str, scene: Scene, look: Look) -> list[Any]:
+def _planes(origin: str, scene: Scene, look: DisplaySettings) -> list[Any]:
     if not look.is_pendulum:
         return [_plane(origin, "world", "world from above [m]", scene)]
     seconds = f"{look.corridor_seconds:g} s"

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa_services.dashboard.geometry import drawable
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.palette import (
     GREEN,
     GREY,
@@ -20,7 +20,7 @@ from safedpa_services.dashboard.palette import (
     YELLOW,
     faded,
 )
-from safedpa_services.dashboard.shapes import Discs, Entry, Lines, Point, Rings
+from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, TimelineEntry
 
 __all__ = ["phase_bounds", "phase_prediction", "phase_state", "phase_trail", "sector_entries", "wind_entry"]
 
@@ -48,12 +48,12 @@ def _goal(state: StateMessage) -> float | None:
     return state.goal[0] if len(state.goal) == 1 and drawable(*state.goal) else None
 
 
-def sector_entries(state: StateMessage, look: Look) -> list[Entry]:
+def sector_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """Allowed angles green, the hazard hatched red, the goal; the safe set of the phase plane: what changes seldom."""
     corridor, goal = _corridor(state), _goal(state)
     marks = (_at(goal),) if goal is not None else ()
-    entries = [Entry(("world", "goal"), Rings(marks * 2, (0.13, 0.05) if marks else (), YELLOW, 0.012))]
-    entries.append(Entry(("world", "compass"), Rings((_COMPASS,), (_COMPASS_RADIUS,), GREY, 0.004)))
+    entries = [TimelineEntry(("world", "goal"), Rings(marks * 2, (0.13, 0.05) if marks else (), YELLOW, 0.012))]
+    entries.append(TimelineEntry(("world", "compass"), Rings((_COMPASS,), (_COMPASS_RADIUS,), GREY, 0.004)))
     if corridor is None:
         return entries
     low, high = corridor
@@ -64,7 +64,7 @@ def sector_entries(state: StateMessage, look: Look) -> list[Entry]:
         colours += [faded(VERMILLION, 0.55)] * 3 + [VERMILLION]
         strips += [((0.0, 0.0), _at(edge, 1.15)) for edge in corridor]
         colours += [VERMILLION] * 2
-    entries.append(Entry(("world", "sector"), Lines(tuple(strips), tuple(colours), 0.012)))
+    entries.append(TimelineEntry(("world", "sector"), Lines(tuple(strips), tuple(colours), 0.012)))
     return [*entries, *_safe_set(corridor, goal, look)]
 
 
@@ -73,7 +73,7 @@ def _arc(start: float, end: float, radius: float) -> tuple[Point, ...]:
     return tuple(_at(start + share / steps * min(end - start, 2 * math.pi), radius) for share in range(steps + 1))
 
 
-def _safe_set(corridor: tuple[float, float], goal: float | None, look: Look) -> list[Entry]:
+def _safe_set(corridor: tuple[float, float], goal: float | None, look: DisplaySettings) -> list[TimelineEntry]:
     """Angle across; up, the angle that is gained in the filter's time ahead, so that h = 0 falls at 45 degrees."""
     low, high = corridor
     reach = look.corridor_seconds * _FASTEST
@@ -82,13 +82,13 @@ def _safe_set(corridor: tuple[float, float], goal: float | None, look: Look) -> 
     edges = [((edge, -reach), (edge, reach)) for edge in corridor]
     axis = ((low, 0.0), (high, 0.0))
     colours = (ORANGE, VERMILLION, VERMILLION, faded(GREY, 0.6))
-    entries = [Entry(("phase", "safe_set"), Lines((outline, *edges, axis), colours, 0.006 * (high - low)))]
+    entries = [TimelineEntry(("phase", "safe_set"), Lines((outline, *edges, axis), colours, 0.006 * (high - low)))]
     if goal is not None:
-        entries.append(Entry(("phase", "goal"), Rings(((goal, 0.0),), (0.08,), YELLOW, 0.012)))
+        entries.append(TimelineEntry(("phase", "goal"), Rings(((goal, 0.0),), (0.08,), YELLOW, 0.012)))
     return entries
 
 
-def phase_bounds(state: StateMessage, look: Look) -> tuple[float, float, float, float] | None:
+def phase_bounds(state: StateMessage, look: DisplaySettings) -> tuple[float, float, float, float] | None:
     """(lowest, highest angle, lowest, highest angle ahead) that the phase plane shows; None without a corridor."""
     corridor = _corridor(state)
     if corridor is None:
@@ -98,36 +98,36 @@ def phase_bounds(state: StateMessage, look: Look) -> tuple[float, float, float, 
     return corridor[0] - room, corridor[1] + room, -reach, reach
 
 
-def phase_state(state: StateMessage, look: Look) -> list[Entry]:
+def phase_state(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """Where it is now."""
     place = _in_phase(state.values, look)
-    return [] if place is None else [Entry(("phase", "now"), Discs((place,), (0.03,), SKY))]
+    return [] if place is None else [TimelineEntry(("phase", "now"), Discs((place,), (0.03,), SKY))]
 
 
-def phase_trail(before: StateMessage, now: StateMessage, status: str, look: Look) -> Entry | None:
+def phase_trail(before: StateMessage, now: StateMessage, status: str, look: DisplaySettings) -> TimelineEntry | None:
     """The stretch between two drawn states in the colour of the verdict over it; None without one."""
     ends = [_in_phase(state.values, look) for state in (before, now)]
     if ends[0] is None or ends[1] is None or abs(ends[1][0] - ends[0][0]) > _LARGEST_STEP:
         return None
     colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return Entry(("phase", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.012))
+    return TimelineEntry(("phase", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.012))
 
 
-def phase_prediction(verdict: VerdictMessage, look: Look) -> Entry:
+def phase_prediction(verdict: VerdictMessage, look: DisplaySettings) -> TimelineEntry:
     """The predicted next states as a line."""
     places = [_in_phase(row, look) for row in verdict.predicted[:64]]
     points = tuple(place for place in places if place is not None)
     strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
-    return Entry(("phase", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.012))
+    return TimelineEntry(("phase", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.012))
 
 
-def _in_phase(values: tuple[float, ...], look: Look) -> Point | None:
+def _in_phase(values: tuple[float, ...], look: DisplaySettings) -> Point | None:
     if len(values) != 2 or not drawable(*values):
         return None
     return values[0], look.corridor_seconds * values[1]
 
 
-def wind_entry(latent: LatentMessage, look: Look) -> Entry | None:
+def wind_entry(latent: LatentMessage, look: DisplaySettings) -> TimelineEntry | None:
     """The wind that the latent stands for, as an arrow; the compass' ring is 5 m/s. None where it stands for none."""
     wind = look.wind(latent.values)
     if wind is None or not drawable(*wind):
@@ -137,4 +137,4 @@ def wind_entry(latent: LatentMessage, look: Look) -> Entry | None:
     tip = (_COMPASS[0] + x, _COMPASS[1] + y)
     barbs = tuple((tip[0] - 0.3 * x + 0.2 * side * y, tip[1] - 0.3 * y - 0.2 * side * x) for side in (-1.0, 1.0))
     strips = ((_COMPASS, tip), (barbs[0], tip, barbs[1]))
-    return Entry(("world", "wind"), Lines(strips, (SKY,), 0.014))
+    return TimelineEntry(("world", "wind"), Lines(strips, (SKY,), 0.014))

@@ -16,7 +16,7 @@ from safedpa.bus import (
     SurroundingsMessage,
     VerdictMessage,
 )
-from safedpa_services.dashboard.books import FindingBook, HealthBook, ResidualBook
+from safedpa_services.dashboard.books import FindingHistory, HealthHistory, ResidualHistory
 from safedpa_services.dashboard.curves import (
     action_entries,
     barrier_entries,
@@ -24,7 +24,7 @@ from safedpa_services.dashboard.curves import (
     residual_entry,
     style_entries,
 )
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.pendulum import (
@@ -34,7 +34,7 @@ from safedpa_services.dashboard.pendulum import (
     sector_entries,
     wind_entry,
 )
-from safedpa_services.dashboard.shapes import Entry, Note, States, StateSet
+from safedpa_services.dashboard.shapes import Note, States, StateSet, TimelineEntry
 from safedpa_services.dashboard.world import (
     body_entries,
     holding_entry,
@@ -53,11 +53,11 @@ _LONGEST_GAP_TICKS = 4
 class RobotView:
     """Entries of one robot. ``draw`` is False for what is remembered but left out of the picture."""
 
-    def __init__(self, look: Look) -> None:
+    def __init__(self, look: DisplaySettings) -> None:
         self._look = look
-        self.health = HealthBook()
-        self._findings = FindingBook()
-        self._residuals = ResidualBook(look.system)
+        self.health = HealthHistory()
+        self._findings = FindingHistory()
+        self._residuals = ResidualHistory(look.system)
         self._epoch: int | None = None
         self._state: StateMessage | None = None
         self._drawn: StateMessage | None = None
@@ -66,13 +66,13 @@ class RobotView:
         self._seen: SurroundingsMessage | None = None
         self._status = ""
         self._in_force = ""
-        self._scenery: list[Entry] = []
+        self._scenery: list[TimelineEntry] = []
         self.now = NowPage(look)
 
-    def keyframe(self) -> dict[str, list[Entry]]:
+    def keyframe(self) -> dict[str, list[TimelineEntry]]:
         """Everything that is drawn on change alone, as it is now, for who joins later: by the topic that changes it."""
-        in_force = [Entry(("verdict", "in_force"), States(self._in_force))] if self._in_force else []
-        status = [Entry(("verdict", "filter"), States(self._status))] if self._status else []
+        in_force = [TimelineEntry(("verdict", "in_force"), States(self._in_force))] if self._in_force else []
+        status = [TimelineEntry(("verdict", "filter"), States(self._status))] if self._status else []
         return {
             STATE.name: [*self._scenery, *in_force],
             VERDICT.name: status,
@@ -80,16 +80,16 @@ class RobotView:
             HEALTH.name: self.health.lanes(),
         }
 
-    def start(self) -> list[Entry]:
+    def start(self) -> list[TimelineEntry]:
         """Static entries: names and colours."""
         return [
-            Entry(("verdict", "filter"), StateSet(VERDICT_COLOURS), static=True),
-            Entry(("verdict", "in_force"), StateSet(IN_FORCE_COLOURS), static=True),
+            TimelineEntry(("verdict", "filter"), StateSet(VERDICT_COLOURS), static=True),
+            TimelineEntry(("verdict", "in_force"), StateSet(IN_FORCE_COLOURS), static=True),
             *self._findings.start(),
             *style_entries(self._look),
         ]
 
-    def take(self, message: Message, now: float, *, draw: bool = True) -> list[Entry]:
+    def take(self, message: Message, now: float, *, draw: bool = True) -> list[TimelineEntry]:
         """Entries of one message; changes of status are drawn in any case."""
         self.now.take(message, now)
         if isinstance(message, HealthMessage):
@@ -104,7 +104,7 @@ class RobotView:
             return self._take_verdict(message, draw)
         return self._beside(message) if draw else []
 
-    def _beside(self, message: Message) -> list[Entry]:
+    def _beside(self, message: Message) -> list[TimelineEntry]:
         """What is drawn of a message that changes nothing else."""
         if isinstance(message, SurroundingsMessage):
             return seen_entries(message)
@@ -115,10 +115,10 @@ class RobotView:
     def _change_epoch(self, message: Message) -> None:
         if message.epoch != self._epoch and isinstance(message, StateMessage):
             self._epoch = message.epoch
-            self._residuals = ResidualBook(self._look.system)
+            self._residuals = ResidualHistory(self._look.system)
             self._state = self._drawn = self._verdict = self._seen = None
 
-    def _take_state(self, state: StateMessage, draw: bool) -> list[Entry]:
+    def _take_state(self, state: StateMessage, draw: bool) -> list[TimelineEntry]:
         if self._state is not None and state.tick <= self._state.tick:
             return []  # repeated in lockstep while the action is awaited
         self._state = state
@@ -141,7 +141,7 @@ class RobotView:
         self._drawn = state
         return entries
 
-    def _trail(self, state: StateMessage) -> list[Entry]:
+    def _trail(self, state: StateMessage) -> list[TimelineEntry]:
         before = self._drawn
         if before is None or not (self._look.is_planar or self._look.is_pendulum):
             return []
@@ -153,7 +153,7 @@ class RobotView:
             entry = trail_entry(before, state, status)
         return [] if entry is None else [entry]
 
-    def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[Entry]:
+    def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[TimelineEntry]:
         if verdict.epoch != self._epoch or (self._verdict is not None and verdict.tick <= self._verdict.tick):
             return []  # sent again with a repeated state, or of a robot that is no more
         self._verdict = verdict
@@ -174,7 +174,7 @@ class RobotView:
             entries.append(holding_entry(verdict.active, of_tick, self._position()))
         return [*entries, *barrier_entries(verdict), *action_entries(verdict, self._look)]
 
-    def _wind(self, latent: LatentMessage) -> list[Entry]:
+    def _wind(self, latent: LatentMessage) -> list[TimelineEntry]:
         entry = wind_entry(latent, self._look) if self._look.is_pendulum else None
         return [] if entry is None else [entry]
 
@@ -183,21 +183,21 @@ class RobotView:
             return None
         return self._drawn.values[0], self._drawn.values[1]
 
-    def _status_change(self, verdict: VerdictMessage) -> list[Entry]:
+    def _status_change(self, verdict: VerdictMessage) -> list[TimelineEntry]:
         if verdict.status == self._status:
             return []
         self._status = verdict.status
         colour = VERDICT_COLOURS.get(verdict.status, UNKNOWN_STATUS)
         level = "WARN" if verdict.status in ("relaxed", "violated", "fallback", "disabled") else "INFO"
         note = Note(f"{verdict.status}: {verdict.sentence}", colour, level)
-        return [Entry(("verdict", "filter"), States(verdict.status)), Entry(("log",), note)]
+        return [TimelineEntry(("verdict", "filter"), States(verdict.status)), TimelineEntry(("log",), note)]
 
-    def _in_force_change(self, applied_by: str) -> list[Entry]:
+    def _in_force_change(self, applied_by: str) -> list[TimelineEntry]:
         if applied_by == self._in_force:
             return []
         self._in_force = applied_by
-        entries = [Entry(("verdict", "in_force"), States(applied_by))]
+        entries = [TimelineEntry(("verdict", "in_force"), States(applied_by))]
         if applied_by == "watchdog":
             note = Note("No action arrived in time: the robot's watchdog brakes.", IN_FORCE_COLOURS["watchdog"], "WARN")
-            entries.append(Entry(("log",), note))
+            entries.append(TimelineEntry(("log",), note))
         return entries

@@ -10,16 +10,16 @@ __all__ = [
     "Bands",
     "Curves",
     "Discs",
-    "Entry",
-    "Frame",
     "Lines",
+    "MarkdownPage",
     "Note",
-    "Page",
     "Point",
     "Rings",
     "Shape",
     "StateSet",
     "States",
+    "TimelineEntry",
+    "TimelineFrame",
 ]
 
 
@@ -69,17 +69,17 @@ class Note:
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class MarkdownPage:
     """A text in Markdown."""
 
     text: str
 
 
-Shape = Discs | Rings | Lines | Curves | Bands | States | StateSet | Note | Page
+Shape = Discs | Rings | Lines | Curves | Bands | States | StateSet | Note | MarkdownPage
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TimelineEntry:
     """One shape under a path; ``static``: holds at every time."""
 
     path: tuple[str, ...]
@@ -88,8 +88,8 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class TimelineFrame:
     """Entries of one moment, ``at`` [s] on the dashboard's time line."""
 
     at: float
-    entries: tuple[Entry, ...]
+    entries: tuple[TimelineEntry, ...]

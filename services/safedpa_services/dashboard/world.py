@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from safedpa.bus import StateMessage, SurroundingsMessage, VerdictMessage
-from safedpa_services.dashboard.geometry import Pose, capsule, drawable, rectangle
-from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.geometry import BodyPose, capsule, drawable, rectangle
+from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.palette import (
     GREY,
     INK,
@@ -24,7 +24,7 @@ from safedpa_services.dashboard.palette import (
     YELLOW,
     faded,
 )
-from safedpa_services.dashboard.shapes import Discs, Entry, Lines, Point, Rings
+from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, TimelineEntry
 
 __all__ = [
     "body_entries",
@@ -55,22 +55,22 @@ def field_of(state: StateMessage) -> tuple[float, float, float, float] | None:
     return (low_x, high_x, low_y, high_y) if low_x < high_x and low_y < high_y else None
 
 
-def scene_entries(state: StateMessage, look: Look) -> list[Entry]:
+def scene_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """Field, obstacles, the rings that the filter keeps around them, goal: what changes seldom."""
-    entries = [Entry(("world", "goal"), _goal(state))]
+    entries = [TimelineEntry(("world", "goal"), _goal(state))]
     field = field_of(state)
     if field is not None:
         low_x, high_x, low_y, high_y = field
         corners = ((low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y), (low_x, low_y))
-        entries.append(Entry(("world", "field"), Lines((corners,), (GREY,), 0.015)))
+        entries.append(TimelineEntry(("world", "field"), Lines((corners,), (GREY,), 0.015)))
     rows = [row for row in state.obstacles[:_MOST_OBSTACLES] if len(row) == 3 and drawable(*row) and row[2] >= 0.0]
     centres = tuple((row[0], row[1]) for row in rows)
-    entries.append(Entry(("world", "obstacles"), Discs(centres, tuple(row[2] for row in rows), 0x6E7681FF)))
+    entries.append(TimelineEntry(("world", "obstacles"), Discs(centres, tuple(row[2] for row in rows), 0x6E7681FF)))
     reach = look.clearance
     if len(state.footprint) == 3 and drawable(*state.footprint):
         reach += abs(state.footprint[2])
     rings = Rings(centres, tuple(row[2] + reach for row in rows), faded(ORANGE, 0.7), 0.006)
-    return [*entries, Entry(("world", "clearance"), rings)]
+    return [*entries, TimelineEntry(("world", "clearance"), rings)]
 
 
 def _goal(state: StateMessage) -> Rings:
@@ -80,28 +80,28 @@ def _goal(state: StateMessage) -> Rings:
     return Rings(tuple((x, y) for _ in radii), radii, YELLOW, 0.012)
 
 
-def body_entries(state: StateMessage, look: Look) -> list[Entry]:
+def body_entries(state: StateMessage, look: DisplaySettings) -> list[TimelineEntry]:
     """The robot itself: outline and wheels, load and hitch, the capsule that the filter keeps free."""
     if look.is_pendulum:
         return _pendulum(state)
     if len(state.values) < 2 or not drawable(*state.values[:2]):
         return []
     if look.drawn is not None:
-        return [Entry(("world", name), shape) for name, shape in look.drawn(state).items()]
+        return [TimelineEntry(("world", name), shape) for name, shape in look.drawn(state).items()]
     if len(state.values) < 3:
         return []
-    pose = Pose(state.values[0], state.values[1], state.values[2])
+    pose = BodyPose(state.values[0], state.values[1], state.values[2])
     if look.is_point:
         return _point(pose)
-    entries = [Entry(("world", "body"), _car(pose, state, look))]
+    entries = [TimelineEntry(("world", "body"), _car(pose, state, look))]
     swept = _swept(pose, state, look)
     if swept is not None:
-        entries.append(Entry(("world", "swept"), swept))
+        entries.append(TimelineEntry(("world", "swept"), swept))
     load = _load(pose, state, look)
-    return [*entries, Entry(("world", "load"), load)]
+    return [*entries, TimelineEntry(("world", "load"), load)]
 
 
-def _car(pose: Pose, state: StateMessage, look: Look) -> Lines:
+def _car(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines:
     base = look.wheelbase or 0.3
     steer = state.applied[1] if len(state.applied) == 2 and look.system.action_names[1] == "steer" else 0.0
     outline = pose.place(rectangle(_BODY_REAR * base, _BODY_FRONT * base, _BODY_WIDTH * base))
@@ -110,18 +110,18 @@ def _car(pose: Pose, state: StateMessage, look: Look) -> Lines:
     strips = [outline, nose]
     for ahead, turn in ((0.0, 0.0), (base, steer)):
         for left in (-0.5 * _TRACK * base, 0.5 * _TRACK * base):
-            strips.append(pose.place(Pose(ahead, left, turn).place(wheel)))
+            strips.append(pose.place(BodyPose(ahead, left, turn).place(wheel)))
     return Lines(tuple(strips), (INK, INK, GREY, GREY, YELLOW, YELLOW), 0.012)
 
 
-def _point(pose: Pose) -> list[Entry]:
+def _point(pose: BodyPose) -> list[TimelineEntry]:
     """A ball with a box for a nose."""
     nose = pose.place(rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
     ball = Rings(((pose.x, pose.y),), (_BALL,), INK, 0.012)
-    return [Entry(("world", "nose"), Lines((nose,), (YELLOW,), 0.012)), Entry(("world", "ball"), ball)]
+    return [TimelineEntry(("world", "nose"), Lines((nose,), (YELLOW,), 0.012)), TimelineEntry(("world", "ball"), ball)]
 
 
-def _swept(pose: Pose, state: StateMessage, look: Look) -> Lines | None:
+def _swept(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines | None:
     swept = look.swept(state)
     if swept is None or not drawable(*swept) or max(map(abs, swept)) > _LONGEST_STRETCH:
         return None
@@ -129,38 +129,38 @@ def _swept(pose: Pose, state: StateMessage, look: Look) -> Lines | None:
     return Lines((pose.place(capsule(rear, front, abs(radius))),), (faded(ORANGE, 0.7),), 0.006)
 
 
-def _load(pose: Pose, state: StateMessage, look: Look) -> Lines:
+def _load(pose: BodyPose, state: StateMessage, look: DisplaySettings) -> Lines:
     if len(state.load_pose) != 5 or not drawable(*state.load_pose):
         return Lines((), (), 0.012)
     x, y, yaw, length, width = state.load_pose
-    load = Pose(x, y, yaw)
+    load = BodyPose(x, y, yaw)
     hitch = (*pose.place(((_BODY_REAR * (look.wheelbase or 0.3), 0.0),)), *load.place(((0.5 * length, 0.0),)))
     return Lines((load.place(rectangle(-0.5 * length, 0.5 * length, width)), hitch), (PURPLE, PURPLE), 0.012)
 
 
-def _pendulum(state: StateMessage) -> list[Entry]:
+def _pendulum(state: StateMessage) -> list[TimelineEntry]:
     if not state.values or not math.isfinite(state.values[0]):
         return []
     tip = (-math.sin(state.values[0]), math.cos(state.values[0]))
     rod = Lines((((0.0, 0.0), tip),), (INK,), 0.02)
-    return [Entry(("world", "rod"), rod), Entry(("world", "tip"), Discs((tip,), (0.08,), SKY))]
+    return [TimelineEntry(("world", "rod"), rod), TimelineEntry(("world", "tip"), Discs((tip,), (0.08,), SKY))]
 
 
-def trail_entry(before: StateMessage, now: StateMessage, status: str) -> Entry | None:
+def trail_entry(before: StateMessage, now: StateMessage, status: str) -> TimelineEntry | None:
     """The stretch driven between two ticks in the colour of the verdict over it; None without a stretch."""
     ends = [(state.values[0], state.values[1]) for state in (before, now) if len(state.values) >= 2]
     if len(ends) != 2 or not all(drawable(*end) for end in ends):
         return None
     colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return Entry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
+    return TimelineEntry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
 
 
-def prediction_entry(verdict: VerdictMessage, position: Point | None) -> Entry:
+def prediction_entry(verdict: VerdictMessage, position: Point | None) -> TimelineEntry:
     """The predicted next positions as a line that starts at the position now."""
     ahead = [(row[0], row[1]) for row in verdict.predicted[:64] if len(row) >= 2 and drawable(*row[:2])]
     points = tuple(ahead if position is None else [position, *ahead])
     strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
-    return Entry(("world", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.02))
+    return TimelineEntry(("world", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.02))
 
 
 _MOST = 512
@@ -170,14 +170,14 @@ _MOST_ZONES = 64
 _KINDS = ("points", "movers", "hidden")
 
 
-def seen_entries(seen: SurroundingsMessage) -> list[Entry]:
+def seen_entries(seen: SurroundingsMessage) -> list[TimelineEntry]:
     """Discs at rest, of what may move and rings where somebody may hide, each as wide as is told; zones as they are."""
     points, movers, hidden = (_discs(getattr(seen, name)) for name in _KINDS)
     return [
-        Entry(("world", "seen", "at_rest"), Discs(*points, GREY)),
-        Entry(("world", "seen", "hidden"), Rings(*hidden, faded(PURPLE, 0.55), 0.008)),
-        Entry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILLION, 0.75))),
-        Entry(("world", "seen", "zones"), _zones(seen)),
+        TimelineEntry(("world", "seen", "at_rest"), Discs(*points, GREY)),
+        TimelineEntry(("world", "seen", "hidden"), Rings(*hidden, faded(PURPLE, 0.55), 0.008)),
+        TimelineEntry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILLION, 0.75))),
+        TimelineEntry(("world", "seen", "zones"), _zones(seen)),
     ]
 
 
@@ -193,12 +193,12 @@ def _zones(seen: SurroundingsMessage) -> Lines:
     return Lines(tuple(strips), tuple(colours), 0.02, on_top=True)
 
 
-def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> Entry:
+def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> TimelineEntry:
     """Lines from the robot to the discs that hold its action back; none where nothing does."""
     ends = [place for name in active for place in _named(name, seen)]
     strips = () if robot is None else tuple((robot, end) for end in ends)
     colours = tuple(INK if _kind(name) == _KINDS[0] else ORANGE for name in active if _named(name, seen))
-    return Entry(("world", "seen", "holds_back"), Lines(strips, colours[: len(strips)], 0.012, on_top=True))
+    return TimelineEntry(("world", "seen", "holds_back"), Lines(strips, colours[: len(strips)], 0.012, on_top=True))
 
 
 def _named(name: str, seen: SurroundingsMessage | None) -> list[Point]:

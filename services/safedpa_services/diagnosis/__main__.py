@@ -8,36 +8,36 @@ import os
 from pathlib import Path
 
 from safedpa.bus import ASKED, NO_ROBOT, Answer, Bus, Request, ServiceLoop
-from safedpa.bus.loop.journal import Journal
-from safedpa.bus.loop.process import Stop, bus_from, lifetime, run_process
-from safedpa.bus.wire.requests import STATUS, asked_message
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.requests import STATUS, asked_message
+from safedpa.bus.messages.service_info import setup_message
+from safedpa.bus.service.journal import ServiceLog
+from safedpa.bus.service.process import StopSignal, bus_from_options, log_lifetime, run_process
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
 from safedpa.live.change import ModelChanges
-from safedpa.live.foresight import foretell_with
+from safedpa.live.foresight import forecast_with
 from safedpa.live.node import DiagnosisNode
-from safedpa.live.versions import Version, VersionFolder
+from safedpa.live.versions import ModelVersion, VersionFolder
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.shipped import margin_for
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import margin_text
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.serving import service_parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
     os.nice(10)  # nobody waits for it
     worker = ProcessWorker(options.settings)
     node = _node(options, worker)
     try:
-        with bus_from(options) as bus:
+        with bus_from_options(options) as bus:
             bus.answer_requests(node.answer, options.robot, lambda *asked: _tell(bus, *asked))
             setup = model_setup(setup_message(node.name, vars(options)), load_model(options.model))
             bus.announce(NO_ROBOT, node.name, setup.instance)
-            with lifetime(node.name, stop):
-                ServiceLoop(node, bus, options.robot, setup=setup, journal=Journal(node.name)).run(stop)
+            with log_lifetime(node.name, stop):
+                ServiceLoop(node, bus, options.robot, setup=setup, journal=ServiceLog(node.name)).run(stop)
     finally:
         worker.close()
     return 0
@@ -55,10 +55,10 @@ def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:
     margin = margin_for(model, options.margin)
     text = "" if margin is None else margin_text(margin)
 
-    def changes(robot: str, first: Version) -> ModelChanges:
+    def changes(robot: str, first: ModelVersion) -> ModelChanges:
         return ModelChanges(first, VersionFolder(Path(options.versions) / robot) if options.versions else None)
 
-    return DiagnosisNode(write_model(model), worker, text, changes, _folder(model), foretell_with(options.settings))
+    return DiagnosisNode(write_model(model), worker, text, changes, _folder(model), forecast_with(options.settings))
 
 
 def _folder(model: PhysicsModel) -> Path | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from safedpa.live.work import AbstractWorker, Work, WorkOutcome
+from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_outcome, write_work
 
@@ -25,7 +25,7 @@ _LONGEST_SECONDS = 600.0
 
 
 @dataclass
-class _Job:
+class _WorkerJob:
     folder: Path
     process: subprocess.Popen[bytes]
     began: float
@@ -39,13 +39,13 @@ class ProcessWorker(AbstractWorker):
     def __init__(self, settings: str = DEFAULT_ROBOT, clock: Callable[[], float] = time.monotonic) -> None:
         self._settings = settings
         self._clock = clock
-        self._jobs: dict[str, _Job] = {}
+        self._jobs: dict[str, _WorkerJob] = {}
 
-    def begin(self, robot: str, work: Work) -> None:  # noqa: D102
+    def begin(self, robot: str, work: SearchJob) -> None:  # noqa: D102
         self.cancel(robot)
         folder = Path(tempfile.mkdtemp(prefix="safedpa-diagnosis-"))
         write_work(work, folder)
-        self._jobs[robot] = _Job(folder, self._start(folder), self._clock())
+        self._jobs[robot] = _WorkerJob(folder, self._start(folder), self._clock())
 
     def outcome(self, robot: str) -> WorkOutcome | None:  # noqa: D102
         job = self._jobs.get(robot)

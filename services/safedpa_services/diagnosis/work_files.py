@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from safedpa.dynamics import parse_model
-from safedpa.live.work import Work, WorkOutcome
-from safedpa.records.atomic import atomic_path
+from safedpa.live.work import SearchJob, WorkOutcome
 from safedpa.records.run import Run, Stretch
+from safedpa.records.writers.tables import atomic_path
 
 __all__ = ["read_outcome", "read_work", "write_outcome", "write_work"]
 
@@ -19,7 +19,7 @@ _ROWS, _WORDS, _OUTCOME = "rows.npz", "work.json", "outcome.json"
 _TEXTS = ("task", "model", "horizon", "effect", "document", "footprint")
 
 
-def write_work(work: Work, folder: Path) -> None:
+def write_work(work: SearchJob, folder: Path) -> None:
     """Writes a work into a folder of its own."""
     run = work.run
     stretches = np.array([(part.start, part.stop) for part in run.stretches], dtype=np.int64).reshape(-1, 2)
@@ -29,7 +29,7 @@ def write_work(work: Work, folder: Path) -> None:
     (folder / _WORDS).write_text(json.dumps(words), encoding="utf-8")
 
 
-def read_work(folder: Path) -> Work:
+def read_work(folder: Path) -> SearchJob:
     """The work that ``write_work`` wrote."""
     words = json.loads((folder / _WORDS).read_text(encoding="utf-8"))
     name, footprint, place = words.pop("name"), tuple(words.pop("footprint")), words.pop("folder")
@@ -39,7 +39,7 @@ def read_work(folder: Path) -> Work:
         run = Run(
             name, parse_model(words["model"], weights).system, rows["t"], rows["states"], rows["actions"], stretches
         )
-    return Work(run=run, footprint=footprint, folder=weights, **words)
+    return SearchJob(run=run, footprint=footprint, folder=weights, **words)
 
 
 def write_outcome(outcome: WorkOutcome, folder: Path) -> None:

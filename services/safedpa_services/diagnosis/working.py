@@ -14,12 +14,12 @@ import threading
 from pathlib import Path
 
 from safedpa.adaptation import HistoryEstimator, LatentEstimator
+from safedpa.calibration.from_runs import live_margin
 from safedpa.dynamics import LearnedBase, PhysicsModel
-from safedpa.live.work import Calibrate, WorkOutcome, carried_out
+from safedpa.live.work import Calibrate, WorkOutcome, execute_job
 from safedpa.records.run import Run
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa.safety.live_margin import live_margin
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_services.diagnosis.work_files import read_work, write_outcome
 
 __all__ = ["calibrate_with", "main"]
@@ -50,7 +50,7 @@ def main() -> None:
     writing = threading.Lock()
     threading.Thread(target=_watch_service, args=(options.folder, writing), daemon=True).start()
     try:
-        outcome = carried_out(read_work(options.folder), calibrate_with(options.settings))
+        outcome = execute_job(read_work(options.folder), calibrate_with(options.settings))
     except Exception as error:  # noqa: BLE001 - whatever the numbers brought about, the service is to hear of it
         outcome = WorkOutcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
     with writing:

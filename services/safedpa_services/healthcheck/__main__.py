@@ -12,8 +12,8 @@ import sys
 import time
 from collections.abc import Callable
 
-from safedpa.bus import HEALTH, Bus, HealthMessage, Received
-from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus import HEALTH, Bus, HealthMessage, ReceivedMessage
+from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, run_process
 
 
 class HealthCheck:
@@ -33,12 +33,12 @@ class HealthCheck:
         while True:
             rest = end - self._clock()
             for item in self._inbox.take(max(0.0, rest)):
-                if isinstance(item, Received) and self._proves(item):
+                if isinstance(item, ReceivedMessage) and self._proves(item):
                     return ""
             if rest <= 0.0:
                 return self._reason
 
-    def _proves(self, item: Received) -> bool:
+    def _proves(self, item: ReceivedMessage) -> bool:
         heartbeat = item.message
         if not isinstance(heartbeat, HealthMessage) or heartbeat.service != self._service:
             return False
@@ -64,10 +64,10 @@ def health_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Listens until the service proved itself or the time is over; returns the exit code."""
     del stop  # it ends by itself within --seconds
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         reason = HealthCheck(bus, options.service, options.robot).run(options.seconds)
     if reason:
         sys.stdout.write(f"{reason}\n")

@@ -7,8 +7,8 @@ import os
 import uuid
 
 from safedpa.bus import NO_ROBOT
-from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, lifetime, run_process
-from safedpa.bus.overview import FleetOverview
+from safedpa.bus.monitor import FleetOverview
+from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, log_lifetime, run_process
 from safedpa.extras import need
 from safedpa_services.metrics.exporter import Exporter
 
@@ -25,11 +25,11 @@ def metrics_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
     need("metrics", what="the page of metrics")
     os.nice(10)  # the loop comes first
-    with bus_from(options) as bus, lifetime(_SERVICE, stop):
+    with bus_from_options(options) as bus, log_lifetime(_SERVICE, stop):
         bus.announce(NO_ROBOT, _SERVICE, uuid.uuid4().hex[:12])
         Exporter(FleetOverview(bus, options.robot), options.bind, options.port).run(stop)
     return 0

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from safedpa.bus import HEALTH, NO_ROBOT, HealthMessage
-from safedpa.bus.overview import FleetOverview, RobotOverview, ServiceOverview, concerns_of
-from safedpa.bus.wire.version import software_version
+from safedpa.bus.messages.service_info import software_version
+from safedpa.bus.monitor import FleetOverview, RobotOverview, ServiceOverview, robot_alerts
 from safedpa.errors import InputError
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ class FleetCollector:
 
 def _of_robot(robot: RobotOverview, now: float) -> Iterator[Sample]:
     name = (robot.name,)
-    trouble = any(concern.level == "trouble" for concern in concerns_of(robot, now))
+    trouble = any(concern.level == "trouble" for concern in robot_alerts(robot, now))
     yield "safedpa_robot_up", name, float(robot.silent_for(now) <= _SILENT_SECONDS)
     yield "safedpa_robot_healthy", name, float(not trouble)
     yield "safedpa_ticks_total", name, float(robot.ticks)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 from safedpa_services.nodes import add_policy_options, policy
 from safedpa_services.serving import serve, service_parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
     return serve((policy(options),), options, stop)
 
@@ -17,4 +17,4 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 if __name__ == "__main__":
     parser = service_parser("safedpa-policy")
     add_policy_options(parser)
-    run_process(work, parser, Urgency.POLICY)
+    run_process(work, parser, RealtimePriority.POLICY)

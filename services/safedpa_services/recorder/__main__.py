@@ -6,15 +6,15 @@ import argparse
 import os
 from pathlib import Path
 
-from safedpa.bus.loop.process import Stop, bus_from, lifetime, run_process
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
+from safedpa.bus.service.process import StopSignal, bus_from_options, log_lifetime, run_process
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_services.serving import service_parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Records until ``stop``; returns 0, or 1 when the recording broke off."""
-    with bus_from(options) as bus, lifetime("recorder", stop):
+    with bus_from_options(options) as bus, log_lifetime("recorder", stop):
         os.nice(10)  # the loop comes first; but not before the network's own threads, whose signs of life keep links up
         setup = setup_message("recorder", vars(options))
         return Recorder(bus, Path(options.out), setup, options.robot).run(stop)

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, Received, SetupMessage
-from safedpa.bus.log import log_event
-from safedpa.bus.wire.version import software_version
+from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, ReceivedMessage, SetupMessage
+from safedpa.bus.logging import log_event
+from safedpa.bus.messages.service_info import software_version
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
 
@@ -78,7 +78,7 @@ class Recorder:
         items = self._inbox.take(0.0)
         items += [] if self._fleet is None else self._fleet.take(0.0)
         for item in items:
-            if isinstance(item, Received):
+            if isinstance(item, ReceivedMessage):
                 self._take(item)
             else:
                 self._refused += 1
@@ -100,7 +100,7 @@ class Recorder:
             self._next_setup = time.monotonic() + _SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, "recorder")
 
-    def _take(self, item: Received) -> None:
+    def _take(self, item: ReceivedMessage) -> None:
         if item.topic is SETUP:
             if self._setups.get(item.key) == item.payload:
                 return  # said again for those who joined late

@@ -13,8 +13,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from safedpa.bus import Bus
-from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
-from safedpa.bus.security.access import role_of_robot
+from safedpa.bus.security.access_control import role_of_robot
+from safedpa.bus.service.process import (
+    RealtimePriority,
+    StopSignal,
+    add_bus_options,
+    bus_from_options,
+    log_lifetime,
+    run_process,
+)
 from safedpa.dynamics import load_model
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.errors import InputError
@@ -23,17 +30,17 @@ from safedpa.ros.encoding import hash_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa.systems.driven import why_not_driven
 from safedpa_services.ros_gateway.gateway import Gateway, Limits
-from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
-from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
+from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.senses import Newest, Senses, goal_paths, pose_paths
-from safedpa_services.ros_gateway.voice import Voice
+from safedpa_services.ros_gateway.senses import LatestMessage, SensorInputs, goal_paths, pose_paths
+from safedpa_services.ros_gateway.voice import HealthPublisher
 
-__all__ = ["checked_face", "made", "parser", "work"]
+__all__ = ["checked_face", "make_gateway", "parser", "work"]
 
 _POLICY = "policy"
 """Whose certificate is shown for the wish; it lies beside the robot's."""
@@ -50,17 +57,17 @@ def parser() -> argparse.ArgumentParser:
     return found
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Drives until ``stop``; returns exit code 0."""
     load_own_of_environment()
     asked = load_robot_file(options.file)
     if options.certificates is not None and not options.role:
         options.role = role_of_robot(asked.name)
     with (
-        bus_from(options) as bus,
+        bus_from_options(options) as bus,
         _wishing(options, bus, wishes=bool(asked.wish.topic)) as wishing,
-        made(asked, bus, wishing) as gateway,
-        lifetime("robot", stop),
+        make_gateway(asked, bus, wishing) as gateway,
+        log_lifetime("robot", stop),
     ):
         gateway.run(stop)
     return 0
@@ -73,7 +80,9 @@ def _wishing(options: argparse.Namespace, bus: Bus, *, wishes: bool) -> Iterator
     if not wishes or (options.certificates is None and card is None):
         yield bus
         return
-    with bus_from(argparse.Namespace(**{**vars(options), "role": _POLICY, "card": card, "listen": []})) as other:
+    with bus_from_options(
+        argparse.Namespace(**{**vars(options), "role": _POLICY, "card": card, "listen": []})
+    ) as other:
         yield other
 
 
@@ -102,7 +111,7 @@ def checked_face(asked: RobotFile) -> tuple[AbstractFace, Limits, float]:
 
 
 @contextmanager
-def made(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iterator[Gateway]:
+def make_gateway(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iterator[Gateway]:
     """The gateway, joined to both sides; it wishes over another bus where one is given.
 
     Raises InputError and BusError before anything is sent to the robot.
@@ -120,33 +129,33 @@ def made(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iterator[Gat
                 (wire.markers, "visualization_msgs/msg/MarkerArray"),
             )
         ]
-        voice = Voice(asked.name, asked.frame, face, told[0], told[1])
+        voice = HealthPublisher(asked.name, asked.frame, face, told[0], told[1])
         senses = _senses(link, asked, face, asked.wish.type or command_type)
         command = link.publisher(asked.command.topic, command_type, type_hash)
         link.watched(asked.command.topic, PUBLISHER)  # from now on it is told
         yield Gateway(bus, link, asked, face, limits, senses, command, voice, period, wishing=wishing)
 
 
-def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, wish_type: str) -> Senses:
+def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, wish_type: str) -> SensorInputs:
     """Everything that the file names, heard from now on."""
-    odometry = Newest(asked.odometry.type, pose_paths(), asked.wire.frame)
-    driver = Overheard(asked.command.topic)
+    odometry = LatestMessage(asked.odometry.type, pose_paths(), asked.wire.frame)
+    driver = CommandEchoMonitor(asked.command.topic)
     link.hear(asked.odometry.topic, asked.odometry.type, odometry.take)
     link.overhear(asked.command.topic, driver.take)
     wish = goal = localised = None
     if asked.wish.topic:
-        wish = Newest(wish_type, face.paths(wish_type))
+        wish = LatestMessage(wish_type, face.paths(wish_type))
         link.hear(asked.wish.topic, wish_type, wish.take)
     if asked.goal.topic:
-        goal = Newest(_GOAL, goal_paths(), asked.frame)
+        goal = LatestMessage(_GOAL, goal_paths(), asked.frame)
         link.hear(asked.goal.topic, _GOAL, goal.take)
     if asked.localisation.topic:
-        localised = Localised(asked.localisation.frame, asked.wire.frame)
+        localised = TransformListener(asked.localisation.frame, asked.wire.frame)
         link.hear(asked.localisation.topic, TRANSFORMS, localised.take)
     scanners = tuple(Scanner(scan.frame) for scan in asked.scans)
     for scan, scanner in zip(asked.scans, scanners, strict=True):
         link.hear(scan.topic, SCAN_TYPE, scanner.take)
-    return Senses(odometry, driver, wish, goal, localised, scanners)
+    return SensorInputs(odometry, driver, wish, goal, localised, scanners)
 
 
 def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
@@ -175,4 +184,4 @@ def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
 
 
 if __name__ == "__main__":
-    run_process(work, parser(), Urgency.ROBOT)
+    run_process(work, parser(), RealtimePriority.ROBOT)

@@ -7,7 +7,7 @@ from typing import final
 
 from safedpa.ros.graph import Attachment
 
-__all__ = ["TWO_SPEAK", "Alone"]
+__all__ = ["TWO_SPEAK", "PublisherMonitor"]
 
 TWO_SPEAK = "two publishers speak on its topic"
 _ALONE_SECONDS = 1.0
@@ -15,7 +15,7 @@ _ALONE_SECONDS = 1.0
 
 
 @final
-class Alone:
+class PublisherMonitor:
     """Who spoke last, and until when nothing is believed; called on the network's thread.
 
     Who signs nothing counts as one publisher beside those who do: a bridge signs nothing, and is alone then.

@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
-from safedpa.bus import ACTION, HEALTH, SCAN, STATE, VERDICT, WISH, Bus, Received
-from safedpa.bus.log import log_event
-from safedpa.bus.wire.messages import (
+from safedpa.bus import ACTION, HEALTH, SCAN, STATE, VERDICT, WISH, Bus, ReceivedMessage
+from safedpa.bus.logging import log_event
+from safedpa.bus.messages.messages import (
     ActionMessage,
     HealthMessage,
     ScanMessage,
@@ -24,13 +24,13 @@ from safedpa.bus.wire.messages import (
     VerdictMessage,
     WishMessage,
 )
-from safedpa.bus.wire.version import software_version
+from safedpa.bus.messages.service_info import software_version
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
 from safedpa_services.ros_gateway.robot_file import RobotFile
-from safedpa_services.ros_gateway.senses import Pose, Senses
-from safedpa_services.ros_gateway.voice import Voice
+from safedpa_services.ros_gateway.senses import PoseAndTwist, SensorInputs
+from safedpa_services.ros_gateway.voice import HealthPublisher
 
 __all__ = ["Gateway", "Limits"]
 
@@ -57,9 +57,9 @@ class Gateway:
         asked: RobotFile,
         face: AbstractFace,
         limits: Limits,
-        senses: Senses,
+        senses: SensorInputs,
         command: RosPublisher,
-        voice: Voice,
+        voice: HealthPublisher,
         period: float,
         clock: Callable[[], float] = time.monotonic,
         wishing: Bus | None = None,
@@ -108,7 +108,7 @@ class Gateway:
         why = self._refusal(age)
         action = None
         if not why:
-            pose = self._placed(Pose.of(numbers, self._asked.odometry.ahead))
+            pose = self._placed(PoseAndTwist.of(numbers, self._asked.odometry.ahead))
             if math.isfinite(pose.x + pose.y + pose.yaw):
                 self._publish(pose, age)
                 action = self._await_action(published, begin + _DEADLINE_SHARE * self.period)
@@ -137,12 +137,12 @@ class Gateway:
                 return f"the transform from {asked.frame} to {self._asked.wire.frame} is {told}{because}"
         return ""
 
-    def _placed(self, pose: Pose) -> Pose:
+    def _placed(self, pose: PoseAndTwist) -> PoseAndTwist:
         """The pose in the frame of the surroundings."""
         localised = self._senses.localised
         return pose if localised is None else pose.seen_from(localised.read()[0])
 
-    def _publish(self, pose: Pose, age: float) -> None:
+    def _publish(self, pose: PoseAndTwist, age: float) -> None:
         asked, around = self._asked, self._asked.surroundings
         self._values = self._face.state(pose.x, pose.y, pose.yaw, pose.speed, pose.yaw_rate)
         stamp: dict[str, Any] = {
@@ -203,7 +203,7 @@ class Gateway:
     def _await_action(self, published: float, deadline: float) -> tuple[float, ...] | None:
         while (left := deadline - self._clock()) > 0.0:
             for item in self._inbox.take(left):
-                if not isinstance(item, Received) or not isinstance(item.message, ActionMessage):
+                if not isinstance(item, ReceivedMessage) or not isinstance(item.message, ActionMessage):
                     self.refused += 1
                     continue
                 if self._clock() - published > _LARGEST_AGE_PERIODS * self.period:
@@ -280,7 +280,7 @@ class Gateway:
         while True:
             left = until - self._clock()
             for item in self._verdicts.take(max(0.0, left)):
-                if isinstance(item, Received) and isinstance(item.message, VerdictMessage):
+                if isinstance(item, ReceivedMessage) and isinstance(item.message, VerdictMessage):
                     self._voice.verdict(item.message)
             if self._clock() >= self._next_heartbeat:
                 self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS

@@ -8,21 +8,21 @@ import time
 from collections.abc import Callable
 from typing import Any, final
 
-from safedpa.bus.wire.messages import LARGEST_NUMBER
-from safedpa.records.bags.messages_log import yaw_of
+from safedpa.bus.messages.messages import LARGEST_NUMBER
+from safedpa.records.readers.bags.messages import yaw_of
 from safedpa.ros.decoding import DecodingError
 from safedpa.ros.encoding import decode
 from safedpa.ros.graph import Attachment
-from safedpa_services.ros_gateway.alone import TWO_SPEAK, Alone
+from safedpa_services.ros_gateway.alone import TWO_SPEAK, PublisherMonitor
 
-__all__ = ["TRANSFORMS", "Localised"]
+__all__ = ["TRANSFORMS", "TransformListener"]
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 Frame = tuple[float, float, float]
 
 
 @final
-class Localised:
+class TransformListener:
     """The transform from ``frame`` to ``child`` out of ``/tf``, with its age by this machine's clock."""
 
     def __init__(self, frame: str, child: str, clock: Callable[[], float] = time.monotonic) -> None:
@@ -30,7 +30,7 @@ class Localised:
         self._lock = threading.Lock()
         self._found: Frame = (0.0, 0.0, 0.0)
         self._at, self._stamp = -math.inf, (0, 0)
-        self._alone = Alone()
+        self._alone = PublisherMonitor()
         self.refused = 0
         self.why = ""
 

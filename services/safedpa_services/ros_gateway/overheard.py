@@ -9,7 +9,7 @@ from typing import final
 
 from safedpa.ros.graph import Attachment
 
-__all__ = ["Overheard"]
+__all__ = ["CommandEchoMonitor"]
 
 _SILENT_SECONDS = 1.0
 """s without a word after which it counts as gone."""
@@ -18,7 +18,7 @@ _ANSWER_SECONDS = 0.001
 
 
 @final
-class Overheard:
+class CommandEchoMonitor:
     """The last command that came from elsewhere; ``answer`` is called for each, on the network's thread."""
 
     def __init__(self, topic: str, clock: Callable[[], float] = time.monotonic) -> None:

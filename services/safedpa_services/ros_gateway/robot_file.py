@@ -18,30 +18,30 @@ from safedpa.limits import finite_number, parse_toml, text_of_file, whole_number
 from safedpa.robot import robot_named
 from safedpa.ros.graph import NO_HASH
 from safedpa.ros.link import FORMS
-from safedpa.safety.scene import MOST_OBSTACLES
+from safedpa.runtime.scene import MOST_OBSTACLES
 
 __all__ = [
-    "Command",
-    "Goal",
-    "Localisation",
-    "Odometry",
+    "CommandTopic",
+    "GoalTopic",
+    "LocalisationTopic",
+    "NominalActionTopic",
+    "ObstaclesTopic",
+    "OdometryTopic",
     "RobotFile",
-    "Scan",
-    "Served",
-    "Surroundings",
-    "Wire",
-    "Wish",
+    "RosConnection",
+    "ScanTopic",
+    "ServedRobot",
     "check_robot_file",
     "check_served",
     "load_robot_file",
-    "load_served",
+    "load_served_robot",
 ]
 
 FORMAT = 1
 
 
 @dataclass(frozen=True)
-class Wire:
+class RosConnection:
     """Where the robot's Zenoh router listens, and how its nodes write."""
 
     endpoint: str = "tcp/127.0.0.1:7447"
@@ -56,7 +56,7 @@ class Wire:
 
 
 @dataclass(frozen=True)
-class Odometry:
+class OdometryTopic:
     """Where the robot says that it is."""
 
     topic: str
@@ -68,7 +68,7 @@ class Odometry:
 
 
 @dataclass(frozen=True)
-class Wish:
+class NominalActionTopic:
     """What the robot's own policy would do; it goes through the filter."""
 
     topic: str = ""
@@ -79,7 +79,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandTopic:
     """What its driver obeys. Nobody else may speak there."""
 
     topic: str
@@ -90,14 +90,14 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Goal:
+class GoalTopic:
     """Where people say that it shall go, ``geometry_msgs/PoseStamped``; for a policy of this side."""
 
     topic: str = ""
 
 
 @dataclass(frozen=True)
-class Localisation:
+class LocalisationTopic:
     """What corrects the odometry: transforms from the map to the odometry's frame."""
 
     topic: str = ""
@@ -108,7 +108,7 @@ class Localisation:
 
 
 @dataclass(frozen=True)
-class Scan:
+class ScanTopic:
     """A laser scanner, ``sensor_msgs/LaserScan``; with one nothing is told of obstacles: perception sees them."""
 
     topic: str
@@ -122,7 +122,7 @@ class Scan:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ObstaclesTopic:
     """What is around it and does not move, in the frame of the odometry."""
 
     field: tuple[float, ...]
@@ -135,7 +135,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Served:
+class ServedRobot:
     """Which robot the services are for."""
 
     robot: str
@@ -149,17 +149,17 @@ class Served:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotFile(Served):
+class RobotFile(ServedRobot):
     """One that speaks ROS 2: all of it."""
 
-    odometry: Odometry
-    command: Command
-    surroundings: Surroundings
-    wish: Wish = field(default_factory=Wish)
-    goal: Goal = field(default_factory=Goal)
-    localisation: Localisation = field(default_factory=Localisation)
-    scans: tuple[Scan, ...] = ()
-    wire: Wire = field(default_factory=Wire)
+    odometry: OdometryTopic
+    command: CommandTopic
+    surroundings: ObstaclesTopic
+    wish: NominalActionTopic = field(default_factory=NominalActionTopic)
+    goal: GoalTopic = field(default_factory=GoalTopic)
+    localisation: LocalisationTopic = field(default_factory=LocalisationTopic)
+    scans: tuple[ScanTopic, ...] = ()
+    wire: RosConnection = field(default_factory=RosConnection)
 
     @property
     def frame(self) -> str:
@@ -174,18 +174,18 @@ def load_robot_file(path: Path) -> RobotFile:
     return found
 
 
-def load_served(path: Path) -> Served:
+def load_served_robot(path: Path) -> ServedRobot:
     """The file of any robot: a RobotFile where it says anything of ROS. Raises InputError naming it and the key."""
-    own = {item.name for item in fields(RobotFile)} - {item.name for item in fields(Served)}
-    return _loaded(path, lambda table: RobotFile if own & table.keys() else Served)
+    own = {item.name for item in fields(RobotFile)} - {item.name for item in fields(ServedRobot)}
+    return _loaded(path, lambda table: RobotFile if own & table.keys() else ServedRobot)
 
 
-def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[Served]]) -> Served:
+def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]]) -> ServedRobot:
     try:
         table = parse_toml(text_of_file(path, "toml_bytes"))
         if table.pop("format", None) != FORMAT:
             raise InputError(f"format: wanted {FORMAT}; this program reads no other")
-        found: Served = _of(kind_of(table), table, "")
+        found: ServedRobot = _of(kind_of(table), table, "")
         check_served(found)
         if isinstance(found, RobotFile):
             check_robot_file(found)
@@ -238,7 +238,7 @@ _WIDEST = 100.0
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
-def check_served(found: Served) -> None:
+def check_served(found: ServedRobot) -> None:
     """Raises InputError for a name that the bus cannot carry, a robot that nobody knows, a rate that is none."""
     robot_named(found.robot)
     try:
@@ -266,7 +266,7 @@ def check_robot_file(found: RobotFile) -> None:
         )
 
 
-def _check_surroundings(around: Surroundings) -> None:
+def _check_surroundings(around: ObstaclesTopic) -> None:
     for key, values, count in (("field", around.field, 4), ("footprint", around.footprint, 3)):
         if len(values) != count:
             raise InputError(f"surroundings.{key}: got {len(values)} numbers, wanted {count}")
@@ -343,7 +343,7 @@ def _check_topics(found: RobotFile) -> None:
         raise InputError(f"command.hash: got '{found.command.hash}', wanted RIHS01_ and 64 hex digits, or {NO_HASH}")
 
 
-def _check_scan(scan: Scan) -> None:
+def _check_scan(scan: ScanTopic) -> None:
     if len(scan.mount) != 3 or max(map(abs, scan.mount[:2])) > _WIDEST or abs(scan.mount[2]) > 2.0 * math.pi:
         raise InputError(f"scans.mount: got {list(scan.mount)}, wanted x ahead, y to the left in m, and a yaw in rad")
     if not 0.0 <= scan.delay <= 0.5:

@@ -14,9 +14,9 @@ import numpy as np
 from safedpa.ros.decoding import DecodingError
 from safedpa.ros.encoding import decode
 from safedpa.ros.graph import Attachment
-from safedpa_services.ros_gateway.alone import TWO_SPEAK, Alone
+from safedpa_services.ros_gateway.alone import TWO_SPEAK, PublisherMonitor
 
-__all__ = ["SCAN_TYPE", "Scanner", "Turn"]
+__all__ = ["SCAN_TYPE", "ScanReading", "Scanner"]
 
 SCAN_TYPE = "sensor_msgs/msg/LaserScan"
 _MOST_WAITING = 8
@@ -29,7 +29,7 @@ _LARGEST_ANGLE = 4.0 * math.pi
 
 
 @dataclass(frozen=True)
-class Turn:
+class ScanReading:
     """One scan, without its time: ranges in m, angles in rad."""
 
     arrived: float
@@ -51,9 +51,9 @@ class Scanner:
 
     def __init__(self, frame: str = "", clock: Callable[[], float] = time.monotonic) -> None:
         self._frame, self._clock = frame.strip("/"), clock
-        self._waiting: deque[Turn] = deque(maxlen=_MOST_WAITING)
+        self._waiting: deque[ScanReading] = deque(maxlen=_MOST_WAITING)
         self._stamp: Any = None
-        self._alone = Alone()
+        self._alone = PublisherMonitor()
         self.refused = 0
         self.why = ""
 
@@ -85,7 +85,7 @@ class Scanner:
         self.refused += 1
         self.why = why
 
-    def taken(self) -> list[Turn]:
+    def taken(self) -> list[ScanReading]:
         """What came since the last call, oldest first."""
         found = []
         while self._waiting:
@@ -93,7 +93,7 @@ class Scanner:
         return found
 
 
-def _turn(scan: Any, arrived: float) -> Turn | None:
+def _turn(scan: Any, arrived: float) -> ScanReading | None:
     first, step = float(scan.angle_min), float(scan.angle_increment)
     nearest, farthest = float(scan.range_min), float(scan.range_max)
     count = len(scan.ranges)
@@ -104,4 +104,4 @@ def _turn(scan: Any, arrived: float) -> Turn | None:
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     nothing = np.isnan(ranges) | (np.isfinite(ranges) & (ranges < nearest))
     kept = np.where(nothing, -1.0, np.clip(ranges, nearest, farthest))
-    return Turn(arrived, first, step, tuple(kept.tolist()), nearest, farthest)
+    return ScanReading(arrived, first, step, tuple(kept.tolist()), nearest, farthest)

@@ -12,23 +12,23 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from safedpa.bus.wire.messages import LARGEST_NUMBER
-from safedpa.records.bags.messages_log import yaw_of
+from safedpa.bus.messages.messages import LARGEST_NUMBER
+from safedpa.records.readers.bags.messages import yaw_of
 from safedpa.ros.decoding import Decoder, DecodingError
 from safedpa.ros.definitions import Definitions, numeric_fields
 from safedpa.ros.graph import Attachment
-from safedpa_services.ros_gateway.alone import TWO_SPEAK, Alone
-from safedpa_services.ros_gateway.localisation import Localised
-from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.ros_gateway.alone import TWO_SPEAK, PublisherMonitor
+from safedpa_services.ros_gateway.localisation import TransformListener
+from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
 from safedpa_services.ros_gateway.scanner import Scanner
 
-__all__ = ["Newest", "Pose", "Senses", "goal_paths", "pose_paths"]
+__all__ = ["LatestMessage", "PoseAndTwist", "SensorInputs", "goal_paths", "pose_paths"]
 
 _STAMP = "header.stamp"
 
 
 @dataclass(frozen=True)
-class Pose:
+class PoseAndTwist:
     """Where the robot is, and how it moves, in its own frame."""
 
     x: float
@@ -38,18 +38,18 @@ class Pose:
     yaw_rate: float
 
     @staticmethod
-    def of(numbers: tuple[float, ...], ahead: float) -> Pose:
+    def of(numbers: tuple[float, ...], ahead: float) -> PoseAndTwist:
         """From what ``pose_paths`` names; the point that is told lies ``ahead`` m of the reference point."""
         x, y, speed, yaw_rate, *quaternion = numbers
         yaw = yaw_of(quaternion[0], quaternion[1], quaternion[2], quaternion[3])
-        return Pose(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw, speed, yaw_rate)
+        return PoseAndTwist(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw, speed, yaw_rate)
 
-    def seen_from(self, frame: tuple[float, float, float]) -> Pose:
+    def seen_from(self, frame: tuple[float, float, float]) -> PoseAndTwist:
         """The same in the frame in which its own stands at ``frame``: x, y [m], yaw [rad]."""
         east, north, turn = frame
         cosine, sine = math.cos(turn), math.sin(turn)
         x, y = east + cosine * self.x - sine * self.y, north + sine * self.x + cosine * self.y
-        return Pose(x, y, self.yaw + turn, self.speed, self.yaw_rate)
+        return PoseAndTwist(x, y, self.yaw + turn, self.speed, self.yaw_rate)
 
 
 def pose_paths() -> tuple[str, ...]:
@@ -63,7 +63,7 @@ def goal_paths() -> tuple[str, ...]:
     return ("pose.position.x", "pose.position.y")
 
 
-class Newest:
+class LatestMessage:
     """The newest message of one topic as numbers; others are gone. Safe between threads."""
 
     def __init__(
@@ -80,7 +80,7 @@ class Newest:
         self._numbers: tuple[float, ...] = ()
         self._changed = -math.inf
         self._stamp = -1
-        self._alone = Alone()
+        self._alone = PublisherMonitor()
         self.refused = 0
         """Messages that could not be read, were of another frame, or held what is no number of this world."""
         self.why = ""
@@ -124,14 +124,14 @@ class Newest:
 
 
 @dataclass(frozen=True)
-class Senses:
+class SensorInputs:
     """Everything that the gateway hears; what the robot's file does not name is None."""
 
-    odometry: Newest
-    driver: Overheard
-    wish: Newest | None = None
-    goal: Newest | None = None
-    localised: Localised | None = None
+    odometry: LatestMessage
+    driver: CommandEchoMonitor
+    wish: LatestMessage | None = None
+    goal: LatestMessage | None = None
+    localised: TransformListener | None = None
     scanners: tuple[Scanner, ...] = ()
 
     @property

@@ -6,20 +6,20 @@ import time
 from collections.abc import Callable
 from typing import Any, final
 
-from safedpa.bus.wire.messages import VerdictMessage
+from safedpa.bus.messages.messages import VerdictMessage
 from safedpa.ros.encoding import stamp_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.link import RosPublisher
 from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 
-__all__ = ["Voice"]
+__all__ = ["HealthPublisher"]
 
 _MARKER_SECONDS = 0.1
 """At most so often markers are sent."""
 
 
 @final
-class Voice:
+class HealthPublisher:
     """Speaks on the topics of diagnostics and markers, where the robot's file names them."""
 
     def __init__(

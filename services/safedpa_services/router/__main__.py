@@ -6,19 +6,25 @@ import argparse
 from pathlib import Path
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.log import log_event
-from safedpa.bus.loop.process import Stop, Urgency, add_card_option, identity_from, run_process
-from safedpa.bus.security.access import ROUTER, access_control, rate_limits, size_limits
+from safedpa.bus.logging import log_event
+from safedpa.bus.security.access_control import ROUTER, access_control, rate_limits, size_limits
+from safedpa.bus.service.process import (
+    RealtimePriority,
+    StopSignal,
+    add_credentials_option,
+    identity_from_options,
+    run_process,
+)
 from safedpa.errors import InputError
-from safedpa_services.router.pulse import Pulse
+from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals, capture_zenoh_log
-from safedpa_services.router.router import Router, revoked_in
+from safedpa_services.router.router import Router, read_revocation_list
 
 REVOKED = "revoked.txt"
 """In the folder of certificates: names of certificates that are good for nothing any more, one a line."""
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Routes until ``stop``; returns the exit code."""
     settings = _settings(options)
     refusals = Refusals()
@@ -35,7 +41,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             robots=", ".join(options.robot),
         )
         revoked = None if options.certificates is None else options.certificates / REVOKED
-        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop, Pulse())
+        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop, LoopWatchdog())
     return 0
 
 
@@ -51,9 +57,9 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
         return ZenohSettings("router", listen, connect, limits=limits, rates=rates)
     if options.certificates is None and options.card is None:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
-    certificates = identity_from(options)
+    certificates = identity_from_options(options)
     access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
-    revoked = frozenset[str]() if options.certificates is None else revoked_in(options.certificates / REVOKED)
+    revoked = frozenset[str]() if options.certificates is None else read_revocation_list(options.certificates / REVOKED)
     access["policies"] = [policy for policy in access["policies"] if not revoked & {*policy["subjects"]}]
     return ZenohSettings("router", listen, connect, certificates, access, limits, rates)
 
@@ -73,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--certificates", type=Path, metavar="DIR", help="of 'safedpa certificates'")
     parser.add_argument("--role", default=ROUTER, help="whose certificate to show; default: router")
-    add_card_option(parser)
+    add_credentials_option(parser)
     parser.add_argument(
         "--robot", action="append", default=[], metavar="NAME", help="a robot that may join; repeatable"
     )
@@ -91,4 +97,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    run_process(work, _parser(), Urgency.ROUTER)
+    run_process(work, _parser(), RealtimePriority.ROUTER)

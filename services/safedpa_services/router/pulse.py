@@ -7,9 +7,9 @@ import threading
 from collections.abc import Callable
 from typing import final
 
-from safedpa.bus.log import log_event
+from safedpa.bus.logging import log_event
 
-__all__ = ["Pulse"]
+__all__ = ["LoopWatchdog"]
 
 _LOOK_SECONDS = 0.25
 _LOOKS = 20
@@ -17,7 +17,7 @@ _LOOKS = 20
 
 
 @final
-class Pulse:
+class LoopWatchdog:
     """Hears the beats of a loop, and calls ``stands`` where none came while it looked ``looks`` times."""
 
     def __init__(

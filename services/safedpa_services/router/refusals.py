@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
-from safedpa.bus.log import log_event
+from safedpa.bus.logging import log_event
 
 __all__ = ["LOG_DIRECTIVES", "LogFile", "Refusals", "capture_zenoh_log"]
 

@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage
-from safedpa.bus.log import log_event
-from safedpa.bus.security.access import ROLES, ROUTER
+from safedpa.bus.logging import log_event
+from safedpa.bus.security.access_control import ROLES, ROUTER
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
-from safedpa_services.router.pulse import Pulse
+from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import Refusals
 
-__all__ = ["Revoked", "Router", "Twins", "revoked_in"]
+__all__ = ["DuplicateCertificates", "RevocationList", "Router", "read_revocation_list"]
 
 _HEARTBEAT_SECONDS = 0.25
 _LOOKS = 4
@@ -34,7 +34,7 @@ CutOff = Callable[[set[str]], int]
 """Ends the links of sessions, by their Zenoh ids; how many there were."""
 
 
-class Twins:
+class DuplicateCertificates:
     """Finds certificates that two processes show at once: a copy in wrong hands, or a service that was started twice.
 
     The one that was there first stays; ``cut_off`` ends the links of the others. Of those that came together when the
@@ -87,7 +87,7 @@ class Twins:
         log_event("bus.twice", sentence, level="warning", service=name)
 
 
-class Revoked:
+class RevocationList:
     """Ends the links of certificates whose names stand in a file, one a line; it is read again when it changes."""
 
     def __init__(self, path: Path | None, members: Members, cut_off: CutOff) -> None:
@@ -113,11 +113,11 @@ class Revoked:
         with contextlib.suppress(OSError, UnicodeDecodeError, SafedpaError):
             changed = self._path.stat().st_mtime_ns
             if changed != self._read_at:
-                self.names = revoked_in(self._path)
+                self.names = read_revocation_list(self._path)
                 self._read_at = changed
 
 
-def revoked_in(path: Path) -> frozenset[str]:
+def read_revocation_list(path: Path) -> frozenset[str]:
     """The names in a file of revoked certificates; none where there is no file."""
     try:
         lines = text_of_file(path, "toml_bytes").splitlines()
@@ -138,12 +138,12 @@ class Router:
         revoked: Path | None = None,
     ) -> None:
         self._bus, self._refusals = bus, refusals
-        self._twins = Twins(members, cut_off)
-        self._revoked = Revoked(revoked, members, cut_off)
+        self._twins = DuplicateCertificates(members, cut_off)
+        self._revoked = RevocationList(revoked, members, cut_off)
         self._twice: list[str] = []
         self._beats = 0
 
-    def run(self, stopped: Callable[[], bool], pulse: Pulse) -> None:
+    def run(self, stopped: Callable[[], bool], pulse: LoopWatchdog) -> None:
         """Beats until ``stopped`` says so; each beat is told to ``pulse``."""
         pause = threading.Event()
         while not stopped():

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable
 from functools import lru_cache
 
-from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 from safedpa.errors import InputError
 from safedpa_services.nodes import adaptation, add_filter_options, add_policy_options, policy, safety_filter
 from safedpa_services.serving import serve, service_parser
@@ -21,7 +21,7 @@ _REMEMBERED = 1024
 """Names: every message asks, and names may come from anybody."""
 
 
-def serves(share: str) -> Callable[[str], bool]:
+def assigned_robots(share: str) -> Callable[[str], bool]:
     """Which robots fall to a stack that is ``share``, such as ``2/3`` for the second of three.
 
     crc32(name) mod 3 = 1. Raises InputError when it is no such share.
@@ -33,9 +33,9 @@ def serves(share: str) -> Callable[[str], bool]:
     return lru_cache(maxsize=_REMEMBERED)(lambda robot: zlib.crc32(robot.encode()) % all_of_them == own)
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
-    mine = None if options.share == _ALL else serves(options.share)
+    mine = None if options.share == _ALL else assigned_robots(options.share)
     return serve((adaptation(options), policy(options), safety_filter(options)), options, stop, mine)
 
 
@@ -44,4 +44,4 @@ if __name__ == "__main__":
     add_policy_options(parser)
     add_filter_options(parser)
     parser.add_argument("--share", default=_ALL, metavar="N/OF", help="of several stacks: serve the N-th part alone")
-    run_process(work, parser, Urgency.FILTER)
+    run_process(work, parser, RealtimePriority.FILTER)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from safedpa.bus.security.certificates import Card
+from safedpa.bus.security.certificates import PemCredentials
 
 __all__ = ["Child"]
 
@@ -50,9 +50,9 @@ class Child:
     restarts: int = 0
     environment: Mapping[str, str] = field(default_factory=dict)
     """What it is told and other users of the machine must not read, as they can its arguments."""
-    card: Card | None = None
+    card: PemCredentials | None = None
     """Its certificate and key, which no other process shall see: handed to it by a pipe, at each start."""
-    further: Mapping[str, Card] = field(default_factory=dict)
+    further: Mapping[str, PemCredentials] = field(default_factory=dict)
     """By the option that takes it: cards of other roles for which this one process speaks as well."""
 
     def __post_init__(self) -> None:
@@ -177,7 +177,7 @@ class Child:
 
 
 @contextlib.contextmanager
-def _handed(cards: Mapping[str, Card]) -> Iterator[dict[str, int]]:
+def _handed(cards: Mapping[str, PemCredentials]) -> Iterator[dict[str, int]]:
     """The descriptors at which a process finds its cards; this process closes its own when the other one has them."""
     with contextlib.ExitStack() as closing:
         descriptors = {}

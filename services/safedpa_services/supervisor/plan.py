@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.security.access import ROUTER, role_of_robot
+from safedpa.bus.security.access_control import ROUTER, role_of_robot
 from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.securing import OPERATOR, Wallet
+from safedpa_services.supervisor.securing import OPERATOR, CertificateStore
 
 __all__ = ["Plan"]
 
@@ -61,7 +61,7 @@ class Plan:
     """Its settings, sources and zones: a file; empty: the defaults."""
     robots: int = 1
     """How many drive side by side, each in a scene of its own, all served by the same services."""
-    wallet: Wallet | None = None
+    wallet: CertificateStore | None = None
     """A certificate and key for every role: everything goes through a router over mutual TLS; None: plain text."""
     door: str = ""
     """Where that router listens, if not at the endpoint to which the processes of this machine connect."""
@@ -134,7 +134,7 @@ class Plan:
             children.append(self._workbench())
         return children if self.wallet is None else [self._router(self.wallet), *children]
 
-    def _router(self, wallet: Wallet) -> Child:
+    def _router(self, wallet: CertificateStore) -> Child:
         """Starts first and ends last."""
         bus = ("--fleet", self.fleet, "--listen", self.door or self.endpoint)
         shown, card = wallet.shown(ROUTER)

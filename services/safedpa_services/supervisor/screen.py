@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.warnings import Warnings
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.watch import RunMonitor
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,7 +25,7 @@ _PROBE_SECONDS = 0.05
 
 @contextmanager
 def screen(
-    watch: Watch,
+    watch: RunMonitor,
     services: Sequence[Child],
     robot: Child,
     hints: list[str],
@@ -43,8 +43,8 @@ def screen(
         return
     from rich.live import Live  # here, so that whoever draws nothing does not wait for it at the start
 
-    from safedpa_services.supervisor.view import view_of
-    from safedpa_services.terminal import Shown, terminal
+    from safedpa_services.supervisor.view import render_view
+    from safedpa_services.terminal import SanitizedRenderable, terminal
 
     door = _Page(page)
     console = terminal(stderr=True)
@@ -62,8 +62,8 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                view = view_of(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest)
-                live.update(Shown(view), refresh=True)
+                view = render_view(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest)
+                live.update(SanitizedRenderable(view), refresh=True)
 
         yield redraw
 
@@ -75,7 +75,7 @@ def _printer(console: Console) -> Callable[[str], None]:
 class _Announcement:
     """Tells each address once, as soon as something answers there, and warnings as they come."""
 
-    def __init__(self, watch: Watch, page: _Page, console: Console, warnings: Warnings) -> None:
+    def __init__(self, watch: RunMonitor, page: _Page, console: Console, warnings: Warnings) -> None:
         self._watch, self._page, self._console, self._warnings = watch, page, console, warnings
         self._told: set[str] = set()
 
@@ -116,7 +116,7 @@ def answers(address: str) -> bool:
     return True
 
 
-def _live_view(watch: Watch) -> list[str]:
+def _live_view(watch: RunMonitor) -> list[str]:
     """Where to look, once the dashboard has said so."""
     heard = watch.health.get("dashboard")
     return [f"live view {heard[0].detail}"] if heard is not None and heard[0].detail else []

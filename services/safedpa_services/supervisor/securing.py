@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
-from safedpa.bus.security.access import ROUTER, check_names, roles_of
-from safedpa.bus.security.authority import HOSTS, Authority
-from safedpa.bus.security.certificates import Card, Certificates, close_memory
+from safedpa.bus.security.access_control import ROUTER, check_names, roles_of
+from safedpa.bus.security.certificate_authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Certificates, PemCredentials, protect_process_memory
 from safedpa.errors import BusError, InputError
 from safedpa_services.supervisor.private_folder import private_folder
 
-__all__ = ["OPERATOR", "Wallet", "throw_away_certificates"]
+__all__ = ["OPERATOR", "CertificateStore", "ephemeral_certificates"]
 
 OPERATOR = "operator"
 """Whose files people join with; no process of the loop has to."""
@@ -23,7 +23,7 @@ _DAYS = 30.0
 
 @final
 @dataclass(frozen=True)
-class Wallet:
+class CertificateStore:
     """A certificate and key for every role, in this process's memory; those of people alone are files too.
 
     Without ``cards`` all of them are a person's files, and each process reads its own: what is renewed there, or stands
@@ -31,9 +31,9 @@ class Wallet:
     """
 
     folder: Path
-    cards: Mapping[str, Card] = field(default_factory=dict, repr=False)
+    cards: Mapping[str, PemCredentials] = field(default_factory=dict, repr=False)
 
-    def shown(self, role: str) -> tuple[tuple[str, ...], Card | None]:
+    def shown(self, role: str) -> tuple[tuple[str, ...], PemCredentials | None]:
         """The options by which a process shows the certificate of its role, and the card that it is handed.
 
         Raises InputError where the files of the role are not there.
@@ -43,7 +43,7 @@ class Wallet:
         self.identity(role)
         return ("--role", role, "--certificates", str(self.folder)), None
 
-    def identity(self, role: str) -> Card | Certificates:
+    def identity(self, role: str) -> PemCredentials | Certificates:
         """Who this process is where it takes that role. Raises InputError where its files are not there."""
         if self.cards:
             return self.cards[role]
@@ -54,7 +54,7 @@ class Wallet:
 
 
 @contextmanager
-def throw_away_certificates(fleet: str, robot: str) -> Iterator[Wallet]:
+def ephemeral_certificates(fleet: str, robot: str) -> Iterator[CertificateStore]:
     """A certificate for every role; nobody can make another one, and all are gone however the run ends.
 
     The folder is for this user alone. Keys of robot and services are in it for the moment in which they are made; then
@@ -62,16 +62,16 @@ def throw_away_certificates(fleet: str, robot: str) -> Iterator[Wallet]:
     Raises InputError for names that cannot be a fleet's and a robot's.
     """
     check_names(fleet, (robot,))
-    close_memory()
+    protect_process_memory()
     with private_folder() as folder:
         authority = Authority(folder, fleet)
         (folder / "authority.key.pem").unlink()
         cards = {}
         for role in roles_of((robot,)):
             authority.issue(role, _DAYS, HOSTS if role == ROUTER else ())
-            cards[role] = Card.of(folder, role)
+            cards[role] = PemCredentials.of(folder, role)
             if role != OPERATOR:
                 for name in (f"{role}.pem", f"{role}.key.pem"):
                     (folder / name).unlink()
         del authority  # and its key
-        yield Wallet(folder, cards)
+        yield CertificateStore(folder, cards)

@@ -19,9 +19,9 @@ from safedpa.bus import Answer, Bus, FindingMessage, Request, StateMessage
 from safedpa.errors import SafedpaError
 from safedpa.limits import parse_json
 from safedpa.live.named_candidate import named_candidate
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.watch import RunMonitor
 
-__all__ = ["WANTED_FALL", "Story", "Told", "Unsaid"]
+__all__ = ["WANTED_FALL", "DemoNarrator", "DemoSummary", "UnreportedStop"]
 
 WANTED_FALL: Final = 0.6
 """Of the error before; a candidate that promises less on unseen data is not accepted without a person."""
@@ -39,7 +39,7 @@ _AGAIN: Final = 5.0
 
 
 @dataclass
-class Unsaid:
+class UnreportedStop:
     """How long a robot stood at most without a word about it, by its own clock; ``longest`` [s]."""
 
     longest: float = 0.0
@@ -55,7 +55,7 @@ class Unsaid:
 
 
 @dataclass
-class Told:
+class DemoSummary:
     """What became of the story; times in s by the robot's clock, None for what did not happen."""
 
     raised: float | None = None
@@ -72,7 +72,7 @@ class Told:
 
 
 @dataclass
-class Story:
+class DemoNarrator:
     """Look at it after each turn of the loop; it speaks by ``tell`` and never waits."""
 
     bus: Bus
@@ -80,8 +80,8 @@ class Story:
     tell: Callable[[str], None]
     accepts: bool
     """Whether it accepts by itself; else a person does."""
-    told: Told = field(default_factory=Told)
-    unsaid: Unsaid = field(default_factory=Unsaid)
+    told: DemoSummary = field(default_factory=DemoSummary)
+    unsaid: UnreportedStop = field(default_factory=UnreportedStop)
     report: str = ""
     """report.json of the newest search before the model was changed."""
     models: list[str] = field(default_factory=list)
@@ -112,7 +112,7 @@ class Story:
         """The story in numbers."""
         return {**asdict(self.told), "longest_stand_unsaid": round(self.unsaid.longest, 3)}
 
-    def look(self, watch: Watch) -> None:
+    def look(self, watch: RunMonitor) -> None:
         """Takes in what the watch heard."""
         if watch.state is not None:
             self._now = watch.state.robot_time

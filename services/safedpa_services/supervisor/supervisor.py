@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.watch import RunMonitor
 
 __all__ = ["Supervisor"]
 
@@ -37,13 +37,13 @@ class Supervisor:
     services: list[Child]
     robot: Child | None
     """None: a robot that is started by others, and whose end is not the services'."""
-    watch: Watch
+    watch: RunMonitor
     stopped: Callable[[], bool]
     on_turn: Callable[[], None]
     """Called many times a second, to show what is going on."""
     hurried: Callable[[], bool] = lambda: False
     """Whether to end everything at once, in whatever state it is."""
-    others: Sequence[tuple[Child, Watch]] = ()
+    others: Sequence[tuple[Child, RunMonitor]] = ()
     """Further robots that drive beside the first, whose end is the end."""
 
     def run(self) -> int:
@@ -70,7 +70,7 @@ class Supervisor:
         return [*([] if self.robot is None else [self.robot]), *(child for child, _ in self.others)]
 
     @property
-    def _watches(self) -> list[Watch]:
+    def _watches(self) -> list[RunMonitor]:
         return [self.watch, *(watch for _, watch in self.others)]
 
     def _await_services(self) -> None:

@@ -11,17 +11,17 @@ from rich.text import Text
 
 from safedpa.bus import StateMessage
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import Watch
+from safedpa_services.supervisor.watch import RunMonitor
 
-__all__ = ["view_of"]
+__all__ = ["render_view"]
 
 _SILENT_SECONDS = 1.0
 _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "violated": "bold red"}
 _COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
 
 
-def view_of(
-    watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str], warnings: Iterable[str] = ()
+def render_view(
+    watch: RunMonitor, services: Sequence[Child], robot: Child, hints: Sequence[str], warnings: Iterable[str] = ()
 ) -> Group:
     """A headline, the table of processes, hints where to look, and the newest warnings."""
     return Group(
@@ -38,7 +38,7 @@ def _hint_style(hint: str) -> str:
     return "bold cyan" if hint.startswith("live view") else "dim"
 
 
-def _standing(watch: Watch) -> list[Text]:
+def _standing(watch: RunMonitor) -> list[Text]:
     """For how long the robot has stood and why, once that is told."""
     verdict = watch.verdict
     if verdict is None or not verdict.standstill:
@@ -46,7 +46,7 @@ def _standing(watch: Watch) -> list[Text]:
     return [Text(f"stands for {verdict.stands:.0f} s, {verdict.standstill}", style="yellow")]
 
 
-def _headline(watch: Watch) -> Text:
+def _headline(watch: RunMonitor) -> Text:
     state, verdict = watch.state, watch.verdict
     if state is None:
         return Text("waiting for the robot")
@@ -70,7 +70,7 @@ def _motion(state: StateMessage) -> str:
     return f"{state.values[0]:+.2f}"
 
 
-def _finding(watch: Watch) -> Text:
+def _finding(watch: RunMonitor) -> Text:
     """What the diagnosis says, once it has said something."""
     finding = watch.finding
     if finding is None:
@@ -79,7 +79,7 @@ def _finding(watch: Watch) -> Text:
     return Text.assemble((f"model {finding.model}  ", "bold"), (f"{finding.stage}: {finding.sentence}", colour))
 
 
-def _processes(watch: Watch, services: Sequence[Child], robot: Child) -> Table:
+def _processes(watch: RunMonitor, services: Sequence[Child], robot: Child) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in ("process", "state", "pid", "steps", "stale", "refused", "last step", "restarts", ""):
         table.add_column(column, justify="right" if column in ("pid", "steps", "stale", "refused") else "left")
@@ -88,7 +88,7 @@ def _processes(watch: Watch, services: Sequence[Child], robot: Child) -> Table:
     return table
 
 
-def _row(watch: Watch, child: Child) -> tuple[str | Text, ...]:
+def _row(watch: RunMonitor, child: Child) -> tuple[str | Text, ...]:
     heard = watch.health.get(child.name)
     if child.exit_code is not None:
         state = Text("ended", style="red")

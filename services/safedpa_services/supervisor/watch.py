@@ -22,17 +22,17 @@ from safedpa.bus import (
     Bus,
     FindingMessage,
     HealthMessage,
-    Received,
+    ReceivedMessage,
     Request,
     StateMessage,
     VerdictMessage,
 )
-from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.messages.requests import ORDER
 from safedpa.errors import SafedpaError
-from safedpa.safety.standstill import Stand, note_standstill
+from safedpa.safety.deadlock.detector import Stand, record_deadlock
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["Watch", "summary_of"]
+__all__ = ["RunMonitor", "summary_of"]
 
 _WHO = "'safedpa up', which is about to end"
 _ORDER_SECONDS = 2.0
@@ -42,7 +42,7 @@ _STANDS = 0.02
 
 
 @dataclass
-class Watch:
+class RunMonitor:
     """Collects until asked; ``listen`` must be called often."""
 
     bus: Bus
@@ -65,7 +65,7 @@ class Watch:
         """Takes in what arrived, after ``wait`` [s]."""
         time.sleep(wait)  # not woken by every message: the loop has the processor first
         for item in self._inbox.take(0.0):
-            if isinstance(item, Received):
+            if isinstance(item, ReceivedMessage):
                 self._take(item)
 
     def stop_robot(self) -> bool:
@@ -94,7 +94,7 @@ class Watch:
         told = self.health.get(service)
         return told is not None and told[0].pid == pid and self.silent_for(service) > seconds
 
-    def _take(self, item: Received) -> None:
+    def _take(self, item: ReceivedMessage) -> None:
         message = item.message
         if item.robot not in (self.robot, NO_ROBOT):
             return
@@ -108,7 +108,7 @@ class Watch:
             self._last = (message.epoch, message.tick)
             self.verdict = message
             self.verdicts[message.status] += 1
-            note_standstill(self.standstills, message)
+            record_deadlock(self.standstills, message)
 
 
 _UNTOUCHED = ("passed", "disabled", "stopped")

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
-from safedpa.bus.log import log_event
+from safedpa.bus.logging import log_event
 from safedpa.limits import limit
 from safedpa_services.web.hosts import Hosts
 
-__all__ = ["Door", "Guard"]
+__all__ = ["AccessPolicy", "Guard"]
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -51,7 +51,7 @@ or sent to, any other host."""
 
 
 @dataclass(frozen=True)
-class Door:
+class AccessPolicy:
     """Who comes in: under which names, with which token, and whether a password brings it."""
 
     hosts: Hosts
@@ -74,7 +74,7 @@ class Door:
 class Guard:
     """An ASGI middleware."""
 
-    def __init__(self, app: App, door: Door) -> None:
+    def __init__(self, app: App, door: AccessPolicy) -> None:
         self._app, self._door = app, door
         self._one_at_a_time = asyncio.Lock()
 

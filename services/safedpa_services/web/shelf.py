@@ -12,7 +12,7 @@ from pathlib import Path
 from safedpa.errors import InputError, RunError
 from safedpa.limits import readable
 
-__all__ = ["RECORDINGS", "Shelf"]
+__all__ = ["RECORDINGS", "FileStore"]
 
 RECORDINGS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".ulg")
 _RECORDING = f"a recording ({', '.join(RECORDINGS[:-1])} or {RECORDINGS[-1]})"
@@ -28,14 +28,14 @@ _MAGIC = {
 }
 
 
-class Shelf:
+class FileStore:
     """Files below ``folders``. What a link points to counts, not where the link lies."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self._folders = list(dict.fromkeys(folder.resolve() for folder in folders))
 
     @classmethod
-    def of(cls, files: Iterable[str], folders: Iterable[Path]) -> Shelf:
+    def of(cls, files: Iterable[str], folders: Iterable[Path]) -> FileStore:
         """Of the folders named, and those of the files that were named; without any, of the current one."""
         named = [*folders, *(Path(file).resolve().parent for file in files)]
         return cls(named or [Path()])
@@ -45,9 +45,9 @@ class Shelf:
         """The folders, for people."""
         return ", ".join(map(str, self._folders))
 
-    def with_folder(self, folder: Path) -> Shelf:
+    def with_folder(self, folder: Path) -> FileStore:
         """The same, and what lies in this folder."""
-        return Shelf([*self._folders, folder])
+        return FileStore([*self._folders, folder])
 
     def recordings(self, lines: Iterable[str]) -> list[str]:
         """Paths of recordings from paths and patterns. Raises RunError naming the first that may not be opened."""

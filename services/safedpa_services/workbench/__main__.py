@@ -6,21 +6,21 @@ import argparse
 import os
 from pathlib import Path
 
-from safedpa.bus.loop.process import Stop, bus_from, run_process
+from safedpa.bus.service.process import StopSignal, bus_from_options, run_process
 from safedpa.extras import need
 from safedpa_services.serving import service_parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns exit code 0."""
     os.nice(10)  # the loop comes first
     need("workbench", what="the workbench", alone=True)  # its container writes no reports
     from safedpa_services.workbench.bench import Bench
-    from safedpa_services.workbench.page_address import Serving
-    from safedpa_services.workbench.recordings import Choice
+    from safedpa_services.workbench.page_address import PageServerOptions
+    from safedpa_services.workbench.recordings import InputSelection
     from safedpa_services.workbench.server import chosen_port, serve
 
-    serving = Serving(
+    serving = PageServerOptions(
         options.host,
         chosen_port(options.host, options.port),
         tuple(options.name),
@@ -29,8 +29,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         options.tls_key,
         options.token_only,
     )
-    with bus_from(options) as bus:
-        serve(Bench(Choice(options.model), Path(options.out)), serving, browser=False, bus=bus, stop=stop)
+    with bus_from_options(options) as bus:
+        serve(Bench(InputSelection(options.model), Path(options.out)), serving, browser=False, bus=bus, stop=stop)
     return 0
 
 

@@ -10,11 +10,19 @@ from typing import Any, Literal
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.driving import why_refused
+from safedpa_services.driving import refusal_reason
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.recordings import Choice, loaded
+from safedpa_services.workbench.recordings import InputSelection, load_inputs
 from safedpa_services.workbench.session import Session
-from safedpa_services.workbench.session_files import STEPS, Decision, Kept, absolute, place_for, saved, write_session
+from safedpa_services.workbench.session_files import (
+    STEPS,
+    Decision,
+    SavedSession,
+    absolute,
+    save_model_files,
+    session_folder_for,
+    write_session,
+)
 from safedpa_services.workbench.worker import StoppedError, Worker
 
 __all__ = ["Bench", "News"]
@@ -28,7 +36,9 @@ News = Literal["opening", "opened", "versions", "candidates", "busy", "saving", 
 class Bench:
     """What is opened and decided; tabs listen to it and hand the person's decisions on."""
 
-    def __init__(self, choice: Choice, out: Path, decisions: tuple[Decision, ...] = (), folder: Path | None = None):
+    def __init__(
+        self, choice: InputSelection, out: Path, decisions: tuple[Decision, ...] = (), folder: Path | None = None
+    ):
         """``out``: the folder for sessions; ``folder``: that of this one, where it is a session that goes on."""
         self.choice, self.out, self.folder = choice, out, folder or out
         self._decisions, self._resumed = decisions, folder
@@ -82,13 +92,13 @@ class Bench:
         if self._opening is not None:
             await asyncio.shield(self._opening)
 
-    async def open(self, choice: Choice) -> None:
+    async def open(self, choice: InputSelection) -> None:
         """Opens something else in every tab; the session before stays in its folder."""
         self._worker.stop()
         self._opening = asyncio.ensure_future(self._open(choice, (), None))
         await asyncio.shield(self._opening)
 
-    async def _open(self, choice: Choice, decisions: tuple[Decision, ...], resumed: Path | None) -> None:
+    async def _open(self, choice: InputSelection, decisions: tuple[Decision, ...], resumed: Path | None) -> None:
         self.choice, self.trouble, self.said = choice, "", ""
         self.session = self.given = None
         self._tell("opening")
@@ -96,8 +106,8 @@ class Bench:
         try:
             folder = self.out if resumed is None else resumed
             if resumed is None:
-                folder, decisions = await asyncio.to_thread(place_for, self.out, choice)
-            model, runs = await asyncio.to_thread(loaded, choice)
+                folder, decisions = await asyncio.to_thread(session_folder_for, self.out, choice)
+            model, runs = await asyncio.to_thread(load_inputs, choice)
             versions = await self._ask("comparing", jobs.opened, model, runs, choice.horizon)
         except SafedpaError as error:
             self._busy("", 0.0)
@@ -141,7 +151,7 @@ class Bench:
         taken = session.settled(effect)
         if taken is None:
             arguments = version.step, found.proposal, effect, session.runs, session.horizon
-            taken = await self._ask(f"{title}: fitting {effect}", jobs.taken, *arguments)
+            taken = await self._ask(f"{title}: fitting {effect}", jobs.add_candidate, *arguments)
         if session is self.session:
             session.add(taken)
             self._tell("versions")
@@ -197,7 +207,7 @@ class Bench:
         try:
             if version is None:
                 arguments = before.step, session.proposed.proposal, effect, session.runs, session.horizon
-                version = await self._ask(f"fitting {effect}", jobs.taken, *arguments)
+                version = await self._ask(f"fitting {effect}", jobs.add_candidate, *arguments)
         except SafedpaError as error:
             self._fail(error)
             return
@@ -248,7 +258,7 @@ class Bench:
             return
         decisions = tuple((do, effect) for do, effect, _ in self.session.decided)
         try:
-            write_session(Kept(absolute(self.choice), decisions), self.folder)
+            write_session(SavedSession(absolute(self.choice), decisions), self.folder)
         except SafedpaError as error:
             self._fail(error)
 
@@ -259,7 +269,7 @@ class Bench:
         """What is to be known before Save: why ``safedpa up`` would refuse the model; empty where it would not."""
         if self.given is None or self.session is None:
             return ""
-        refusal = why_refused(self.given)
+        refusal = refusal_reason(self.given)
         return f"Save writes it, but 'safedpa up' will refuse it: {refusal}." if refusal else ""
 
     async def save(self) -> None:
@@ -270,7 +280,12 @@ class Bench:
         self._say(STEPS[0][1], "")
         try:
             said = await self._saver.ask(
-                saved, session.present.step, session.runs, given, self.folder, tell=lambda s: self._say(_step(s), "")
+                save_model_files,
+                session.present.step,
+                session.runs,
+                given,
+                self.folder,
+                tell=lambda s: self._say(_step(s), ""),
             )
         except SafedpaError as error:
             self._say("", "")

@@ -10,21 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.compare.bins import angle_edges, round_edges
-from safedpa.compare.comparison import Comparison
-from safedpa.compare.rollout_error import scaled_error, trimmed_rms
-from safedpa.compare.where import PLACE
-from safedpa.compare.windows import Windows
+from safedpa.arrays import BoolArray, FloatArray
+from safedpa.comparison.bins import angle_edges, round_edges
+from safedpa.comparison.comparison import Comparison
+from safedpa.comparison.rollout_error import scaled_error, trimmed_rms
+from safedpa.comparison.where import PLACE
+from safedpa.comparison.windows import Windows
 
 __all__ = [
     "ERROR",
     "TIME",
     "Brush",
     "ErrorMap",
-    "Inside",
+    "SelectionSummary",
     "default_axes",
     "error_map",
-    "inside_of",
+    "summarize_selection",
     "time_of",
     "values_of",
     "variables_of",
@@ -45,9 +46,9 @@ class ErrorMap:
 
     x: str
     y: str
-    x_edges: Floats
-    y_edges: Floats
-    errors: Floats
+    x_edges: FloatArray
+    y_edges: FloatArray
+    errors: FloatArray
     windows: NDArray[np.int64]
 
     @property
@@ -95,13 +96,10 @@ def error_map(comparison: Comparison, x: str, y: str) -> ErrorMap:
     return ErrorMap(x, y, x_edges, y_edges, errors, counts)
 
 
-def _edges(comparison: Comparison, name: str, values: Floats) -> Floats:
+def _edges(comparison: Comparison, name: str, values: FloatArray) -> FloatArray:
     angles = {variable.name for variable in comparison.windows.system.state if variable.angle}
     return angle_edges() if name in angles else round_edges(values, most=_MOST_BINS)
 
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TIME = "time"
 """Name of the time along all runs, one after another [s]."""
@@ -117,7 +115,7 @@ class Brush:
 
     ranges: dict[str, tuple[float, float]]
 
-    def mask(self, comparison: Comparison) -> Mask:
+    def mask(self, comparison: Comparison) -> BoolArray:
         """Which windows are inside, shape (windows,)."""
         found = np.ones(len(comparison.windows), dtype=bool)
         for name, (low, high) in self.ranges.items():
@@ -127,7 +125,7 @@ class Brush:
 
 
 @dataclass(frozen=True)
-class Inside:
+class SelectionSummary:
     """What the windows of a selection have in common."""
 
     windows: int
@@ -159,10 +157,10 @@ def variables_of(windows: Windows) -> dict[str, str]:
     return {variable.name: variable.unit for variable in (*windows.system.state, *windows.system.action)}
 
 
-def values_of(windows: Windows, name: str) -> Floats:
+def values_of(windows: Windows, name: str) -> FloatArray:
     """One variable's value in each window, shape (windows,): its mean; of places and angles that at the middle.
 
-    Angles lie in -pi to pi. As the bins of ``safedpa.compare.where`` count them.
+    Angles lie in -pi to pi. As the bins of ``safedpa.comparison.where`` count them.
     """
     system = windows.system
     if name in system.action_names:
@@ -174,34 +172,36 @@ def values_of(windows: Windows, name: str) -> Floats:
     return middle if name in PLACE else _mean(windows.states[:, index], windows.start, windows.end + 1)
 
 
-def time_of(windows: Windows) -> Floats:
+def time_of(windows: Windows) -> FloatArray:
     """When each window begins, s; the runs one after another, with a pause between them."""
     ends = [float(windows.time[windows.end[windows.run == run]].max(initial=0.0)) for run in range(len(windows.names))]
     offsets = np.concatenate([[0.0], np.cumsum(np.array(ends) + _PAUSE)[:-1]])
     return np.asarray(windows.time[windows.start] + offsets[windows.run])
 
 
-def inside_of(comparison: Comparison, mask: Mask) -> Inside:
+def summarize_selection(comparison: Comparison, mask: BoolArray) -> SelectionSummary:
     """What the selected windows have in common."""
     windows, scale = comparison.windows, comparison.error.scale
     chosen = comparison.errors[mask]
     if not len(chosen):
-        return Inside(0, len(windows), float("nan"), float("nan"), "", 0.0, "1")
+        return SelectionSummary(0, len(windows), float("nan"), float("nan"), "", 0.0, "1")
     error = scaled_error(trimmed_rms(chosen), scale)
     medians = np.median(chosen, axis=0)
     worst = int(np.nanargmax(np.where(scale > 0, np.abs(medians) / np.where(scale > 0, scale, 1.0), np.nan)))
     state = windows.system.state[worst]
     average = comparison.error.value
     ratio = error.value / average if average > 0 else float("nan")
-    return Inside(len(chosen), len(windows), error.value, ratio, state.name, float(medians[worst]), state.unit)
+    return SelectionSummary(
+        len(chosen), len(windows), error.value, ratio, state.name, float(medians[worst]), state.unit
+    )
 
 
-def _values(comparison: Comparison, name: str) -> Floats:
+def _values(comparison: Comparison, name: str) -> FloatArray:
     if name == TIME:
         return time_of(comparison.windows)
     return comparison.window_errors if name == ERROR else values_of(comparison.windows, name)
 
 
-def _mean(column: Floats, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Floats:
+def _mean(column: FloatArray, start: NDArray[np.int64], stop: NDArray[np.int64]) -> FloatArray:
     sums = np.concatenate([[0.0], np.cumsum(column)])
     return np.asarray((sums[stop] - sums[start]) / (stop - start))

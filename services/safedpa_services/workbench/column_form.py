@@ -6,12 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from safedpa.records.bags.proposal import proposed
-from safedpa.records.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
-from safedpa.records.units import UNITS
+from safedpa.records.column_map.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
+from safedpa.records.column_map.propose import propose_sources
+from safedpa.records.column_map.units import UNITS
 from safedpa.systems import System
 
-__all__ = ["DERIVED", "Line", "guessed", "lines_of", "map_text", "units_for"]
+__all__ = ["DERIVED", "QuantityForm", "guess_columns", "lines_of", "map_text", "units_for"]
 
 DERIVED = "(slope of another column)"
 """Stands for the source of a state that the log lacks."""
@@ -39,7 +39,7 @@ _UNIT_ENDINGS = {
 
 
 @dataclass(frozen=True)
-class Line:
+class QuantityForm:
     """Where one quantity comes from: value = (-1 if flip else 1) scale factor(unit) raw + offset, in ``si``."""
 
     target: str
@@ -66,12 +66,12 @@ def units_for(si: str) -> list[str]:
     return [name for name, unit in UNITS.items() if unit.si == si]
 
 
-def lines_of(system: System, columns: ColumnMap) -> list[Line]:
+def lines_of(system: System, columns: ColumnMap) -> list[QuantityForm]:
     """The form of a column map that is there."""
     return [_line_of(line, columns.columns.get(line.target)) for line in _empty(system)]
 
 
-def _line_of(line: Line, column: SourceColumn | DerivedColumn | None) -> Line:
+def _line_of(line: QuantityForm, column: SourceColumn | DerivedColumn | None) -> QuantityForm:
     if isinstance(column, DerivedColumn):
         return replace(line, source=DERIVED, window=column.window, kept=column if column.of else None)
     if column is None:
@@ -82,7 +82,7 @@ def _line_of(line: Line, column: SourceColumn | DerivedColumn | None) -> Line:
     return replace(line, source=source, unit=unit, scale=column.scale, offset=column.offset, flip=flip, kept=kept)
 
 
-def guessed(system: System, names: Sequence[str]) -> list[Line]:
+def guess_columns(system: System, names: Sequence[str]) -> list[QuantityForm]:
     """The form with the columns whose names say what they hold; each column once."""
     if any(":@" in name for name in names):
         return _guessed_of_topics(system, names)
@@ -99,22 +99,22 @@ def guessed(system: System, names: Sequence[str]) -> list[Line]:
     return lines
 
 
-def _guessed_of_topics(system: System, names: Sequence[str]) -> list[Line]:
+def _guessed_of_topics(system: System, names: Sequence[str]) -> list[QuantityForm]:
     """The same of a log of topics, whose columns are called /odom:pose.pose.position.x."""
-    found = proposed((*system.state_names, *system.action_names), [name for name in names if ":@" not in name])
+    found = propose_sources((*system.state_names, *system.action_names), [name for name in names if ":@" not in name])
     first = next(iter(found.values()), "").rpartition(":")[0]
     found["t"] = next((name for name in names if name == f"{first}:@header"), f"{first}:@receipt" if first else "")
     empty = [replace(line, source=found.get(line.target, "")) for line in _empty(system)]
     return [replace(line, source=DERIVED) if line.derivation and not line.source else line for line in empty]
 
 
-def map_text(system: System, lines: Sequence[Line]) -> str:
+def map_text(system: System, lines: Sequence[QuantityForm]) -> str:
     """The column map that a form describes, as TOML."""
     rows = ["format = 1", f"robot = {_quoted(system.name)}", "", "[columns]"]
     return "\n".join([*rows, *(_row(line) for line in lines if line.source)]) + "\n"
 
 
-def _row(line: Line) -> str:
+def _row(line: QuantityForm) -> str:
     if isinstance(line.kept, DerivedColumn):
         of, window = _quoted(line.kept.of), line.kept.window
         return f'{line.target} = {{ derive = "{line.kept.derive}", of = {of}, window = {window!r} }}'
@@ -137,8 +137,11 @@ def _row(line: Line) -> str:
     return f"{line.target} = {{ {', '.join(parts)} }}"
 
 
-def _empty(system: System) -> list[Line]:
-    return [Line("t", "s"), *(Line(variable.name, variable.unit) for variable in (*system.state, *system.action))]
+def _empty(system: System) -> list[QuantityForm]:
+    return [
+        QuantityForm("t", "s"),
+        *(QuantityForm(variable.name, variable.unit) for variable in (*system.state, *system.action)),
+    ]
 
 
 def _likeliest(target: str, names: Sequence[str]) -> str:

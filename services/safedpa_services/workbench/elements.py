@@ -12,7 +12,7 @@ from nicegui.element import Element
 
 from safedpa.limits import readable
 
-__all__ = ["action", "dressed", "escaped", "named", "on_change_of", "panel", "text"]
+__all__ = ["action", "apply_page_style", "escaped", "named", "on_change_of", "panel", "text"]
 
 
 _LONGEST = 20_000
@@ -64,7 +64,7 @@ _COLOUR = "#0b5cad"
 """Of main buttons: white letters on it have a contrast of 6.7."""
 
 
-def dressed(style: str) -> None:
+def apply_page_style(style: str) -> None:
     """What every page begins with: its language, its style, its colours."""
     ui.add_head_html(_HEAD)
     ui.add_css(style)

@@ -7,10 +7,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from safedpa.diagnosis.document import Candidate, Unexplained, Value
+from safedpa.diagnosis.report_schema import Candidate, FittedValue, Unexplained
 from safedpa.effects import effects_of
 
-__all__ = ["Card", "card_of", "numbers_of", "rest_sentence", "verdict_sentence"]
+__all__ = ["CandidateCard", "card_of", "numbers_of", "rest_sentence", "verdict_sentence"]
 
 _CHANCE = 2.0
 """Standard errors up to which a gain may be chance."""
@@ -25,7 +25,7 @@ _ROUGH = 0.3
 
 
 @dataclass(frozen=True)
-class Card:
+class CandidateCard:
     """One candidate as the page shows it."""
 
     effect: str
@@ -43,13 +43,15 @@ class Card:
     decision: str
 
 
-def card_of(robot: str, item: Candidate, before: float, after: float | None, values: Mapping[str, Value]) -> Card:
+def card_of(
+    robot: str, item: Candidate, before: float, after: float | None, values: Mapping[str, FittedValue]
+) -> CandidateCard:
     """The card of a candidate; ``before`` and ``after`` are held-out errors, ``values`` numbers fitted to the end."""
     library = effects_of(robot)
     parts = [library[name] for name in item.effect.split(" + ") if name in library]
     numbers = values or item.parameters
     error = item.heldout_error if after is None else after
-    return Card(
+    return CandidateCard(
         item.effect,
         tuple(part.equation for part in parts),
         numbers_of({path.split(".")[-1] if len(parts) == 1 else path: value for path, value in numbers.items()}),
@@ -62,7 +64,7 @@ def card_of(robot: str, item: Candidate, before: float, after: float | None, val
     )
 
 
-def numbers_of(values: Mapping[str, Value]) -> tuple[str, ...]:
+def numbers_of(values: Mapping[str, FittedValue]) -> tuple[str, ...]:
     """Each number with one standard deviation and its unit."""
     found = []
     for path, item in values.items():
@@ -75,7 +77,7 @@ def numbers_of(values: Mapping[str, Value]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _speaks_for(item: Candidate, before: float, error: float | None, numbers: Mapping[str, Value]) -> list[str]:
+def _speaks_for(item: Candidate, before: float, error: float | None, numbers: Mapping[str, FittedValue]) -> list[str]:
     found = []
     if error is not None and before > 0 and error < (1.0 - _LITTLE) * before:
         found.append(f"error on data that the fit did not see {before:.3g} → {error:.3g} (−{_percent(before, error)})")
@@ -88,7 +90,9 @@ def _speaks_for(item: Candidate, before: float, error: float | None, numbers: Ma
     return found
 
 
-def _speaks_against(item: Candidate, before: float, error: float | None, numbers: Mapping[str, Value]) -> list[str]:
+def _speaks_against(
+    item: Candidate, before: float, error: float | None, numbers: Mapping[str, FittedValue]
+) -> list[str]:
     found = []
     if error is None:
         found.append("gains too little to be tried over the horizon")
@@ -109,7 +113,7 @@ def _speaks_against(item: Candidate, before: float, error: float | None, numbers
     return found
 
 
-def verdict_sentence(choice: Card | None, before: float, why_not: str) -> str:
+def verdict_sentence(choice: CandidateCard | None, before: float, why_not: str) -> str:
     """What the search says: an effect is missing, nothing is, or nothing can be said."""
     if why_not:
         return f"No verdict: {why_not}."
@@ -138,7 +142,7 @@ def rest_sentence(rest: Unexplained | None) -> str:
     )
 
 
-def _relative(value: Value) -> float:
+def _relative(value: FittedValue) -> float:
     if value.std is None:
         return math.inf
     return abs(value.std / value.value) if value.value else math.inf

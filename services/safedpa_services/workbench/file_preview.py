@@ -10,12 +10,12 @@ from pathlib import Path
 from safedpa.errors import RunError, SafedpaError
 from safedpa.limits import limit, too_much
 from safedpa.records import ColumnMap, load_run
-from safedpa.records.bags import kind_of, topic_log
-from safedpa.records.bags.proposal import sources_of
-from safedpa.records.parquet_table import open_parquet
+from safedpa.records.column_map.propose import sources_of
+from safedpa.records.readers.bags import kind_of, topic_log
+from safedpa.records.readers.parquet import open_parquet
 from safedpa.systems import System
 
-__all__ = ["Checked", "RawRows", "checked", "raw_rows"]
+__all__ = ["RawRows", "RecordingCheck", "check_recording", "raw_rows"]
 
 _DELIMITERS = ",;\t"
 
@@ -29,7 +29,7 @@ class RawRows:
 
 
 @dataclass(frozen=True)
-class Checked:
+class RecordingCheck:
     """What the reader says of a recording: its first rows in SI units and its findings, or why it cannot be read."""
 
     problem: str
@@ -88,13 +88,13 @@ def _parquet(path: Path, count: int) -> RawRows:
     return RawRows(names, tuple(zip(*(known.get(name, ["-"] * length) for name in names), strict=True)))
 
 
-def checked(path: str | Path, system: System, columns: ColumnMap | None, count: int = 5) -> Checked:
+def check_recording(path: str | Path, system: System, columns: ColumnMap | None, count: int = 5) -> RecordingCheck:
     """The recording as the diagnosis would see it; what is wrong with it stands in the answer."""
     names = ("t", *system.state_names, *system.action_names)
     try:
         run = load_run(path, system, columns)
     except SafedpaError as error:
-        return Checked(str(error), "", names, (), ())
+        return RecordingCheck(str(error), "", names, (), ())
     rows = tuple(
         (float(run.t[row] - run.t[0]), *map(float, run.states[row]), *map(float, run.actions[row]))
         for row in range(min(count, len(run.t)))
@@ -102,7 +102,7 @@ def checked(path: str | Path, system: System, columns: ColumnMap | None, count: 
     kept = sum(len(part) for part in run.stretches)
     stretches = "1 stretch" if len(run.stretches) == 1 else f"{len(run.stretches)} stretches"
     sentence = f"{kept} rows in {stretches}, {run.duration:.1f} s, one every {run.period:.4g} s"
-    return Checked("", sentence, names, rows, tuple(_messages(run.findings)))
+    return RecordingCheck("", sentence, names, rows, tuple(_messages(run.findings)))
 
 
 def _messages(findings: Sequence[object]) -> list[str]:

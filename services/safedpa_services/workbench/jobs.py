@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from safedpa.compare.comparison import EVERY, Comparison, compare_model
-from safedpa.compare.rollout_error import RolloutError, rollout_error
-from safedpa.diagnosis.document import Candidate, Experiment, Unexplained, Value
-from safedpa.diagnosis.stepwise import Proposal, Step, first_step, proposal, with_candidate
+from safedpa.comparison.comparison import EVERY, Comparison, compare_model
+from safedpa.comparison.rollout_error import RolloutError, rollout_error
+from safedpa.diagnosis.interactive import RankedCandidates, StepwiseModel, first_step, proposal, with_candidate
+from safedpa.diagnosis.report_schema import Candidate, Experiment, FittedValue, Unexplained
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
-__all__ = ["Found", "Version", "compared", "opened", "search", "taken"]
+__all__ = ["SearchResult", "SessionVersion", "add_candidate", "compare_for_page", "opened", "search"]
 
 Tell = Callable[[float], None]
 """Told how much is done, from 0 to 1."""
@@ -26,7 +26,7 @@ _SETTLED = 4
 
 
 @dataclass(frozen=True)
-class Version:
+class SessionVersion:
     """A model on the way, with everything that the page shows of it."""
 
     label: str
@@ -36,14 +36,14 @@ class Version:
     per_state: dict[str, float]
     improved: str
     """In how many runs the error fell against the version before, ``4/4``; empty for the first ones."""
-    values: dict[str, Value]
+    values: dict[str, FittedValue]
     comparison: Comparison = field(repr=False)
     step: bytes = field(repr=False)
     """The step from which a search goes on, pickled; empty for a version that none goes on from."""
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search proposes after a version."""
 
     candidates: tuple[Candidate, ...]
@@ -51,12 +51,12 @@ class Found:
     choice: str | None
     unexplained: Unexplained | None
     next_experiment: Experiment | None
-    settled: dict[str, Version]
+    settled: dict[str, SessionVersion]
     """The versions with the best candidates, by effect."""
     proposal: bytes = field(repr=False)
 
 
-def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell) -> list[Version]:
+def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell) -> list[SessionVersion]:
     """The given model, and with free parameters the refitted one.
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
@@ -64,20 +64,20 @@ def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell)
     step = first_step(model, runs, horizon)
     tell(0.4)
     windows = step.shown.windows
-    given = compared(model, runs, horizon)
+    given = compare_for_page(model, runs, horizon)
     tell(0.8)
     error = rollout_error(model, windows)
     kept = pickle.dumps(step)
     free = bool(model.latent_names)
-    first = Version("given model", model, error.value, _named(error, step), "", {}, given, b"" if free else kept)
+    first = SessionVersion("given model", model, error.value, _named(error, step), "", {}, given, b"" if free else kept)
     if not free:
         return [first]
     return [first, _version("free numbers refitted", step, runs, horizon)]
 
 
-def search(step: bytes, runs: Sequence[Run], horizon: float, tell: Tell) -> Found:
+def search(step: bytes, runs: Sequence[Run], horizon: float, tell: Tell) -> SearchResult:
     """What may be missing after a version, the best candidates fitted to the end."""
-    before: Step = pickle.loads(step)
+    before: StepwiseModel = pickle.loads(step)
     found = proposal(before, lambda done, every: tell(0.7 * done / every))
     tell(0.75)
     candidates = _ordered(found)
@@ -86,38 +86,44 @@ def search(step: bytes, runs: Sequence[Run], horizon: float, tell: Tell) -> Foun
     for number, item in enumerate(best):
         settled[item.effect] = _added(before, found, item.effect, runs, horizon)
         tell(0.75 + 0.25 * (number + 1) / len(best))
-    return Found(candidates, found.choice, found.unexplained, found.next_experiment, settled, pickle.dumps(found))
+    return SearchResult(
+        candidates, found.choice, found.unexplained, found.next_experiment, settled, pickle.dumps(found)
+    )
 
 
-def taken(step: bytes, proposed: bytes, name: str, runs: Sequence[Run], horizon: float, tell: Tell) -> Version:
+def add_candidate(
+    step: bytes, proposed: bytes, name: str, runs: Sequence[Run], horizon: float, tell: Tell
+) -> SessionVersion:
     """The version with one candidate; raises InputError for a name that is none."""
     tell(0.1)
     return _added(pickle.loads(step), pickle.loads(proposed), name, runs, horizon)
 
 
-def compared(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> Comparison:
+def compare_for_page(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> Comparison:
     """The comparison with as many windows as a page can draw."""
     seconds = sum(run.duration for run in runs)
     return compare_model(model, runs, horizon, every=max(EVERY, seconds / _MOST_WINDOWS))
 
 
-def _added(before: Step, found: Proposal, name: str, runs: Sequence[Run], horizon: float) -> Version:
+def _added(
+    before: StepwiseModel, found: RankedCandidates, name: str, runs: Sequence[Run], horizon: float
+) -> SessionVersion:
     return _version(f"+ {name}", with_candidate(before, found, name), runs, horizon)
 
 
-def _version(label: str, step: Step, runs: Sequence[Run], horizon: float) -> Version:
-    comparison = compared(step.model, runs, horizon)
+def _version(label: str, step: StepwiseModel, runs: Sequence[Run], horizon: float) -> SessionVersion:
+    comparison = compare_for_page(step.model, runs, horizon)
     per_state = _named(step.error, step)
     kept = pickle.dumps(step)
-    return Version(label, step.model, step.error.value, per_state, step.improved, step.values, comparison, kept)
+    return SessionVersion(label, step.model, step.error.value, per_state, step.improved, step.values, comparison, kept)
 
 
-def _named(error: RolloutError | Any, step: Step) -> dict[str, float]:
+def _named(error: RolloutError | Any, step: StepwiseModel) -> dict[str, float]:
     names = step.heldout.windows.system.state_names
     return {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
 
 
-def _ordered(found: Proposal) -> tuple[Candidate, ...]:
+def _ordered(found: RankedCandidates) -> tuple[Candidate, ...]:
     """The choice first, suspects next, each in the order of the search."""
     rank = {"accepted": 0, "suspected": 1, "rejected": 2}
     return tuple(sorted(found.candidates, key=lambda item: rank[item.decision]))

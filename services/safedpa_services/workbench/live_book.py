@@ -12,17 +12,17 @@ from safedpa.bus import (
     HealthMessage,
     Message,
     ModelMessage,
-    Received,
-    Refused,
+    ReceivedMessage,
+    RejectedMessage,
     StateMessage,
     TakeoverMessage,
     VerdictMessage,
 )
 from safedpa.errors import InputError
 from safedpa.limits import parse_json
-from safedpa.safety.standstill import Stand, note_standstill, what_to_do
+from safedpa.safety.deadlock.detector import Stand, record_deadlock, what_to_do
 
-__all__ = ["LiveBook", "Mark", "RobotBook"]
+__all__ = ["LiveStore", "RobotHistory", "TimelineMark"]
 
 _MOST_STATES = 4000
 _MOST_ERRORS = 900
@@ -35,7 +35,7 @@ _SETTLED = 5
 
 
 @dataclass(frozen=True)
-class Mark:
+class TimelineMark:
     """Something that happened, on the robot's clock."""
 
     t: float
@@ -46,7 +46,7 @@ class Mark:
 
 
 @dataclass
-class RobotBook:
+class RobotHistory:
     """One robot since this page's server listens, or since the robot's last start."""
 
     name: str
@@ -60,7 +60,7 @@ class RobotBook:
     """(s by the robot's clock, state)"""
     errors: deque[tuple[float, float, float, float, float]] = field(default_factory=lambda: deque(maxlen=_MOST_ERRORS))
     """(s, error, band, evidence, threshold)"""
-    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=_MOST_MARKS))
+    marks: deque[TimelineMark] = field(default_factory=lambda: deque(maxlen=_MOST_MARKS))
     models: dict[str, str] = field(default_factory=dict)
     """By service: the fingerprint that it has in force."""
     report: dict[str, Any] | None = None
@@ -105,9 +105,9 @@ class RobotBook:
 
     def _stand(self, verdict: VerdictMessage) -> None:
         known = len(self.stands)
-        note_standstill(self.stands, verdict)
+        record_deadlock(self.stands, verdict)
         if len(self.stands) > known:
-            self.marks.append(Mark(float(self.stands[-1]["from"]), "model", f"stands: {verdict.standstill}"))
+            self.marks.append(TimelineMark(float(self.stands[-1]["from"]), "model", f"stands: {verdict.standstill}"))
 
     def _anew(self, epoch: int) -> None:
         """Forgets what was before the robot's start."""
@@ -121,7 +121,7 @@ class RobotBook:
         changed = last is None or (last.stage, last.number) != (message.stage, message.number)
         begins = last is None or last.stage == "learning"
         if changed and not (begins and message.stage in ("learning", "watching")):
-            self.marks.append(Mark(message.robot_time, "finding", message.sentence))
+            self.marks.append(TimelineMark(message.robot_time, "finding", message.sentence))
         self.finding, self.found = message, at
         self.errors.append((message.robot_time, message.error, message.band, message.evidence, message.threshold))
         if message.report:
@@ -147,14 +147,14 @@ class RobotBook:
         who = f" by {message.who}" if message.who else ""
         why = f": {message.why}" if message.why else ""
         text = f"change {message.change}, model {message.fingerprint[:8]} {words}{who}{why}"
-        self.marks.append(Mark(message.robot_time, "model", text))
+        self.marks.append(TimelineMark(message.robot_time, "model", text))
 
     def _takeover(self, message: TakeoverMessage) -> None:
         if message.state == "refused":
             text = f"{message.service} refuses change {message.change}: {message.reason}"
-            self.marks.append(Mark(message.robot_time, "model", text))
+            self.marks.append(TimelineMark(message.robot_time, "model", text))
         elif message.foretold:
-            self.marks.append(Mark(message.robot_time, "model", f"change {message.change}: {message.foretold}"))
+            self.marks.append(TimelineMark(message.robot_time, "model", f"change {message.change}: {message.foretold}"))
         elif message.state == "taken":
             self.models[message.service] = message.fingerprint
 
@@ -205,22 +205,22 @@ class RobotBook:
         return ""
 
 
-class LiveBook:
+class LiveStore:
     """Every robot that was heard."""
 
     def __init__(self) -> None:
-        self.robots: dict[str, RobotBook] = {}
+        self.robots: dict[str, RobotHistory] = {}
         self.refused = 0
         """Messages that were none."""
         self.last_refusal = ""
 
-    def take(self, items: Iterable[Received | Refused]) -> None:
+    def take(self, items: Iterable[ReceivedMessage | RejectedMessage]) -> None:
         """Takes in what arrived."""
         for item in items:
-            if isinstance(item, Refused):
+            if isinstance(item, RejectedMessage):
                 self.refused += 1
                 self.last_refusal = f"{item.key}: {item.reason}"[:300]
                 if item.robot in self.robots:
                     self.robots[item.robot].troubles.append(f"a message was refused: {item.reason}"[:300])
             elif item.robot in self.robots or isinstance(item.message, StateMessage):
-                self.robots.setdefault(item.robot, RobotBook(item.robot)).take(item.message, item.at)
+                self.robots.setdefault(item.robot, RobotHistory(item.robot)).take(item.message, item.at)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 from safedpa.bus import FINDING, HEALTH, MODEL, STATE, TAKEOVER, VERDICT, Answer, Bus, Request
 from safedpa.errors import MessageError
-from safedpa_services.workbench.live_book import LiveBook
+from safedpa_services.workbench.live_book import LiveStore
 
-__all__ = ["LiveLink", "Told"]
+__all__ = ["LiveLink", "QueryResult"]
 
 _PATIENCE = 2.0
 """s until an answer has to be there."""
 
 
 @dataclass(frozen=True)
-class Told:
+class QueryResult:
     """What a question brought: an answer, or in words why there is none."""
 
     answer: Answer | None
@@ -34,7 +34,7 @@ class LiveLink:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._inbox = bus.inbox((STATE, VERDICT, FINDING, MODEL, TAKEOVER, HEALTH))
-        self.book = LiveBook()
+        self.book = LiveStore()
         self.ended = False
         """Whether the drive has ended, and this page's server with it."""
         self.untold: set[object] = set()
@@ -49,12 +49,14 @@ class LiveLink:
         """Takes in what arrived; never waits."""
         self.book.take(self._inbox.take(0.0))
 
-    async def ask(self, robot: str, request: Request) -> Told:
+    async def ask(self, robot: str, request: Request) -> QueryResult:
         """Asks the diagnosis; no answer and one that is none are told in words."""
         try:
             answer = await asyncio.to_thread(self._bus.request, robot, request, _PATIENCE)
         except MessageError as error:
-            return Told(None, f"The diagnosis gave an answer that is none ({error}); nothing was changed by this page.")
+            return QueryResult(
+                None, f"The diagnosis gave an answer that is none ({error}); nothing was changed by this page."
+            )
         if answer is None:
-            return Told(None, "No diagnosis answers; nothing was changed. Does 'safedpa up' run?")
-        return Told(answer, answer.sentence)
+            return QueryResult(None, "No diagnosis answers; nothing was changed. Does 'safedpa up' run?")
+        return QueryResult(answer, answer.sentence)

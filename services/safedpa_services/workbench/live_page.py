@@ -16,8 +16,8 @@ from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.help import show_keys
-from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.live_link import LiveLink, Told
+from safedpa_services.workbench.live_book import RobotHistory
+from safedpa_services.workbench.live_link import LiveLink, QueryResult
 from safedpa_services.workbench.live_panels import (
     change_lines,
     driven_lines,
@@ -141,7 +141,7 @@ class LivePage:
     # showing
 
     @property
-    def _book(self) -> RobotBook | None:
+    def _book(self) -> RobotHistory | None:
         return self._link.book.robots.get(self._robot)
 
     def show(self) -> None:
@@ -176,7 +176,7 @@ class LivePage:
         self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
         self._show_candidates(book)
 
-    def _show_error(self, book: RobotBook) -> None:
+    def _show_error(self, book: RobotHistory) -> None:
         """Once a second, when there is a new error: drawing is the browser's most expensive work here."""
         state = (self._robot, book.epoch, book.errors[-1] if book.errors else None, len(book.marks), self._look)
         if state == self._shown:
@@ -203,7 +203,7 @@ class LivePage:
         self._problem.set_visibility(bool(sentence))
         self._problem.set_content(escaped(sentence))
 
-    def _show_candidates(self, book: RobotBook) -> None:
+    def _show_candidates(self, book: RobotHistory) -> None:
         state = (self._robot, self._accepted, book.report_of, book.report is None)
         if state == self._drawn:
             return
@@ -308,7 +308,7 @@ class LivePage:
 _DONE = {"accept": "Accepted", "reject": "Rejected", "roll_back": "Rolled back"}
 
 
-def _answered(do: str, told: Told) -> str:
+def _answered(do: str, told: QueryResult) -> str:
     """The answer to a click, which begins with what became of it."""
     if told.answer is None:
         return told.sentence
@@ -317,7 +317,7 @@ def _answered(do: str, told: Told) -> str:
     return f"Refused because {told.sentence.removeprefix('refused: ').rstrip('.')}."
 
 
-def _consequences(answer: Answer, book: RobotBook) -> dict[str, str]:
+def _consequences(answer: Answer, book: RobotHistory) -> dict[str, str]:
     """What accepting each effect would do, with h and margin of now."""
     verdict = book.verdict
     now = "" if verdict is None else f" Now h is {verdict.h_now:.2f}, the margin {verdict.margin:.3f}."
@@ -327,7 +327,7 @@ def _consequences(answer: Answer, book: RobotBook) -> dict[str, str]:
     return {effect: f"If you accept: {told or waits}.{now} {after}" for effect, told in foreseen}
 
 
-def _where(book: RobotBook) -> str:
+def _where(book: RobotHistory) -> str:
     finding = book.finding
     if finding is None:
         return ""

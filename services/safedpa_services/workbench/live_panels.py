@@ -10,12 +10,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from safedpa.diagnosis.document import Candidate, Value
+from safedpa.diagnosis.report_schema import Candidate, FittedValue
 from safedpa.live.named_candidate import named_candidate
 from safedpa_services.workbench.elements import escaped
-from safedpa_services.workbench.evidence import Card, card_of
-from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.look import CONFIG, Look, axis, frame
+from safedpa_services.workbench.evidence import CandidateCard, card_of
+from safedpa_services.workbench.live_book import RobotHistory
+from safedpa_services.workbench.look import CONFIG, ColourTheme, axis, frame
 
 __all__ = [
     "change_lines",
@@ -32,7 +32,7 @@ _SECONDS = 5
 """Errors of which the median is shown as the present one."""
 
 
-def error_bars(book: RobotBook) -> str:
+def error_bars(book: RobotHistory) -> str:
     """Bars: the error before the last change of the model, the present one, and the end of its band."""
     recent = sorted(entry[1] for entry in list(book.errors)[-_SECONDS:] if entry[1] > 0)
     now = recent[len(recent) // 2] if recent else None
@@ -55,14 +55,14 @@ def _bar(name: str, value: float, width: float, style: str) -> str:
     )
 
 
-def field_legend(look: Look) -> str:
+def field_legend(look: ColourTheme) -> str:
     """What the lines and signs of the field mean."""
     lines = (("driven", look.measured), ("predicted by the filter's model", look.present))
     spans = "".join(f'<span><i style="border-color:{colour}"></i>{name}</span>' for name, colour in lines)
     return f"{spans}<span>★ goal</span>"
 
 
-def driven_lines(book: RobotBook) -> str:
+def driven_lines(book: RobotHistory) -> str:
     """The robot's clock, goals and collisions, and the model in force."""
     state = book.state
     if state is None:
@@ -80,7 +80,7 @@ def driven_lines(book: RobotBook) -> str:
     return '<table class="states">' + "".join(f"<tr><td>{k}</td><td>{v}</td></tr>" for k, v in rows) + "</table>"
 
 
-def change_lines(book: RobotBook) -> str:
+def change_lines(book: RobotHistory) -> str:
     """What happened, the newest first."""
     lines = [
         f'<div class="mark {mark.kind}"><b>{mark.t:.0f} s</b> {escaped(mark.text)}</div>'
@@ -89,7 +89,7 @@ def change_lines(book: RobotBook) -> str:
     return "".join(lines[:20]) or '<div class="quiet">none yet</div>'
 
 
-def live_cards(robot: str, report: dict[str, Any] | None, accepted: Sequence[str]) -> tuple[list[Card], str]:
+def live_cards(robot: str, report: dict[str, Any] | None, accepted: Sequence[str]) -> tuple[list[CandidateCard], str]:
     """Cards of the effects that can be accepted, best first, and the experiment that is proposed.
 
     ``robot`` is the kind of robot. What the report says in a way that cannot be read is left out; an effect without a
@@ -117,7 +117,7 @@ def _experiment(report: dict[str, Any]) -> str:
 def _candidate(entry: Any) -> Candidate | None:
     try:
         values = {
-            str(name): Value(_number(item["value"]), _optional(item.get("std")), str(item.get("unit", "1")))
+            str(name): FittedValue(_number(item["value"]), _optional(item.get("std")), str(item.get("unit", "1")))
             for name, item in entry["parameters"].items()
         }
         return Candidate(
@@ -156,7 +156,7 @@ _SPAN = 120.0
 """s of the error that are drawn."""
 
 
-def field_figure(book: RobotBook, look: Look) -> dict[str, Any]:
+def field_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The plane: path, robot, load, obstacles, goal, and what the filter's model predicts."""
     state = book.state
     trail = [values for t, values in book.path if t > book.now - _TRAIL]
@@ -183,7 +183,7 @@ def field_figure(book: RobotBook, look: Look) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": CONFIG}
 
 
-def error_figure(book: RobotBook, look: Look) -> dict[str, Any]:
+def error_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The one-second error, the edge of its band, and marks where something happened."""
     kept = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
     t = [entry[0] for entry in kept]
@@ -205,7 +205,7 @@ def error_figure(book: RobotBook, look: Look) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": CONFIG}
 
 
-def evidence_figure(book: RobotBook, look: Look) -> dict[str, Any]:
+def evidence_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The sequential test: log of the e-value and the threshold at which a finding is raised."""
     kept = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
     t = [entry[0] for entry in kept]
@@ -236,7 +236,7 @@ def _dot(x: float, y: float, name: str, colour: str, symbol: str, size: float, a
             "hovertemplate": f"{name}<extra></extra>"}  # fmt: skip
 
 
-def _circle(x: float, y: float, radius: float, look: Look) -> dict[str, Any]:
+def _circle(x: float, y: float, radius: float, look: ColourTheme) -> dict[str, Any]:
     return {"type": "circle", "x0": x - radius, "x1": x + radius, "y0": y - radius, "y1": y + radius,
             "fillcolor": look.dim, "opacity": 0.6, "line": {"width": 0}}  # fmt: skip
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["CONFIG", "DARK", "LIGHT", "MAP_COLOURS", "Look", "axis", "frame"]
+__all__ = ["CONFIG", "DARK", "LIGHT", "MAP_COLOURS", "ColourTheme", "axis", "frame"]
 
 
 @dataclass(frozen=True)
-class Look:
+class ColourTheme:
     """Colours of Okabe and Ito, the lighter ones of them on a dark page; greys for the rest."""
 
     text: str
@@ -22,13 +22,13 @@ class Look:
     selected: str
 
 
-LIGHT = Look("#1b1f24", "#d5dae0", "#1b1f24", "#D55E00", "#8a94a0", "#0072B2", "#aeb7c1", "#D55E00")
-DARK = Look("#e8ebee", "#3a424c", "#e8ebee", "#E8803C", "#8f9aa6", "#56B4E9", "#5c6672", "#F0A35E")
+LIGHT = ColourTheme("#1b1f24", "#d5dae0", "#1b1f24", "#D55E00", "#8a94a0", "#0072B2", "#aeb7c1", "#D55E00")
+DARK = ColourTheme("#e8ebee", "#3a424c", "#e8ebee", "#E8803C", "#8f9aa6", "#56B4E9", "#5c6672", "#F0A35E")
 
 MAP_COLOURS = "Cividis"
 
 
-def frame(look: Look, **layout: Any) -> dict[str, Any]:
+def frame(look: ColourTheme, **layout: Any) -> dict[str, Any]:
     """The layout that all figures share, with what is special to one of them."""
     return {
         "paper_bgcolor": "rgba(0,0,0,0)",
@@ -42,7 +42,7 @@ def frame(look: Look, **layout: Any) -> dict[str, Any]:
     }
 
 
-def axis(look: Look, title: str, **more: Any) -> dict[str, Any]:
+def axis(look: ColourTheme, title: str, **more: Any) -> dict[str, Any]:
     """One axis: its title and quiet lines."""
     return {
         "title": {"text": title, "standoff": 6},

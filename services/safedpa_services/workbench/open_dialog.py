@@ -16,14 +16,14 @@ from safedpa.dynamics import PhysicsModel, load_model, shipped_models
 from safedpa.errors import SafedpaError
 from safedpa.limits import limit, readable
 from safedpa.records import ColumnMap, load_column_map
-from safedpa.records.atomic import atomic_path
-from safedpa.records.column_map import native_map
-from safedpa.records.column_map_file import shipped_column_maps
-from safedpa_services.web.shelf import RECORDINGS, Shelf
-from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_text, units_for
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.column_map.file import shipped_column_maps
+from safedpa.records.writers.tables import atomic_path
+from safedpa_services.web.shelf import RECORDINGS, FileStore
+from safedpa_services.workbench.column_form import DERIVED, QuantityForm, guess_columns, lines_of, map_text, units_for
 from safedpa_services.workbench.elements import action, escaped, named, on_change_of, text
-from safedpa_services.workbench.file_preview import Checked, RawRows, checked, raw_rows
-from safedpa_services.workbench.recordings import Choice, Made
+from safedpa_services.workbench.file_preview import RawRows, RecordingCheck, check_recording, raw_rows
+from safedpa_services.workbench.recordings import EditedColumnMap, InputSelection
 
 __all__ = ["ColumnsTable", "OpenDialog"]
 
@@ -62,9 +62,9 @@ document.addEventListener('drop', (event) => {
 class OpenDialog:
     """Model, files, columns; a preview in SI units and what the quality checks say, before anything is opened."""
 
-    def __init__(self, on_open: Callable[[Choice], Awaitable[None]], out: Path, shelf: Shelf) -> None:
+    def __init__(self, on_open: Callable[[InputSelection], Awaitable[None]], out: Path, shelf: FileStore) -> None:
         self._on_open, self._out, self._shelf = on_open, out, shelf
-        self._choice = Choice()
+        self._choice = InputSelection()
         self._raw = RawRows((), ())
         self._uploads = out / "uploads"
         self._kept: list[str] = []
@@ -111,7 +111,7 @@ class OpenDialog:
         """Whether keys belong to the dialog."""
         return bool(self._dialog.value)
 
-    def show(self, choice: Choice) -> None:
+    def show(self, choice: InputSelection) -> None:
         """Opens with what is chosen now."""
         self._choice = choice
         self._model.value = choice.model
@@ -225,11 +225,11 @@ class OpenDialog:
         self._table.show(self._lines(model), self._raw)
         self._check_now()
 
-    def _lines(self, model: PhysicsModel) -> list[Line]:
+    def _lines(self, model: PhysicsModel) -> list[QuantityForm]:
         if not self._raw.names:
             return []
         if self._map.value == _GUESSED:
-            return guessed(model.system, self._raw.names)
+            return guess_columns(model.system, self._raw.names)
         beside = self._beside()
         return lines_of(model.system, native_map(model.system) if beside is None else beside)
 
@@ -242,12 +242,12 @@ class OpenDialog:
             self._say(str(error))
             return None
 
-    def _made(self, model: PhysicsModel) -> Made | None:
+    def _made(self, model: PhysicsModel) -> EditedColumnMap | None:
         """The map as the table stands; None for a recording of the bus. Raises ColumnMapError."""
         if not self._raw.names:
             return None
         beside = str(self._map.value) if self._beside() is not None else ""
-        made = Made(map_text(model.system, self._table.lines), beside)
+        made = EditedColumnMap(map_text(model.system, self._table.lines), beside)
         made.columns  # noqa: B018  raises where the table describes none
         return made
 
@@ -262,14 +262,14 @@ class OpenDialog:
             self._say(str(error))
             return
         columns = None if made is None else made.columns
-        self._show_check(Path(paths[0]).name, len(paths), checked(paths[0], model.system, columns), model)
+        self._show_check(Path(paths[0]).name, len(paths), check_recording(paths[0], model.system, columns), model)
 
     def _say(self, problem: str) -> None:
         self._check.clear()
         with self._check:
             text(problem, "problem", "div")
 
-    def _show_check(self, name: str, files: int, found: Checked, model: PhysicsModel) -> None:
+    def _show_check(self, name: str, files: int, found: RecordingCheck, model: PhysicsModel) -> None:
         if found.problem:
             self._say(found.problem)
             return
@@ -334,11 +334,11 @@ class ColumnsTable:
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
-        self.lines: list[Line] = []
+        self.lines: list[QuantityForm] = []
         self._raw = RawRows((), ())
         self._grid = ui.element("div").classes("map-grid")
 
-    def show(self, lines: list[Line], raw: RawRows) -> None:
+    def show(self, lines: list[QuantityForm], raw: RawRows) -> None:
         """Draws the form anew."""
         self.lines, self._raw = list(lines), raw
         self._grid.clear()
@@ -350,7 +350,7 @@ class ColumnsTable:
             for index, line in enumerate(lines):
                 self._line(index, line)
 
-    def _line(self, index: int, line: Line) -> None:
+    def _line(self, index: int, line: QuantityForm) -> None:
         text(f"{line.target} [{line.si}]")
         columns = [*([DERIVED] if line.derivation or line.source == DERIVED else []), *self._raw.names]
         if line.source and line.source not in columns:

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa.errors import SafedpaError
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench.bench import Bench, News
 from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.brush import Brush
@@ -18,20 +18,20 @@ from safedpa_services.workbench.help import show_keys
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.open_dialog import OpenDialog
 from safedpa_services.workbench.panel_candidates import CandidatesPanel
-from safedpa_services.workbench.panel_fall import FallPanel
+from safedpa_services.workbench.panel_fall import ErrorReductionPanel
 from safedpa_services.workbench.panel_path import PathPanel
 from safedpa_services.workbench.panel_where import WherePanel, window_near
-from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.rerun_view import RerunViewerServer
 from safedpa_services.workbench.session import Session
 from safedpa_services.workbench.session_files import SESSION_FILE
 
-__all__ = ["Page"]
+__all__ = ["WorkbenchPage"]
 
 
-class Page:
+class WorkbenchPage:
     """What one browser tab shows of the bench: its own eye on a session that all tabs share."""
 
-    def __init__(self, bench: Bench, door: RerunDoor, shelf: Shelf, *, live: bool = False) -> None:
+    def __init__(self, bench: Bench, door: RerunViewerServer, shelf: FileStore, *, live: bool = False) -> None:
         self._bench, self._door, self._live, self._shelf = bench, door, live, shelf
         self._session: Session | None = None
         """This tab's view."""
@@ -61,7 +61,7 @@ class Page:
                 self._path = PathPanel(self._start_at, self._worst)
                 self._where = WherePanel(self._axes, self._select, self._moment, self._cell)
                 self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
-                self._fall = FallPanel(self._look_at, self._undo, self._save)
+                self._fall = ErrorReductionPanel(self._look_at, self._undo, self._save)
         self._dialog = OpenDialog(self._bench.open, self._bench.out, self._shelf)
         self._columns.set_visibility(False)
         self._show_busy()

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safedpa.errors import InputError
-from safedpa_services.web.guard import Door
+from safedpa_services.web.guard import AccessPolicy
 from safedpa_services.web.hosts import Hosts, is_loopback
 
-__all__ = ["PASSWORD_VARIABLE", "TOKEN_VARIABLE", "Serving"]
+__all__ = ["PASSWORD_VARIABLE", "TOKEN_VARIABLE", "PageServerOptions"]
 
 TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 """Environment variable: the token, where whoever starts the page prints the address itself."""
@@ -21,7 +21,7 @@ _SHORTEST_PASSWORD = 12
 
 
 @dataclass(frozen=True)
-class Serving:
+class PageServerOptions:
     """The options. Raises InputError where other machines could come in without a password or a certificate."""
 
     host: str
@@ -60,9 +60,9 @@ class Serving:
         return "http" if self.certificate is None else "https"
 
     @property
-    def door(self) -> Door:
+    def door(self) -> AccessPolicy:
         """For the guard."""
-        return Door(Hosts(self.host, self.names), self.port, self.token, self.password, self.scheme)
+        return AccessPolicy(Hosts(self.host, self.names), self.port, self.token, self.password, self.scheme)
 
     def address(self, path: str) -> str:
         """What a person opens, with the token."""

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from safedpa_services.workbench.elements import action, escaped, panel, text
-from safedpa_services.workbench.evidence import Card
+from safedpa_services.workbench.evidence import CandidateCard
 from safedpa_services.workbench.session import Session
 
 __all__ = ["CandidatesPanel"]
@@ -35,7 +35,7 @@ class CandidatesPanel:
         words: tuple[str, str] = ("Add", "Reject"),
     ) -> None:
         self._on_add, self._on_reject, self._words = on_add, on_reject, words
-        self._cards: list[Card] = []
+        self._cards: list[CandidateCard] = []
         self.open = 0
         self._foreseen: dict[str, str] = {}
         self._consequence: ui.html | None = None
@@ -66,7 +66,7 @@ class CandidatesPanel:
         nothing = proposed is not None and proposed.choice is None and bool(cards)
         self.show_cards(cards, said, _NOT_CONFIRMED if nothing else (_SEARCHING if proposed is None else ""))
 
-    def show_cards(self, cards: list[Card], experiment: str, note: str) -> None:
+    def show_cards(self, cards: list[CandidateCard], experiment: str, note: str) -> None:
         """Draws cards, the first one open, with a note above and the proposed experiment below."""
         self._cards, self.open = cards, 0
         self._next.set_visibility(bool(experiment))
@@ -106,7 +106,7 @@ class CandidatesPanel:
             for index, card in enumerate(self._cards):
                 self._card(index, card)
 
-    def _card(self, index: int, card: Card) -> None:
+    def _card(self, index: int, card: CandidateCard) -> None:
         opened = index == self.open
         item = ui.element("div").classes("candidate" + (" open" if opened else "")).props("role=listitem")
         with item:
@@ -121,7 +121,7 @@ class CandidatesPanel:
                 with ui.element("div").classes("body"):
                     self._body(card)
 
-    def _body(self, card: Card) -> None:
+    def _body(self, card: CandidateCard) -> None:
         for equation in card.equations:
             text(equation, "equation", "div")
         for number in card.numbers:

@@ -11,10 +11,10 @@ from safedpa_services.workbench.elements import action, escaped, panel, text
 from safedpa_services.workbench.evidence import numbers_of
 from safedpa_services.workbench.session import Session
 
-__all__ = ["FallPanel"]
+__all__ = ["ErrorReductionPanel"]
 
 
-class FallPanel:
+class ErrorReductionPanel:
     """A bar for each version; a click looks at that version."""
 
     def __init__(self, on_look: Callable[[int], None], on_undo: Callable[[], Any], on_save: Callable[[], Any]) -> None:

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 from nicegui import events, ui
-from numpy.typing import NDArray
 
-from safedpa.compare.rollout import rollout
-from safedpa.compare.summary import shortened
-from safedpa.compare.where import PLACE
+from safedpa.arrays import FloatArray
+from safedpa.comparison.rollout import rollout
+from safedpa.comparison.summary import shortened
+from safedpa.comparison.where import PLACE
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
-from safedpa_services.workbench.look import CONFIG, Look, axis, frame
+from safedpa_services.workbench.look import CONFIG, ColourTheme, axis, frame
 from safedpa_services.workbench.session import Session
 
 __all__ = ["Excerpt", "PathPanel", "curves_figure", "excerpt_of", "path_figure"]
@@ -48,7 +48,7 @@ class PathPanel:
     def _move(self, by: int) -> None:
         self._on_start(int(self._slider.value) + by)
 
-    def show(self, session: Session, look: Look) -> None:
+    def show(self, session: Session, look: ColourTheme) -> None:
         """Draws everything anew."""
         found = excerpt_of(session)
         said = f"{session.horizon:g} s ahead from {found.moment:.2f} s of {shortened(found.run, 22)}"
@@ -64,7 +64,7 @@ class PathPanel:
         self._curves.update_figure(curves_figure(session, found, look))
 
 
-def _legend(session: Session, look: Look) -> str:
+def _legend(session: Session, look: ColourTheme) -> str:
     lines = [("measured", look.measured, "solid"), ("model", look.present, "solid")]
     if session.number:
         lines.append(("given model", look.given, "dashed"))
@@ -75,8 +75,6 @@ def _legend(session: Session, look: Look) -> str:
         for name, colour, style in lines
     )
 
-
-Floats = NDArray[np.float64]
 
 _PAST = 0.5
 """Horizons before the start that are drawn."""
@@ -92,13 +90,13 @@ class Excerpt:
     run: str
     moment: float
     """s since the start of the run."""
-    t: Floats
+    t: FloatArray
     """s from the start, (rows,)."""
-    measured: Floats
+    measured: FloatArray
     """(rows, states)"""
-    whole: Floats
+    whole: FloatArray
     """The run's path, (rows, 2); without rows for a robot that does not move about."""
-    predicted: list[tuple[str, Floats, Floats]]
+    predicted: list[tuple[str, FloatArray, FloatArray]]
     """(version, s from the start (steps + 1,), states (steps + 1, states))"""
 
 
@@ -124,7 +122,7 @@ def excerpt_of(session: Session) -> Excerpt:
     )  # fmt: skip
 
 
-def _whole(session: Session, run: int) -> Floats:
+def _whole(session: Session, run: int) -> FloatArray:
     windows = session.comparison.windows
     names = windows.system.state_names
     if not set(PLACE) <= set(names):
@@ -134,7 +132,7 @@ def _whole(session: Session, run: int) -> Floats:
     return windows.states[np.ix_(starts, place)]
 
 
-def path_figure(session: Session, found: Excerpt, look: Look) -> dict[str, Any] | None:
+def path_figure(session: Session, found: Excerpt, look: ColourTheme) -> dict[str, Any] | None:
     """The plane; None for a robot that does not move about."""
     if not len(found.whole):
         return None
@@ -170,7 +168,7 @@ def path_figure(session: Session, found: Excerpt, look: Look) -> dict[str, Any] 
     return {"data": data, "layout": layout, "config": CONFIG}
 
 
-def curves_figure(session: Session, found: Excerpt, look: Look) -> dict[str, Any]:
+def curves_figure(session: Session, found: Excerpt, look: ColourTheme) -> dict[str, Any]:
     """Every state but the place along time, one panel each."""
     states = session.comparison.windows.system.state
     shown = [index for index, state in enumerate(states) if not (len(found.whole) and state.name in PLACE)]
@@ -205,7 +203,7 @@ def _range(found: Excerpt, index: int) -> list[float]:
     return [float(values.min() - room), float(values.max() + room)]
 
 
-def _style(session: Session, number: int, look: Look) -> tuple[str, float, str]:
+def _style(session: Session, number: int, look: ColourTheme) -> tuple[str, float, str]:
     """Colour, width and dash of a version: the given one, those between, the one that is looked at."""
     looked_at = session.number if session.shown is None else session.shown
     if number == looked_at:
@@ -213,7 +211,7 @@ def _style(session: Session, number: int, look: Look) -> tuple[str, float, str]:
     return (look.given, 2.0, "dash") if number == 0 else (look.between, 1.2, "dot")
 
 
-def _trace(x: Floats, y: Floats, colour: str, width: float, name: str, dash: str = "solid",
+def _trace(x: FloatArray, y: FloatArray, colour: str, width: float, name: str, dash: str = "solid",
            *, hover: bool = True) -> dict[str, Any]:  # fmt: skip
     trace = {
         "type": "scatter",

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from nicegui import events, ui
-from numpy.typing import NDArray
 
-from safedpa.compare.comparison import Comparison
+from safedpa.arrays import FloatArray
+from safedpa.comparison.comparison import Comparison
 from safedpa_services.workbench.brush import ERROR, TIME, Brush, time_of, values_of, variables_of
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
-from safedpa_services.workbench.look import CONFIG, MAP_COLOURS, Look, axis, frame
+from safedpa_services.workbench.look import CONFIG, MAP_COLOURS, ColourTheme, axis, frame
 from safedpa_services.workbench.session import Session
 
 __all__ = ["WherePanel", "brush_of_map", "brush_of_time", "map_figure", "time_figure", "window_near"]
@@ -82,7 +82,7 @@ class WherePanel:
         if brush is not None:
             self._on_brush(brush)
 
-    def show(self, session: Session, look: Look) -> None:
+    def show(self, session: Session, look: ColourTheme) -> None:
         """Draws everything anew."""
         self._session = None  # while the boxes are set, nobody chose
         options = {name: name.replace("_", " ") for name in variables_of(session.comparison.windows)}
@@ -95,7 +95,7 @@ class WherePanel:
         self._said.set_content(escaped(hint if inside is None else inside.sentence))
         self.show_time(session, look)
 
-    def show_time(self, session: Session, look: Look) -> None:
+    def show_time(self, session: Session, look: ColourTheme) -> None:
         """Draws the error along time anew, where the chosen start is marked."""
         self._time.update_figure(time_figure(session, look))
 
@@ -104,13 +104,11 @@ def _ranges(entry: Any) -> dict[str, Any]:
     return entry if isinstance(entry, dict) else {}
 
 
-Floats = NDArray[np.float64]
-
 _DOTS = 900
 """Windows drawn as dots in the map."""
 
 
-def map_figure(session: Session, look: Look) -> dict[str, Any]:
+def map_figure(session: Session, look: ColourTheme) -> dict[str, Any]:
     """The error map, with a dot for windows: those that are selected stand out."""
     found, windows = session.map(), session.comparison.windows
     units = variables_of(windows)
@@ -140,7 +138,7 @@ def map_figure(session: Session, look: Look) -> dict[str, Any]:
     return {"data": [heat, _dots(session, found.x, found.y, look)], "layout": layout, "config": CONFIG}
 
 
-def _dots(session: Session, x: str, y: str, look: Look) -> dict[str, Any]:
+def _dots(session: Session, x: str, y: str, look: ColourTheme) -> dict[str, Any]:
     windows, mask = session.comparison.windows, session.mask
     shown = np.arange(len(windows)) if mask is None else np.flatnonzero(mask)
     shown = shown[np.linspace(0, len(shown) - 1, min(_DOTS, len(shown))).astype(np.int64)] if len(shown) else shown
@@ -160,7 +158,7 @@ def _dots(session: Session, x: str, y: str, look: Look) -> dict[str, Any]:
     }
 
 
-def time_figure(session: Session, look: Look) -> dict[str, Any]:
+def time_figure(session: Session, look: ColourTheme) -> dict[str, Any]:
     """The error of every window along time, runs one after another, the given model's behind the present one's."""
     comparison, given = session.comparison, session.versions[0].comparison
     t, errors = time_of(comparison.windows), comparison.window_errors
@@ -195,7 +193,9 @@ def time_figure(session: Session, look: Look) -> dict[str, Any]:
     return {"data": data, "layout": layout, "config": CONFIG}
 
 
-def _line(comparison: Comparison, t: Floats, highest: float, colour: str, width: float, name: str) -> dict[str, Any]:
+def _line(
+    comparison: Comparison, t: FloatArray, highest: float, colour: str, width: float, name: str
+) -> dict[str, Any]:
     """One line, broken between stretches."""
     windows, errors = comparison.windows, np.minimum(comparison.window_errors, highest)
     breaks = np.flatnonzero((np.diff(windows.begin) != 0) | (np.diff(windows.run) != 0)) + 1
@@ -256,7 +256,7 @@ def _height(session: Session) -> float:
     return max(1e-6, 1.15 * float(np.quantile(finite, 0.99))) if len(finite) else 1.0
 
 
-def _box(brush: Brush | None, x: str, y: str, look: Look) -> list[dict[str, Any]]:
+def _box(brush: Brush | None, x: str, y: str, look: ColourTheme) -> list[dict[str, Any]]:
     if brush is None or not {x, y} <= set(brush.ranges):
         return []
     (x0, x1), (y0, y1) = brush.ranges[x], brush.ranges[y]
@@ -264,14 +264,14 @@ def _box(brush: Brush | None, x: str, y: str, look: Look) -> list[dict[str, Any]
     return [{"type": "rect", "x0": x0, "x1": x1, "y0": y0, "y1": y1, "line": line}]
 
 
-def _borders(comparison: Comparison, t: Floats, look: Look) -> list[dict[str, Any]]:
+def _borders(comparison: Comparison, t: FloatArray, look: ColourTheme) -> list[dict[str, Any]]:
     edges = np.flatnonzero(np.diff(comparison.windows.run)) + 1
     line = {"color": look.dim, "width": 1, "dash": "dot"}
     return [{"type": "line", "x0": float(t[e]), "x1": float(t[e]), "yref": "paper", "y0": 0, "y1": 1, "line": line}
             for e in edges]  # fmt: skip
 
 
-def _mark(t: float, look: Look) -> dict[str, Any]:
+def _mark(t: float, look: ColourTheme) -> dict[str, Any]:
     return {
         "type": "line",
         "x0": t,
@@ -283,7 +283,7 @@ def _mark(t: float, look: Look) -> dict[str, Any]:
     }
 
 
-def _ends(edges: Floats) -> list[float]:
+def _ends(edges: FloatArray) -> list[float]:
     return [float(edges[0]), float(edges[-1])]
 
 
@@ -291,6 +291,6 @@ def _titled(name: str, units: dict[str, str]) -> str:
     return name.replace("_", " ") + ("" if units[name] == "1" else f" [{units[name]}]")
 
 
-def _numbers(values: Floats) -> list[float | None]:
+def _numbers(values: FloatArray) -> list[float | None]:
     """Four significant digits; None for what is not finite."""
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from safedpa.compare.comparison import with_distinct_names
+from safedpa.comparison.comparison import with_distinct_names
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.records import ColumnMap, load_column_map, load_run
-from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.column_map.file import parse_column_map
 from safedpa.records.run import Run
 
-__all__ = ["Choice", "Made", "loaded"]
+__all__ = ["EditedColumnMap", "InputSelection", "load_inputs"]
 
 
 @dataclass(frozen=True)
-class Made:
+class EditedColumnMap:
     """A column map that was made in the page."""
 
     text: str
@@ -31,12 +31,12 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Choice:
+class InputSelection:
     """A model (a file, or a name that ships), recordings, and a column map (a file, a name, or one that was made)."""
 
     model: str = ""
     runs: tuple[str, ...] = ()
-    columns: str | Made | None = None
+    columns: str | EditedColumnMap | None = None
     horizon: float = 1.0
 
     @property
@@ -44,18 +44,18 @@ class Choice:
         """Whether there is something to open."""
         return bool(self.model and self.runs)
 
-    def with_runs(self, runs: Sequence[str]) -> Choice:
+    def with_runs(self, runs: Sequence[str]) -> InputSelection:
         """The same with other recordings."""
         return replace(self, runs=tuple(runs))
 
 
-def loaded(choice: Choice) -> tuple[PhysicsModel, list[Run]]:
+def load_inputs(choice: InputSelection) -> tuple[PhysicsModel, list[Run]]:
     """The model and its recordings, named so that they can be told apart.
 
     Raises InputError and its like for what cannot be read.
     """
     model = load_model(choice.model)
-    columns = choice.columns.columns if isinstance(choice.columns, Made) else choice.columns
+    columns = choice.columns.columns if isinstance(choice.columns, EditedColumnMap) else choice.columns
     columns = load_column_map(columns) if isinstance(columns, str) else columns
     runs = [load_run(path, model.system, columns) for path in choice.runs]
     return model, with_distinct_names(runs, choice.runs)

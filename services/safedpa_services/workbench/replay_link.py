@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from safedpa.bus import Answer, Message, Received, Request
-from safedpa.bus.wire.topics import topic_of
+from safedpa.bus import Answer, Message, ReceivedMessage, Request
+from safedpa.bus.messages.topics import topic_of
 from safedpa.errors import RunError
 from safedpa.records import read_messages
-from safedpa_services.workbench.live_book import LiveBook
-from safedpa_services.workbench.live_link import Told
+from safedpa_services.workbench.live_book import LiveStore
+from safedpa_services.workbench.live_link import QueryResult
 
 __all__ = ["ReplayLink"]
 
@@ -32,7 +32,7 @@ class ReplayLink:
             raise RunError(f"{path}: holds no message; wanted a recording of the bus (.mcap)")
         self._began = clock() - self._next[2].robot_time
         self.title = f"recording {path.name}"
-        self.book = LiveBook()
+        self.book = LiveStore()
         self.ended = False
         self.untold: set[object] = set()
 
@@ -42,20 +42,20 @@ class ReplayLink:
         while self._next is not None and self._next[2].robot_time <= now - self._began:
             key, _, message = self._next
             _, robot, topic = topic_of(key)
-            self.book.take([Received(topic, robot, message, b"", key, now)])
+            self.book.take([ReceivedMessage(topic, robot, message, b"", key, now)])
             self._next = next(self._entries, None)
 
-    async def ask(self, robot: str, request: Request) -> Told:
+    async def ask(self, robot: str, request: Request) -> QueryResult:
         """Tells the candidates of the last report; refuses everything else."""
         if request.do != "status":
-            return Told(Answer(ok=False, sentence=f"refused: {_RECORDED}"), f"Refused: {_RECORDED}.")
+            return QueryResult(Answer(ok=False, sentence=f"refused: {_RECORDED}"), f"Refused: {_RECORDED}.")
         book = self.book.robots.get(robot)
         report = None if book is None else book.report
         entries = [] if report is None else [item for item in report["candidates"] if isinstance(item, dict)]
         names = [
             str(item.get("effect")) for item in entries if item.get("stage") == 0 and item.get("decision") in _KEPT
         ]
-        return Told(Answer(ok=True, sentence=_RECORDED, candidates=tuple(names)), _RECORDED)
+        return QueryResult(Answer(ok=True, sentence=_RECORDED, candidates=tuple(names)), _RECORDED)
 
 
 _KEPT = ("accepted", "suspected")

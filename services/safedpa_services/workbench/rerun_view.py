@@ -15,14 +15,15 @@ from fastapi import Response
 from fastapi.responses import FileResponse
 from nicegui import app
 
-from safedpa.compare.rollout import rollout
-from safedpa.compare.where import PLACE
-from safedpa.compare.windows import Floats, Windows
+from safedpa.arrays import FloatArray
+from safedpa.comparison.rollout import rollout
+from safedpa.comparison.where import PLACE
+from safedpa.comparison.windows import Windows
 from safedpa.errors import RecordingError, SafedpaError
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 from safedpa_services.workbench.session import Session
 
-__all__ = ["RerunDoor", "write_view"]
+__all__ = ["RerunViewerServer", "write_view"]
 
 _SECONDS = 20.0
 """That are played from the chosen start on."""
@@ -89,7 +90,7 @@ def _from_start(session: Session) -> Windows:
     return windows.select(np.array(kept, dtype=np.int64))
 
 
-def _log(stream: Any, name: str, windows: Windows, states: Floats, at: Any, colour: tuple[int, int, int]) -> None:
+def _log(stream: Any, name: str, windows: Windows, states: FloatArray, at: Any, colour: tuple[int, int, int]) -> None:
     import rerun as rr
 
     time = rr.TimeColumn(_TIME_LINE, duration=windows.time[at])
@@ -106,7 +107,7 @@ def _log(stream: Any, name: str, windows: Windows, states: Floats, at: Any, colo
         stream.send_columns(f"plane/{name}/now", [time], dots)
 
 
-class RerunDoor:
+class RerunViewerServer:
     """Serves Rerun's own web viewer under this page's address, and the recordings that were written for it."""
 
     def __init__(self) -> None:

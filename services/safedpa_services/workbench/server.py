@@ -18,21 +18,21 @@ import click
 from nicegui import Client, app, ui
 
 from safedpa.bus import Bus
-from safedpa.bus.loop.process import Stop
+from safedpa.bus.service.process import StopSignal
 from safedpa.errors import InputError
 from safedpa.limits import limit, readable
 from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.elements import dressed
+from safedpa_services.workbench.elements import apply_page_style
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
-from safedpa_services.workbench.page import Page
-from safedpa_services.workbench.page_address import Serving
+from safedpa_services.workbench.page import WorkbenchPage
+from safedpa_services.workbench.page_address import PageServerOptions
 from safedpa_services.workbench.replay_link import ReplayLink
-from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.rerun_view import RerunViewerServer
 
 __all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
 
@@ -52,11 +52,11 @@ machine, or while it asks something of a person, it may be, and a page that is l
 
 def serve(
     bench: Bench,
-    serving: Serving,
+    serving: PageServerOptions,
     *,
     browser: bool,
     bus: Bus | Path | None = None,
-    stop: Stop | None = None,
+    stop: StopSignal | None = None,
     announce: Callable[[str], None] = lambda where: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"),
 ) -> None:
     """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well.
@@ -65,15 +65,15 @@ def serve(
     """
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
-    door, choice = RerunDoor(), bench.choice
+    door, choice = RerunViewerServer(), bench.choice
     _keep_tracebacks_in(bench.out / "workbench.log")
-    shelf = Shelf.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
+    shelf = FileStore.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
     app.add_middleware(Guard, door=serving.door)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
-        dressed(style)
-        page = Page(bench, door, shelf, live=link is not None)
+        apply_page_style(style)
+        page = WorkbenchPage(bench, door, shelf, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
@@ -105,7 +105,7 @@ def serve(
 
 
 async def _told_when_it_answers(
-    serving: Serving, where: str, announce: Callable[[str], None], *, browser: bool
+    serving: PageServerOptions, where: str, announce: Callable[[str], None], *, browser: bool
 ) -> None:
     """The web server listens a moment after it has started up; an address that is told earlier is refused."""
     host = "127.0.0.1" if serving.host in ("0.0.0.0", "", "::") else serving.host
@@ -125,7 +125,7 @@ async def _told_when_it_answers(
 def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     @ui.page("/live", title="safedpa workbench, live")
     async def live(client: Client) -> None:
-        dressed(style)
+        apply_page_style(style)
         page = LivePage(link)
         client.on_delete(page.close)
         await client.connected()
@@ -134,7 +134,7 @@ def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     app.timer(_LISTEN_SECONDS, link.listen)
 
 
-def _end_with(stop: Stop, link: LiveLink | ReplayLink | None) -> None:
+def _end_with(stop: StopSignal, link: LiveLink | ReplayLink | None) -> None:
     stop.wait()
     if link is not None:
         link.ended, until = True, time.monotonic() + _LAST_WORD_SECONDS

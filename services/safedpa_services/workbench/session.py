@@ -9,14 +9,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.compare.comparison import Comparison
-from safedpa.compare.summary import where_sentence
-from safedpa.diagnosis.document import Candidate
+from safedpa.comparison.comparison import Comparison
+from safedpa.comparison.summary import where_sentence
+from safedpa.diagnosis.report_schema import Candidate
 from safedpa.errors import InputError
 from safedpa.records.run import Run
-from safedpa_services.workbench.brush import Brush, ErrorMap, Inside, default_axes, error_map, inside_of
-from safedpa_services.workbench.evidence import Card, card_of, rest_sentence, verdict_sentence
-from safedpa_services.workbench.jobs import Found, Version
+from safedpa_services.workbench.brush import (
+    Brush,
+    ErrorMap,
+    SelectionSummary,
+    default_axes,
+    error_map,
+    summarize_selection,
+)
+from safedpa_services.workbench.evidence import CandidateCard, card_of, rest_sentence, verdict_sentence
+from safedpa_services.workbench.jobs import SearchResult, SessionVersion
 
 __all__ = ["Session"]
 
@@ -28,10 +35,10 @@ class Session:
     title: str
     runs: Sequence[Run]
     horizon: float
-    versions: list[Version]
+    versions: list[SessionVersion]
     base: int = field(init=False)
     """Versions that cannot be undone: the given model and the refitted one."""
-    found: dict[int, Found] = field(default_factory=dict)
+    found: dict[int, SearchResult] = field(default_factory=dict)
     """By the number of the version after which it was searched."""
     rejected: dict[int, set[str]] = field(default_factory=dict)
     brush: Brush | None = None
@@ -62,12 +69,12 @@ class Session:
         return len(self.versions) - 1
 
     @property
-    def present(self) -> Version:
+    def present(self) -> SessionVersion:
         """The last version."""
         return self.versions[-1]
 
     @property
-    def looked_at(self) -> Version:
+    def looked_at(self) -> SessionVersion:
         """The version whose errors are shown."""
         return self.versions[self.number if self.shown is None else min(self.shown, self.number)]
 
@@ -82,34 +89,34 @@ class Session:
 
     # candidates
 
-    def propose(self, version: int, found: Found) -> None:
+    def propose(self, version: int, found: SearchResult) -> None:
         """Takes the result of a search after a version."""
         self.found[version] = found
 
     @property
-    def proposed(self) -> Found | None:
+    def proposed(self) -> SearchResult | None:
         """What was found after the present version; None before its search is done."""
         return self.found.get(self.number)
 
-    def cards(self) -> list[Card]:
+    def cards(self) -> list[CandidateCard]:
         """The candidates of the present version that were not rejected, the best first."""
         proposed, gone = self.proposed, self.rejected.get(self.number, set())
         if proposed is None:
             return []
         return [self._card(item, proposed) for item in proposed.candidates if item.effect not in gone]
 
-    def _card(self, item: Candidate, proposed: Found) -> Card:
+    def _card(self, item: Candidate, proposed: SearchResult) -> CandidateCard:
         settled = proposed.settled.get(item.effect)
         own = item.effect.split(" + ")
         values = {} if settled is None else {k: v for k, v in settled.values.items() if k.split(".")[0] in own}
         after = None if settled is None else settled.error
         return card_of(self.present.model.system.name, item, self.present.error, after, values)
 
-    def settled(self, effect: str) -> Version | None:
+    def settled(self, effect: str) -> SessionVersion | None:
         """The version with a candidate, where it was fitted to the end already."""
         return None if self.proposed is None else self.proposed.settled.get(effect)
 
-    def add(self, version: Version) -> None:
+    def add(self, version: SessionVersion) -> None:
         """Goes on with a candidate."""
         self.decided.append(("added", version.label.removeprefix("+ "), self.number))
         self.versions.append(version)
@@ -155,10 +162,10 @@ class Session:
         return None if self.brush is None else self.brush.mask(self.comparison)
 
     @property
-    def inside(self) -> Inside | None:
+    def inside(self) -> SelectionSummary | None:
         """What the selected windows have in common."""
         mask = self.mask
-        return None if mask is None else inside_of(self.comparison, mask)
+        return None if mask is None else summarize_selection(self.comparison, mask)
 
     def select(self, brush: Brush | None) -> None:
         """Draws a box around some windows, and shows the worst of them."""

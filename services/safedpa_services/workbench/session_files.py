@@ -13,26 +13,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from safedpa.diagnosis.stepwise import Step, with_final
+from safedpa.diagnosis.interactive import StepwiseModel, with_final
 from safedpa.disk import why_not_written
 from safedpa.dynamics import PhysicsModel, save_model
 from safedpa.errors import InputError
 from safedpa.limits import parse_json, readable, text_of_file
-from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run
-from safedpa_services.driving import drive_command, margin_beside, why_refused
-from safedpa_services.workbench.recordings import Choice, Made
+from safedpa.records.writers.tables import atomic_path
+from safedpa_services.driving import calibrate_margin_file, drive_command, refusal_reason
+from safedpa_services.workbench.recordings import EditedColumnMap, InputSelection
 
 __all__ = [
     "SESSION_FILE",
     "STEPS",
     "Decision",
-    "Kept",
+    "SavedSession",
     "absolute",
-    "newest_in",
-    "place_for",
+    "newest_session",
     "read_session",
-    "saved",
+    "save_model_files",
+    "session_folder_for",
     "write_session",
 ]
 
@@ -44,13 +44,15 @@ STEPS = (
 """From which share on what is done."""
 
 
-def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, tell: Callable[[float], None]) -> str:
+def save_model_files(
+    step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, tell: Callable[[float], None]
+) -> str:
     """Writes model.toml, and margin.toml for a robot that a margin can be had for from logs; says what was written.
 
     Added parameters are fixed, those that the given file calls free stay free. Raises InputError where the folder
     cannot be written to.
     """
-    before: Step = pickle.loads(step)
+    before: StepwiseModel = pickle.loads(step)
     final = with_final(before) if before.search.added or before.model.latent_names else before
     tell(0.7)
     model = _as_given(final.model, given)
@@ -58,14 +60,14 @@ def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, t
         folder.mkdir(parents=True, exist_ok=True)
         save_model(model, folder / "model.toml")
         tell(0.8)
-        margin = margin_beside(model, runs, folder / "margin.toml")
+        margin = calibrate_margin_file(model, runs, folder / "margin.toml")
     except OSError as error:
         raise InputError(
             f"{folder}: cannot be written to ({why_not_written(error)}); choose another folder with --out"
         ) from error
     path = folder / "model.toml"
     written = f"{path}{' and margin.toml' if margin.path else ''}"
-    driven = "" if why_refused(model) else f": {drive_command(model, path, margin.path, period=margin.period)}"
+    driven = "" if refusal_reason(model) else f": {drive_command(model, path, margin.path, period=margin.period)}"
     said = f". {margin.said}" if margin.said else ""
     return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}{said}"
 
@@ -84,14 +86,14 @@ _MOST_FOLDERS = 1000
 
 
 @dataclass(frozen=True)
-class Kept:
+class SavedSession:
     """One session: what was opened, and the decisions in their order."""
 
-    choice: Choice
+    choice: InputSelection
     decisions: tuple[Decision, ...] = ()
 
 
-def read_session(path: Path) -> Kept:
+def read_session(path: Path) -> SavedSession:
     """Raises InputError for what is no session, naming the key."""
     try:
         document = parse_json(text_of_file(path, "json_bytes"))
@@ -108,7 +110,7 @@ def read_session(path: Path) -> Kept:
     try:
         runs = tuple(str(run) for run in document["runs"])
         decisions = tuple((str(item["do"]), str(item["effect"])) for item in document["decisions"])
-        choice = Choice(str(document["model"]), runs, _columns(document["columns"]), float(document["horizon"]))
+        choice = InputSelection(str(document["model"]), runs, _columns(document["columns"]), float(document["horizon"]))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: {type(error).__name__} at {error}; wanted model, runs, horizon, decisions"
@@ -116,17 +118,19 @@ def read_session(path: Path) -> Kept:
     wrong = next((do for do, _ in decisions if do not in _DONE), None)
     if wrong is not None:
         raise InputError(f"{path}: decision '{readable(wrong, 40)}'; wanted {' or '.join(_DONE)}")
-    return Kept(choice, decisions)
+    return SavedSession(choice, decisions)
 
 
-def write_session(kept: Kept, folder: Path) -> None:
+def write_session(kept: SavedSession, folder: Path) -> None:
     """Writes session.json, whole or not at all. Raises RecordingError where the folder cannot be written to."""
     columns = kept.choice.columns
     document = {
         "format": _FORMAT,
         "model": kept.choice.model,
         "runs": list(kept.choice.runs),
-        "columns": {"text": columns.text, "beside": columns.beside} if isinstance(columns, Made) else columns,
+        "columns": {"text": columns.text, "beside": columns.beside}
+        if isinstance(columns, EditedColumnMap)
+        else columns,
         "horizon": kept.choice.horizon,
         "decisions": [{"do": do, "effect": effect} for do, effect in kept.decisions],
     }
@@ -134,13 +138,13 @@ def write_session(kept: Kept, folder: Path) -> None:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def _columns(told: Any) -> str | Made | None:
+def _columns(told: Any) -> str | EditedColumnMap | None:
     if told is None or isinstance(told, str):
         return told
-    return Made(str(told["text"]), str(told["beside"]))
+    return EditedColumnMap(str(told["text"]), str(told["beside"]))
 
 
-def place_for(base: Path, choice: Choice) -> tuple[Path, tuple[Decision, ...]]:
+def session_folder_for(base: Path, choice: InputSelection) -> tuple[Path, tuple[Decision, ...]]:
     """The first of ``base``, ``base-2``, ... that holds the session of this choice, with what was decided in it, or
     nothing of another one."""
     wanted = absolute(choice)
@@ -156,7 +160,7 @@ def place_for(base: Path, choice: Choice) -> tuple[Path, tuple[Decision, ...]]:
     )
 
 
-def newest_in(base: Path) -> Path | None:
+def newest_session(base: Path) -> Path | None:
     """The session that was written last in ``base``, ``base-2``, ...; None where there is none."""
     found = []
     for folder in _folders(base):
@@ -166,18 +170,18 @@ def newest_in(base: Path) -> Path | None:
     return max(found, key=lambda path: path.stat().st_mtime, default=None)
 
 
-def absolute(choice: Choice) -> Choice:
+def absolute(choice: InputSelection) -> InputSelection:
     """The same with the paths of files that exist made absolute; names that ship stay names."""
 
     def whole(name: str) -> str:
         return str(Path(name).resolve()) if Path(name).is_file() else name
 
     columns = whole(choice.columns) if isinstance(choice.columns, str) else choice.columns
-    columns = replace(columns, beside=whole(columns.beside)) if isinstance(columns, Made) else columns
+    columns = replace(columns, beside=whole(columns.beside)) if isinstance(columns, EditedColumnMap) else columns
     return replace(choice, model=whole(choice.model), runs=tuple(map(whole, choice.runs)), columns=columns)
 
 
-def _decisions(path: Path, choice: Choice) -> tuple[Decision, ...] | None:
+def _decisions(path: Path, choice: InputSelection) -> tuple[Decision, ...] | None:
     """What was decided in the session of this choice; None in that of another one."""
     try:
         kept = read_session(path)

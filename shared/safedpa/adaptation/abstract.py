@@ -8,13 +8,11 @@ from math import isfinite
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 
 __all__ = ["AbstractEstimator", "check_transition"]
-
-Vector = NDArray[np.float64]
 
 
 class AbstractEstimator(ABC):
@@ -22,22 +20,22 @@ class AbstractEstimator(ABC):
 
     quick: ClassVar[bool]
     """Whether it may learn while others wait for the latent."""
-    latent: Vector
+    latent: FloatArray
     """The estimate so far, shape (latents,)."""
 
     @property
     @abstractmethod
-    def deviations(self) -> Vector:
+    def deviations(self) -> FloatArray:
         """Standard deviation of each entry of the latent; 0 for one that is not estimated."""
 
     @abstractmethod
-    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+    def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:
         """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later.
 
         Raises InputError when a number is not finite or the period not positive; nothing is learned then.
         """
 
-    def begin_with(self, transitions: Sequence[tuple[Vector, Vector, Vector, float]]) -> None:
+    def begin_with(self, transitions: Sequence[tuple[FloatArray, FloatArray, FloatArray, float]]) -> None:
         """Takes up a robot that others estimated before, from its last transitions as in ``update``, oldest first.
 
         Raises InputError as ``update`` does.
@@ -50,7 +48,7 @@ class AbstractEstimator(ABC):
         """Takes what comes next as not joined to what came last: after a gap in the ticks."""
 
 
-def check_transition(state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+def check_transition(state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:
     """Raises InputError when a transition cannot teach anything."""
     if not all(_is_finite(vector) for vector in (state, action, next_state)):
         raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
@@ -58,6 +56,6 @@ def check_transition(state: Vector, action: Vector, next_state: Vector, period: 
         raise InputError(f"period: got {period}, wanted a positive number of seconds")
 
 
-def _is_finite(vector: Vector) -> bool:
+def _is_finite(vector: FloatArray) -> bool:
     """As ``np.isfinite(vector).all()``, quicker: a sum is finite only if every entry is."""
     return isfinite(sum(vector.tolist())) or bool(np.isfinite(vector).all())

@@ -10,7 +10,7 @@ held by a wall it looks like one with an immense load. Source: Simon, Optimal St
 sections 13.2 and 13.4 (parameter estimation).
 
 A handful of numbers are estimated, so they are plain numbers, and R is diagonal, so the entries of the state are taken
-in one after the other (``Belief``): matrices of two rows would cost five times as much.
+in one after the other (``LatentCovariance``): matrices of two rows would cost five times as much.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from math import isfinite, pi, sqrt
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation.abstract import AbstractEstimator, check_transition
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.robot import robots
 
-__all__ = ["Belief", "EstimatorSettings", "LatentEstimator"]
+__all__ = ["EstimatorSettings", "LatentCovariance", "LatentEstimator"]
 
 
 @final
-class Belief:
+class LatentCovariance:
     """The covariance P (latents, latents) of parameters that walk slowly.
 
     ``start``: variances at first, which are also the largest ones; ``drift``: what each variance grows by in a second.
@@ -85,7 +85,7 @@ def _upper(latents: int) -> list[tuple[int, int]]:
 
 @cache
 def _correction(latents: int) -> Callable[..., Any]:
-    """The equations of ``Belief.correct`` for so many latents, written out: loops over two entries cost five times it.
+    """The equations of ``LatentCovariance.correct`` for so many latents, written out: five times as fast as loops.
 
     The function takes the upper triangle of P, e, H, r and gives the correction, the new triangle and the surprise.
     """
@@ -118,9 +118,6 @@ def _correction(latents: int) -> Callable[..., Any]:
     exec("\n".join(lines), scope)  # arithmetic on names of our own, nothing from outside
     made: Callable[..., Any] = scope["correction"]
     return made
-
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -175,19 +172,19 @@ class LatentEstimator(AbstractEstimator):
         self._measured = settings.measurement_deviation
         self._largest = settings.largest_innovation
         self._noise = [deviation**2 for deviation in self._measured]
-        self._belief = Belief(
+        self._belief = LatentCovariance(
             [(settings.initial_deviation * typical) ** 2 for typical in self._typical],
             [(settings.drift_per_second * typical) ** 2 for typical in self._typical],
         )
-        self.latent: Vector = model.latent.copy()
+        self.latent: FloatArray = model.latent.copy()
         self._free: list[float] = self.latent.tolist()
         self._memory: Any = None
 
     @property
-    def deviations(self) -> Vector:  # noqa: D102
+    def deviations(self) -> FloatArray:  # noqa: D102
         return np.array([sqrt(variance) for variance in self._belief.variances()])
 
-    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
+    def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:  # noqa: D102
         start, felt, reached = state.tolist(), action.tolist(), next_state.tolist()
         if not isfinite(sum(start) + sum(felt) + sum(reached) + period) or period <= 0.0:
             check_transition(state, action, next_state, period)  # a sum may overflow where no number does
@@ -217,7 +214,7 @@ class LatentEstimator(AbstractEstimator):
         """Takes the actuators as settled at the next action."""
         self._memory = None
 
-    def _step(self, state: Vector, action: Vector, memory: Any, period: float) -> Callable[[list[float]], Any]:
+    def _step(self, state: FloatArray, action: FloatArray, memory: Any, period: float) -> Callable[[list[float]], Any]:
         """The model's step of this transition as a function of the latent: the entries after it, and the memory."""
         quick = self._model.straight(period)
         entries, felt = state.tolist(), action.tolist()

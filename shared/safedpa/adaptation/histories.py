@@ -8,15 +8,14 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.networks import Frame, HistoryEncoder, HistoryStreams, Weights
 
-__all__ = ["Histories"]
-
-Values = NDArray[np.float64]
+__all__ = ["BatchHistoryEstimator"]
 
 
 @final
-class Histories:
+class BatchHistoryEstimator:
     """z (robots, latents) = phi(last k states and actions): ``HistoryEstimator`` for many.
 
     Each period ``see`` the states, then tell by ``acted`` what was done. ``frame`` as for
@@ -38,7 +37,7 @@ class Histories:
         self._streams.reset(np.asarray(which).tolist())
         self._seen[which] = self._begun[which] = False
 
-    def see(self, state: Values) -> Values:
+    def see(self, state: FloatArray) -> FloatArray:
         """The latents at states (robots, states)."""
         rows: Any = self._encoder.rows(np.stack((self._before, state), axis=1), self._action[:, np.newaxis])[:, 0]
         rows[~self._begun] = 0.0  # as those that stand in front of every history
@@ -46,7 +45,7 @@ class Histories:
         self._before, self._seen[:] = state.copy(), True
         return self.latent
 
-    def acted(self, action: Values) -> None:
+    def acted(self, action: FloatArray) -> None:
         """Takes the actions (robots, actions) that act from these states on, in SI units."""
         self._action = np.asarray(action, dtype=np.float64)
         self._begun[:] = self._seen

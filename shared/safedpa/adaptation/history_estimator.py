@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.adaptation.abstract import AbstractEstimator, check_transition
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, HistoryStreams
 
 __all__ = ["HistoryEstimator"]
-
-Vector = NDArray[np.float64]
 
 
 @final
@@ -41,16 +40,16 @@ class HistoryEstimator(AbstractEstimator):
                 f"model: {len(entries)} of {self._encoder.latents} entries of the latent are free, wanted all; "
                 f"remove base.{LATENT_PREFIX}... from the model file"
             )
-        self.latent: Vector = model.latent.copy()
+        self.latent: FloatArray = model.latent.copy()
         self._estimated = self.latent[entries[0] : entries[-1] + 1] if entries else self.latent[:0]
         """A view: the entries of the networks' latent stand side by side."""
         self._deviations = _deviations(model, entries)
 
     @property
-    def deviations(self) -> Vector:  # noqa: D102
+    def deviations(self) -> FloatArray:  # noqa: D102
         return self._deviations
 
-    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
+    def update(self, state: FloatArray, action: FloatArray, next_state: FloatArray, period: float) -> None:  # noqa: D102
         check_transition(state, action, next_state, period)
         if abs(period - self._period) > 0.01 * self._period:
             raise InputError(
@@ -58,13 +57,13 @@ class HistoryEstimator(AbstractEstimator):
             )
         self._estimated[:] = self._remember(state, action, next_state)
 
-    def begin_with(self, transitions: Sequence[tuple[Vector, Vector, Vector, float]]) -> None:
+    def begin_with(self, transitions: Sequence[tuple[FloatArray, FloatArray, FloatArray, float]]) -> None:
         """Reads the whole history at once: the estimate goes on where another with the same networks was."""
         for state, action, next_state, _ in transitions[-self._encoder.length : -1]:
             self._remember(state, action, next_state)
         super().begin_with(transitions)
 
-    def _remember(self, state: Vector, action: Vector, next_state: Vector) -> NDArray[np.float32]:
+    def _remember(self, state: FloatArray, action: FloatArray, next_state: FloatArray) -> NDArray[np.float32]:
         row = self._encoder.row_of_one(state.tolist(), action.tolist(), next_state.tolist())
         latent: NDArray[np.float32] = self._history.push([row])[0]
         return latent
@@ -74,7 +73,7 @@ class HistoryEstimator(AbstractEstimator):
         self._history.reset()
 
 
-def _deviations(model: PhysicsModel, entries: list[int]) -> Vector:
+def _deviations(model: PhysicsModel, entries: list[int]) -> FloatArray:
     """As measured in training, where the weights say so; else half the range, which is all that is known."""
     assert isinstance(model.base, LearnedBase)
     weights = model.base.weights

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation.abstract import AbstractEstimator
 from safedpa.adaptation.estimator import EstimatorSettings, LatentEstimator
 from safedpa.adaptation.history_estimator import HistoryEstimator
+from safedpa.arrays import FloatArray
 from safedpa.bus import (
     LATENT,
     MODEL,
@@ -27,22 +27,20 @@ from safedpa.bus import (
     Outputs,
     StateMessage,
 )
-from safedpa.bus.loop.apart import AbstractTicket
-from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.service.model_versions import ModelVersions
+from safedpa.bus.service.sandbox import AbstractJobHandle
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError, MessageError
 
 __all__ = ["AdaptationNode"]
 
-Vector = NDArray[np.float64]
-
 
 _RECENT_TRANSITIONS = 64
 """From which an estimator of a new model begins: longer than the history that an encoder reads."""
 
 
-class _Held(NamedTuple):
+class _AdaptationModel(NamedTuple):
     """What the adaptation needs of a model."""
 
     model: PhysicsModel
@@ -50,23 +48,23 @@ class _Held(NamedTuple):
 
 
 class _Transition(NamedTuple):
-    state: Vector
-    action: Vector
-    next_state: Vector
+    state: FloatArray
+    action: FloatArray
+    next_state: FloatArray
     period: float
 
 
 @dataclass
-class _Memory:
+class _EstimationState:
     estimator: AbstractEstimator
     tick: int = -1
-    state: Vector | None = None
+    state: FloatArray | None = None
     """None until a state came that can be believed."""
     newest: StateMessage | None = None
     """What ``afterwards`` has to learn from."""
     recent: deque[_Transition] = field(default_factory=lambda: deque(maxlen=_RECENT_TRANSITIONS))
     """Without a gap, up to the newest state."""
-    successor: tuple[_Held, AbstractEstimator] | None = None
+    successor: tuple[_AdaptationModel, AbstractEstimator] | None = None
     """For the model that was offered; it learns along until that model is in force."""
 
 
@@ -91,8 +89,8 @@ class AdaptationNode(AbstractNode):
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings
-        self._robots: dict[str, _Memory] = {}
-        first = _Held(model, fingerprint(model))
+        self._robots: dict[str, _EstimationState] = {}
+        first = _AdaptationModel(model, fingerprint(model))
         self._estimator(first)  # says now, not at the first robot, that the settings do not fit
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
 
@@ -103,7 +101,7 @@ class AdaptationNode(AbstractNode):
         _check(held, state)
         memory = self._robots.get(robot)
         if memory is None:
-            memory = self._robots[robot] = _Memory(self._estimator(held))
+            memory = self._robots[robot] = _EstimationState(self._estimator(held))
         elif changed:
             ready = memory.successor is not None and memory.successor[0] is held
             memory.estimator = memory.successor[1] if ready and memory.successor else self._estimator(held)
@@ -130,7 +128,7 @@ class AdaptationNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
         self._versions.hand_in = hand_in
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
@@ -146,10 +144,10 @@ class AdaptationNode(AbstractNode):
     def model_of(self, robot: str) -> str:  # noqa: D102
         return self._versions.fingerprint(robot)
 
-    def _load(self, robot: str, offer: ModelMessage) -> _Held:
+    def _load(self, robot: str, offer: ModelMessage) -> _AdaptationModel:
         """The offered model, tried on the robot's last transitions. Raises InputError when it cannot be used."""
         model = offered_model(offer, self._versions.of(robot).model)
-        held = _Held(model, offer.fingerprint)
+        held = _AdaptationModel(model, offer.fingerprint)
         memory = self._robots.get(robot)
         estimator = self._estimator(held)
         if memory is not None:
@@ -157,13 +155,13 @@ class AdaptationNode(AbstractNode):
             memory.successor = (held, estimator)
         return held
 
-    def _estimator(self, held: _Held) -> AbstractEstimator:
+    def _estimator(self, held: _AdaptationModel) -> AbstractEstimator:
         base = held.model.base
         if isinstance(base, LearnedBase) and base.weights.has("phi"):
             return HistoryEstimator(held.model)
         return LatentEstimator(held.model, self._settings)
 
-    def _learn(self, held: _Held, memory: _Memory) -> None:
+    def _learn(self, held: _AdaptationModel, memory: _EstimationState) -> None:
         """Learns from the transition to the newest state."""
         state = memory.newest
         assert state is not None
@@ -179,7 +177,7 @@ class AdaptationNode(AbstractNode):
             memory.recent.clear()
         memory.tick, memory.state = state.tick, values if plausible else None
 
-    def _teach_successor(self, robot: str, memory: _Memory) -> None:
+    def _teach_successor(self, robot: str, memory: _EstimationState) -> None:
         """The newest transition for the model that was offered, too."""
         held = self._versions.prepared(robot)
         if memory.successor is None or memory.successor[0] is not held:
@@ -206,7 +204,7 @@ class AdaptationNode(AbstractNode):
         self._versions.forget(robot)
 
 
-def _check(held: _Held, state: StateMessage) -> None:
+def _check(held: _AdaptationModel, state: StateMessage) -> None:
     """Raises MessageError when the lengths of state or action in force do not fit."""
     system = held.model.system
     if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
@@ -216,7 +214,7 @@ def _check(held: _Held, state: StateMessage) -> None:
         )
 
 
-def _message(held: _Held, state: StateMessage, estimator: AbstractEstimator) -> LatentMessage:
+def _message(held: _AdaptationModel, state: StateMessage, estimator: AbstractEstimator) -> LatentMessage:
     return LatentMessage(
         epoch=state.epoch,
         tick=state.tick,

@@ -1,14 +1,7 @@
 """The bus: one table of topics, typed messages, transport over Zenoh or in memory, and the loop of every service."""
 
-from safedpa.bus.loop.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.loop.service import NO_ROBOT, ServiceLoop
-from safedpa.bus.transport.bus import Bus
-from safedpa.bus.transport.in_process import MemoryBroker, MemoryTransport
-from safedpa.bus.transport.inbox import Inbox, Received, Refused
-from safedpa.bus.transport.transport import AbstractTransport
-from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.messages import (
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.messages import (
     ActionMessage,
     AskedMessage,
     ComputedMessage,
@@ -25,8 +18,8 @@ from safedpa.bus.wire.messages import (
     VerdictMessage,
     WishMessage,
 )
-from safedpa.bus.wire.requests import Answer, Request, request_key
-from safedpa.bus.wire.topics import (
+from safedpa.bus.messages.requests import Answer, Request, request_key
+from safedpa.bus.messages.topics import (
     ACTION,
     ASKED,
     FINDING,
@@ -45,6 +38,13 @@ from safedpa.bus.wire.topics import (
     key_of,
     topic_of,
 )
+from safedpa.bus.service.node import AbstractNode, Inputs, Outputs, Stale
+from safedpa.bus.service.service_loop import NO_ROBOT, ServiceLoop
+from safedpa.bus.transport.base import AbstractTransport
+from safedpa.bus.transport.bus import Bus
+from safedpa.bus.transport.inbox import Inbox, ReceivedMessage, RejectedMessage
+from safedpa.bus.transport.memory import MemoryBroker, MemoryTransport
+from safedpa.bus.transport.zenoh import ZenohSettings, ZenohTransport
 
 __all__ = [
     "ACTION",
@@ -79,8 +79,8 @@ __all__ = [
     "Message",
     "ModelMessage",
     "Outputs",
-    "Received",
-    "Refused",
+    "ReceivedMessage",
+    "RejectedMessage",
     "Request",
     "ScanMessage",
     "ServiceLoop",

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.compare.where import PLACE
-from safedpa.compare.windows import Floats
-from safedpa.diagnosis.document import Covered, Gap
-from safedpa.diagnosis.fit.shooting import block_seconds
+from safedpa.arrays import FloatArray
+from safedpa.comparison.where import PLACE
+from safedpa.diagnosis.fit.multiple_shooting import block_seconds
+from safedpa.diagnosis.report_schema import CoverageGap, CoveredRange
 from safedpa.records.run import Run
 from safedpa.systems import System, Variable
 
-__all__ = ["coverage_of", "inside"]
+__all__ = ["coverage_of", "within_coverage"]
 
 _PARTS = 10
 """Equal parts of a range."""
@@ -28,7 +28,7 @@ _NARROW = 2
 """Parts from one that is held to the next, up to which what lies between is told by both sides."""
 
 
-def coverage_of(runs: Sequence[Run]) -> tuple[Covered, ...]:
+def coverage_of(runs: Sequence[Run]) -> tuple[CoveredRange, ...]:
     """For each action and each state that is neither a place nor an angle the range that the runs hold, and its gaps.
 
     A range ends where less than half a block of time lies beyond, or where its last parts of ten hold less than a block
@@ -48,7 +48,7 @@ def _counts(variable: Variable) -> bool:
     return variable.name not in PLACE and not variable.angle
 
 
-def _covered(variable: Variable, values: Floats, seconds: Floats, block: float) -> Covered | None:
+def _covered(variable: Variable, values: FloatArray, seconds: FloatArray, block: float) -> CoveredRange | None:
     """None of a variable that does not change, or of so few data that no part could hold a block."""
     order = np.argsort(values, kind="stable")
     values, past = values[order], np.cumsum(seconds[order])
@@ -64,15 +64,17 @@ def _covered(variable: Variable, values: Floats, seconds: Floats, block: float) 
     if not len(known):
         return None
     gaps = [
-        Gap(float(edges[one + 1]), float(edges[other]), float(held[one + 1 : other].sum()))
+        CoverageGap(float(edges[one + 1]), float(edges[other]), float(held[one + 1 : other].sum()))
         for one, other in pairwise(known.tolist())
         if other - one > _NARROW
     ]
     first, last = float(edges[known[0]]), float(edges[known[-1] + 1])
-    return Covered(variable.name, variable.unit, first, last, whole, tuple(gaps))
+    return CoveredRange(variable.name, variable.unit, first, last, whole, tuple(gaps))
 
 
-def inside(coverage: Sequence[Covered], system: System, states: Floats, actions: Floats) -> NDArray[np.bool_]:
+def within_coverage(
+    coverage: Sequence[CoveredRange], system: System, states: FloatArray, actions: FloatArray
+) -> NDArray[np.bool_]:
     """Rows (rows,) of states (rows, states) and actions (rows, actions) that lie within every range, in no gap."""
     names = (*system.state_names, *system.action_names)
     table: Mapping[str, Any] = dict(zip(names, np.column_stack([states, actions]).T, strict=True))

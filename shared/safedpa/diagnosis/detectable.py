@@ -15,15 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from safedpa.compare.rollout_error import change_scale
-from safedpa.compare.windows import Floats
-from safedpa.diagnosis.document import Detectable
-from safedpa.diagnosis.experiment.choice import telling_manoeuvres
-from safedpa.diagnosis.fit.heldout import HeldoutError
-from safedpa.diagnosis.fit.shooting import Shooting
-from safedpa.diagnosis.fit.trial import Trial, deviate_of, deviates_of, with_start
-from safedpa.diagnosis.search.judgement import FALL, LIKELY, LITTLE_FALL, SURE, VERY_SURE
-from safedpa.diagnosis.search.second_opinion import CERTAIN, CORNERED
+from safedpa.arrays import FloatArray
+from safedpa.comparison.rollout_error import change_scale
+from safedpa.diagnosis.experiment_design.choice import discriminating_manoeuvres
+from safedpa.diagnosis.fit.cross_validation import HeldoutError
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.trial import EffectTrial, standardized_gain, standardized_gains, with_effect_at
+from safedpa.diagnosis.report_schema import Detectable
+from safedpa.diagnosis.search.acceptance import CERTAIN, CORNERED, FALL, LIKELY, LITTLE_FALL, SURE, VERY_SURE
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
@@ -46,22 +45,22 @@ _TURNS = 2
 
 
 @dataclass(frozen=True)
-class _Moved:
+class _ParameterSensitivity:
     """What one parameter displaces at ordinary size."""
 
     item: AbstractEffect
     parameter: Parameter
     ordinary: float
-    whole: Floats
+    whole: FloatArray
     """(windows, numbers), the start's part eliminated, in units of the noise."""
-    left: Floats
+    left: FloatArray
     """What free numbers leave of it."""
-    ends: Floats
+    ends: FloatArray
     """Root mean square at the windows' ends, in units of each state's change, (states,)."""
 
 
 def detectable_sizes(
-    null: Trial, library: Sequence[AbstractEffect], shooting: Shooting, error: HeldoutError
+    null: EffectTrial, library: Sequence[AbstractEffect], shooting: Shooting, error: HeldoutError
 ) -> list[Detectable]:
     """For each effect and each of its numbers the smallest change that the search would have found."""
     known = _known(null)
@@ -81,13 +80,13 @@ def detectable_sizes(
 
 
 def with_manoeuvres(
-    sizes: Sequence[Detectable], null: Trial, library: Sequence[AbstractEffect]
+    sizes: Sequence[Detectable], null: EffectTrial, library: Sequence[AbstractEffect]
 ) -> tuple[Detectable, ...]:
     """The same, and what to drive for those whose ordinary size these logs do not show."""
     by_name = {item.name: item for item in library}
     hidden = [size for size in sizes if not size.shown and size.effect in by_name]
-    others = [with_start(null.fit.model, by_name[size.effect], _usual(by_name[size.effect])) for size in hidden]
-    drives = telling_manoeuvres(null.fit.model, others, np.maximum(null.fit.scale, 1e-9))
+    others = [with_effect_at(null.fit.model, by_name[size.effect], _usual(by_name[size.effect])) for size in hidden]
+    drives = discriminating_manoeuvres(null.fit.model, others, np.maximum(null.fit.scale, 1e-9))
     told = {id(size): drive for size, drive in zip(hidden, drives, strict=True)}
     return tuple(replace(size, drive=told[id(size)]) if id(size) in told else size for size in sizes)
 
@@ -97,7 +96,7 @@ def _usual(item: AbstractEffect) -> dict[str, float]:
     return {p.name: p.typical or 0.1 * p.high for p in item.parameters}
 
 
-def _known(null: Trial) -> Floats:
+def _known(null: EffectTrial) -> FloatArray:
     """Directions that the free numbers can take, orthonormal (numbers of all windows, some)."""
     columns = null.fit.columns
     if not columns.shape[-1]:
@@ -106,7 +105,9 @@ def _known(null: Trial) -> Floats:
     return np.asarray(left[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)])
 
 
-def _displaced(null: Trial, item: AbstractEffect, shooting: Shooting, known: Floats) -> list[_Moved]:
+def _displaced(
+    null: EffectTrial, item: AbstractEffect, shooting: Shooting, known: FloatArray
+) -> list[_ParameterSensitivity]:
     """One entry for each parameter of an effect that has a value at which it does nothing."""
     chosen = [p for p in item.parameters if p.neutral is not None]
     values = [_values(item, parameter, 1.0) for parameter in chosen]
@@ -114,16 +115,16 @@ def _displaced(null: Trial, item: AbstractEffect, shooting: Shooting, known: Flo
 
 
 def _of(
-    null: Trial,
+    null: EffectTrial,
     item: AbstractEffect,
     chosen: Sequence[Parameter],
     values: Sequence[dict[str, float]],
     shooting: Shooting,
-    known: Floats,
-) -> list[_Moved]:
+    known: FloatArray,
+) -> list[_ParameterSensitivity]:
     model = null.fit.model
     now = shooting.residuals([model])[0]
-    every = shooting.residuals([with_start(model, item, own) for own in values])
+    every = shooting.residuals([with_effect_at(model, item, own) for own in values])
     scale = np.maximum(change_scale(shooting.windows, shooting.windows.end), 1e-9)
     found = []
     for parameter, moved in zip(chosen, every, strict=True):
@@ -133,7 +134,7 @@ def _of(
         left = (flat - known @ (known.T @ flat)).reshape(whole.shape)
         last = np.take_along_axis(change, _last(shooting)[:, None, None], axis=1)[:, 0]
         ends = np.sqrt((last**2).mean(axis=0)) / scale
-        found.append(_Moved(item, parameter, _ordinary(parameter), whole, left, ends))
+        found.append(_ParameterSensitivity(item, parameter, _ordinary(parameter), whole, left, ends))
     return found
 
 
@@ -158,7 +159,9 @@ def _values(item: AbstractEffect, parameter: Parameter, size: float) -> dict[str
     return values
 
 
-def _smallest(null: Trial, moved: _Moved, shooting: Shooting, error: HeldoutError, known: Floats) -> float | None:
+def _smallest(
+    null: EffectTrial, moved: _ParameterSensitivity, shooting: Shooting, error: HeldoutError, known: FloatArray
+) -> float | None:
     """In ordinary sizes; None where no size within bounds would be found."""
     found = _passing(moved, null, shooting, error, 1.0)
     for _ in range(_TURNS):
@@ -171,7 +174,9 @@ def _smallest(null: Trial, moved: _Moved, shooting: Shooting, error: HeldoutErro
     return found if found is not None and found <= most else None
 
 
-def _passing(moved: _Moved, null: Trial, shooting: Shooting, error: HeldoutError, size: float) -> float | None:
+def _passing(
+    moved: _ParameterSensitivity, null: EffectTrial, shooting: Shooting, error: HeldoutError, size: float
+) -> float | None:
     """The smallest size of those looked at that would pass, with the displacement of ``size`` taken as a line."""
     if not float((moved.whole**2).sum()) > 0.0 or _taken(moved):
         return None
@@ -191,20 +196,20 @@ def _passing(moved: _Moved, null: Trial, shooting: Shooting, error: HeldoutError
     return None
 
 
-def _sure(squares: Floats, products: Floats, enough: float, shooting: Shooting) -> bool:
+def _sure(squares: FloatArray, products: FloatArray, enough: float, shooting: Shooting) -> bool:
     """Whether the gain passes whatever side the residual of each block is on, nearly always."""
-    if deviate_of(squares, shooting) <= enough:
+    if standardized_gain(squares, shooting) <= enough:
         return False
     sides = np.random.default_rng(5).choice([-1.0, 1.0], (_TURNED, int(shooting.block.max()) + 1))
-    missed = deviates_of(squares + sides[:, shooting.block] * products, shooting) <= enough
+    missed = standardized_gains(squares + sides[:, shooting.block] * products, shooting) <= enough
     return int(missed.sum()) <= _MISSED
 
 
-def _taken(moved: _Moved) -> bool:
+def _taken(moved: _ParameterSensitivity) -> bool:
     return float((moved.left**2).sum()) < _TAKEN * float((moved.whole**2).sum())
 
 
-def _same(moved: _Moved, every: Sequence[_Moved], null: Trial) -> tuple[str, ...]:
+def _same(moved: _ParameterSensitivity, every: Sequence[_ParameterSensitivity], null: EffectTrial) -> tuple[str, ...]:
     """Effects, or the free number, that do the same to the predictions."""
     size = float(np.linalg.norm(moved.whole))
     if not size > 0.0:

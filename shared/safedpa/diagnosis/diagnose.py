@@ -8,25 +8,36 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.naive import naive_errors
-from safedpa.compare.summary import worst_bins
-from safedpa.compare.where import PLACE
-from safedpa.diagnosis.addition import Addition, add_effect
-from safedpa.diagnosis.condition_words import conditions_of
+from safedpa.comparison.naive import naive_errors
+from safedpa.comparison.summary import worst_bins
+from safedpa.comparison.where import PLACE
+from safedpa.diagnosis.add_effect import Addition, add_effect
 from safedpa.diagnosis.coverage import coverage_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
-from safedpa.diagnosis.document import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
-from safedpa.diagnosis.experiment.choice import chosen_experiment
-from safedpa.diagnosis.fit.evidence import Evidence, evidence_at, evidence_beside, shown_of
-from safedpa.diagnosis.fit.fitted_values import values_of
-from safedpa.diagnosis.fit.heldout import Heldout, error_with
-from safedpa.diagnosis.fit.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
-from safedpa.diagnosis.remains.by_name import Names
-from safedpa.diagnosis.remains.remaining import formula_instead, remaining
-from safedpa.diagnosis.search.closest import closest_effects, doubtful_effects, likely_effects, nearest_effects
-from safedpa.diagnosis.search.patch import in_one_room
-from safedpa.diagnosis.search.search import Judged, Search, Tell, searched
-from safedpa.diagnosis.search.stages import Told, stages_of
+from safedpa.diagnosis.experiment_design.choice import choose_experiment
+from safedpa.diagnosis.fit.cross_validation import Heldout, error_with
+from safedpa.diagnosis.fit.data_checks import (
+    MOST_ROWS,
+    DataSufficiency,
+    check_data_sufficiency,
+    finding_row,
+    prepare_runs,
+)
+from safedpa.diagnosis.fit.horizon import HorizonData, data_at_horizon, data_at_other_horizons, displayed_windows
+from safedpa.diagnosis.fit.trial import values_of
+from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, FittedValue, Report, Unexplained, Verdict
+from safedpa.diagnosis.residuals.match_effects import LibraryMatcher
+from safedpa.diagnosis.residuals.unmodelled import alternative_formula, find_unexplained_structure
+from safedpa.diagnosis.search.conditional import conditions_of
+from safedpa.diagnosis.search.forward_selection import JudgedTrial, SearchState, Tell, run_search
+from safedpa.diagnosis.search.nearest_candidates import (
+    closest_effects,
+    doubtful_effects,
+    likely_effects,
+    nearest_effects,
+)
+from safedpa.diagnosis.search.regions import share_one_area
+from safedpa.diagnosis.search.stages import StageReport, stages_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, effects_of
 from safedpa.records.run import Finding, Run
@@ -55,23 +66,23 @@ def diagnose(
     The data choose the horizons at which is decided; ``horizon`` [s] is that of the errors that are shown. Raises
     InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    usable = prepared(model, runs, _MOST_ROWS)
-    evidence = evidence_at(usable.runs, usable.seconds)
-    shown = shown_of(usable.runs, horizon, evidence)
-    judge = judgeable(evidence.shooting, usable.runs, runs)
+    usable = prepare_runs(model, runs, _MOST_ROWS)
+    evidence = data_at_horizon(usable.runs, usable.seconds)
+    shown = displayed_windows(usable.runs, horizon, evidence)
+    judge = check_data_sufficiency(evidence.shooting, usable.runs, runs)
     library = library_for(model)
     if not judge.enough:
-        usable.quality.append(row_of("all", Finding("no_verdict", judge.why_not)))
+        usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
     asked: list[float] = []
 
-    def beside() -> list[Evidence]:
-        found = list(evidence_beside(usable.runs, usable.seconds))
+    def beside() -> list[HorizonData]:
+        found = list(data_at_other_horizons(usable.runs, usable.seconds))
         asked.extend(item.seconds for item in found if item.seconds not in asked)
         return found
 
-    search = searched(model, library if judge.enough else [], evidence.shooting, evidence.heldout, tell, beside)
+    search = run_search(model, library if judge.enough else [], evidence.shooting, evidence.heldout, tell, beside)
     usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
-    found = _rest_of(search, judge, Names(search, library, evidence.heldout))
+    found = _rest_of(search, judge, LibraryMatcher(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
     doubtful = doubtful_effects(search)
     told, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
@@ -109,38 +120,40 @@ class _Rest:
     """What no effect explains, and effects that may be missing."""
 
     unexplained: Unexplained | None
-    likely: list[Judged]
+    likely: list[JudgedTrial]
 
 
-def _rest_of(search: Search, judge: Judgeable, names: Names) -> _Rest:
+def _rest_of(search: SearchState, judge: DataSufficiency, names: LibraryMatcher) -> _Rest:
     if not judge.enough:
         near = [] if judge.wrong else nearest_effects(search, names.library, names.heldout)
         return _Rest(Unexplained((), judge.why_not, 0.0), near)
-    rest = formula_instead(search, names) or remaining(search.current, search.shooting, search.patch, names)
+    rest = alternative_formula(search, names) or find_unexplained_structure(
+        search.current, search.shooting, search.patch, names
+    )
     named = {item.trial.effects for item in names.found}
     others = [item for item in likely_effects(search) if item.trial.effects not in named]
     return _Rest(rest, [*names.found, *others])
 
 
-def _sizes(search: Search, library: Sequence[AbstractEffect]) -> list[Detectable]:
+def _sizes(search: SearchState, library: Sequence[AbstractEffect]) -> list[Detectable]:
     have = {item.name for item in search.current.fit.model.effects}
     rest = [item for item in library if item.name not in have]
     return detectable_sizes(search.current, rest, search.shooting, search.error)
 
 
-def _rooms(evidence: Evidence) -> list[dict[str, Any]]:
+def _rooms(evidence: HorizonData) -> list[dict[str, Any]]:
     """Runs that were in different places: whether they are of one room is not assumed."""
     names = evidence.shooting.windows.system.state_names
-    if not set(PLACE) <= set(names) or in_one_room(evidence.shooting):
+    if not set(PLACE) <= set(names) or share_one_area(evidence.shooting):
         return []
     message = (
         "the runs lie in different places, so no place on the floor was looked for; if they are of one room, give them "
         "in one frame"
     )
-    return [row_of("all", Finding("different_places", message))]
+    return [finding_row("all", Finding("different_places", message))]
 
 
-def _too_bad(search: Search) -> list[dict[str, Any]]:
+def _too_bad(search: SearchState) -> list[dict[str, Any]]:
     """A model that predicts worse than no change after all: wrong units or columns, rather than an effect."""
     if not search.error.value > 1.5:
         return []
@@ -148,10 +161,10 @@ def _too_bad(search: Search) -> list[dict[str, Any]]:
         f"even with all that was found the error is {search.error.value:.2f}, more than assuming no change would have: "
         "look for wrong units (degrees), swapped columns or another robot's model before believing any effect"
     )
-    return [row_of("all", Finding("implausible", message))]
+    return [finding_row("all", Finding("implausible", message))]
 
 
-def _verdict(search: Search, found: _Rest, judge: Judgeable, sizes: Sequence[Detectable]) -> Verdict:
+def _verdict(search: SearchState, found: _Rest, judge: DataSufficiency, sizes: Sequence[Detectable]) -> Verdict:
     if not judge.enough:
         return "unexplained" if judge.wrong else "undecided"
     if search.error.value > 1.5 or not np.isfinite(search.error.value):
@@ -166,7 +179,7 @@ def _verdict(search: Search, found: _Rest, judge: Judgeable, sizes: Sequence[Det
 
 
 def _candidates(
-    search: Search, heldout: Heldout, shown: Heldout, told: Told, final: Mapping[str, Value]
+    search: SearchState, heldout: Heldout, shown: Heldout, told: StageReport, final: Mapping[str, FittedValue]
 ) -> tuple[Candidate, ...]:
     """As they were judged; what was accepted with the final numbers and the error of its stage, so that no number
     stands in a report twice with another value."""
@@ -183,7 +196,7 @@ def _candidates(
     return tuple(found)
 
 
-def candidate_of(item: Judged, search: Search) -> Candidate:
+def candidate_of(item: JudgedTrial, search: SearchState) -> Candidate:
     """A trial with its verdict as the report states it."""
     own = set(item.trial.effects)
     paths = [path for path in item.trial.fit.paths if path.split(".")[0] in own]
@@ -201,7 +214,7 @@ def candidate_of(item: Judged, search: Search) -> Candidate:
 
 
 def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[dict[str, Any], ...]:
-    from safedpa.compare.comparison import EVERY, compare_model
+    from safedpa.comparison.comparison import EVERY, compare_model
 
     seconds = sum(run.duration for run in runs)
     comparison = compare_model(model, runs, horizon, every=max(EVERY, seconds / 1500))
@@ -209,18 +222,18 @@ def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[di
     return tuple({key: getattr(item, key) for key in keys} for item in worst_bins(comparison))
 
 
-def experiment_for(search: Search) -> Experiment | None:
+def experiment_for(search: SearchState) -> Experiment | None:
     """Between an accepted effect and what this data cannot tell from it; else between the best two candidates."""
     noise = np.maximum(search.current.fit.scale, 1e-9)
     for item in search.candidates:
         if item.decision != "rejected" and item.equals:
             models = _survivors(item, search)
             if len(models) > 1:
-                return chosen_experiment(models, noise)
+                return choose_experiment(models, noise)
     return None
 
 
-def _survivors(item: Judged, search: Search) -> dict[str, PhysicsModel]:
+def _survivors(item: JudgedTrial, search: SearchState) -> dict[str, PhysicsModel]:
     same = [other for other in search.candidates if other.stage == item.stage]
     models = {item.trial.name: item.trial.fit.model}
     for other in same:

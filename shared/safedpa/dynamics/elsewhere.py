@@ -9,11 +9,11 @@ from typing import Any
 
 from safedpa.dynamics.physics import PhysicsModel
 
-__all__ = ["Elsewhere", "table_of"]
+__all__ = ["SimulatorExport", "export_table"]
 
 
 @dataclass(frozen=True)
-class Elsewhere:
+class SimulatorExport:
     """A model in other simulators' words."""
 
     documents: Mapping[str, str] = field(default_factory=dict)
@@ -22,7 +22,7 @@ class Elsewhere:
     """By file: the effects that its simulator cannot say, and why or what to do instead."""
 
 
-def table_of(model: PhysicsModel, other: Elsewhere | None = None) -> str:
+def export_table(model: PhysicsModel, other: SimulatorExport | None = None) -> str:
     """Every parameter with unit and equation, and what could not be said elsewhere, as JSON."""
     found: dict[str, Any] = {
         "format": 1,

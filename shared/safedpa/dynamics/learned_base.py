@@ -10,7 +10,7 @@ import numpy as np
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.runge_kutta import Derivative, euler
 from safedpa.dynamics.settings import LATENT_PREFIX
-from safedpa.dynamics.straight import called, is_recorded
+from safedpa.dynamics.straight import call_function, is_recorded
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
@@ -71,7 +71,7 @@ class LearnedBase(AbstractBase):
     def _single(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
         """The change of one robot."""
         states, actions = len(entries), len(wish)
-        known = called(self.known_of_one, (*entries, *latent), states * (1 + actions))
+        known = call_function(self.known_of_one, (*entries, *latent), states * (1 + actions))
         rows = [known[start : start + actions] for start in range(states, len(known), actions)]
         return [
             start + sum(slope * felt for slope, felt in zip(row, wish, strict=True))

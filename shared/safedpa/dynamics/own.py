@@ -19,7 +19,7 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import add_base
 from safedpa.effects.library import add_effects, module_from
 from safedpa.errors import InputError
-from safedpa.installed import brought_under
+from safedpa.installed import entry_points_of_group
 from safedpa.limits import finite_number
 from safedpa.operations import FLOATS
 from safedpa.robot import AbstractRobot, add_robot
@@ -72,7 +72,7 @@ def _loaded_once(name: str) -> tuple[str, ...]:
 @cache
 def _entry_points_once() -> None:
     """Systems and bases of installed modules; their effects are in the library already."""
-    for entry in brought_under("safedpa.effects"):
+    for entry in entry_points_of_group("safedpa.effects"):
         module = entry.load()
         for item in _systems_in(module):
             add_system(item)

@@ -28,14 +28,14 @@ __all__ = [
     "Straight",
     "StraightStep",
     "StraightSteps",
-    "called",
+    "call_function",
     "is_recorded",
     "paced",
+    "rollout_held_action",
     "step_texts",
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
-    "walked",
 ]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
@@ -45,7 +45,7 @@ Equations = Callable[[Sequence[Any], Sequence[Any], Sequence[Any], Any, Operatio
 """The same, with the table that the equations take their functions from."""
 
 
-def walked(
+def rollout_held_action(
     step: StraightStep,
     entries: Iterable[float],
     held: NDArray[np.float64],
@@ -79,7 +79,7 @@ _DEEPEST = 40
 """Brackets in one expression: Python's own parser takes no more than 200 within each other."""
 
 
-def called(function: Callable[..., Sequence[Any]], operands: Sequence[Any], count: int) -> Sequence[Any]:
+def call_function(function: Callable[..., Sequence[Any]], operands: Sequence[Any], count: int) -> Sequence[Any]:
     """The ``count`` results of ``function(*operands)``, among equations that may be recorded.
 
     For what is no arithmetic on single numbers, such as a network. It gets the same floats whenever the equations run,

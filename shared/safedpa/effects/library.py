@@ -15,7 +15,7 @@ from types import ModuleType
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
-from safedpa.installed import brought_under
+from safedpa.installed import entry_points_of_group
 from safedpa.robot import AbstractRobot
 from safedpa.robot import robots as robots_declared
 from safedpa.systems import systems
@@ -118,7 +118,7 @@ def _of_robot(robot: AbstractRobot) -> dict[tuple[str, str], AbstractEffect]:
 
 @cache
 def _of_entry_points() -> dict[tuple[str, str], AbstractEffect]:
-    points = brought_under("safedpa.effects")
+    points = entry_points_of_group("safedpa.effects")
     return {(item.robot, item.name): item for entry in points for item in _effects_in(entry.load())}
 
 

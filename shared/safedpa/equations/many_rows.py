@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.equations.rows import RowTape, nested
 from safedpa.equations.slopes import ARRAYS
 from safedpa.equations.tape import FUNCTIONS, Line
@@ -17,7 +17,6 @@ from safedpa.operations import NUMPY
 
 __all__ = ["ManyRows"]
 
-Values = NDArray[np.float64]
 Columns = Sequence[Any]
 
 
@@ -30,13 +29,13 @@ class ManyRows:
         self._heights = _made(_heights_text(tape), "heights")
         self._slopes = _made(_slopes_text(tape), "slopes")
 
-    def heights(self, state: Values, shared: Sequence[Columns], each: Sequence[Columns]) -> Values:
+    def heights(self, state: FloatArray, shared: Sequence[Columns], each: Sequence[Columns]) -> FloatArray:
         """h (robots, rows) at states (robots, states)."""
         with np.errstate(all="ignore"):  # what is computed beside the place where it is chosen
             groups = self._heights(self._columns(state), shared, each)
         return np.concatenate([_rows(group, len(state)) for group in groups], axis=1)
 
-    def slopes(self, state: Values, shared: Sequence[Columns], each: Sequence[Columns]) -> Values:
+    def slopes(self, state: FloatArray, shared: Sequence[Columns], each: Sequence[Columns]) -> FloatArray:
         """d(h)/d(state) (robots, rows, states) at states (robots, states)."""
         with np.errstate(all="ignore"):
             groups = self._slopes(self._columns(state), shared, each)
@@ -52,11 +51,11 @@ class ManyRows:
             first += size
         return found
 
-    def _columns(self, state: Values) -> list[Values]:
+    def _columns(self, state: FloatArray) -> list[FloatArray]:
         return [state[:, index : index + 1] for index in range(self._states)]
 
 
-def _rows(group: tuple[Sequence[Any], int], robots: int) -> Values:
+def _rows(group: tuple[Sequence[Any], int], robots: int) -> FloatArray:
     """(robots, items * rows of an item), item by item."""
     rows, items = group
     if len(rows) == 1:

@@ -2,14 +2,14 @@
 
 from safedpa.fleet.fleet_diagnosis import Fleet, Workers, diagnose_fleet
 from safedpa.fleet.inputs import Options
-from safedpa.fleet.robots import By, RobotLogs, RobotsFound, robots_in_folder, robots_of_files
+from safedpa.fleet.robots import By, DiscoveredRobots, RobotLogs, robots_in_folder, robots_of_files
 
 __all__ = [
     "By",
+    "DiscoveredRobots",
     "Fleet",
     "Options",
     "RobotLogs",
-    "RobotsFound",
     "Workers",
     "diagnose_fleet",
     "robots_in_folder",

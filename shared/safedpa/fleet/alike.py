@@ -7,9 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from safedpa.fleet.outcome import Number, RobotOutcome, Tried, neutral_of
+from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome, neutral_of
 
-__all__ = ["APART", "SURELY", "Alike", "apart", "clusters", "same_effects", "with_one_name"]
+__all__ = [
+    "APART",
+    "SURELY",
+    "SimilarRobots",
+    "connected_components",
+    "differ_significantly",
+    "same_effects",
+    "with_one_name",
+]
 
 APART = 0.33
 """Share of the numbers' size by which neighbours have to differ to be two groups."""
@@ -20,7 +28,7 @@ Vector = Mapping[str, Number]
 
 
 @dataclass(frozen=True)
-class Alike:
+class SimilarRobots:
     """Robots that lack the same effects with numbers without a gap."""
 
     effects: tuple[str, ...]
@@ -38,8 +46,8 @@ def with_one_name(outcomes: Sequence[RobotOutcome]) -> list[RobotOutcome]:
     return [replace(outcome, found=_renamed(outcome.found, votes)) for outcome in outcomes]
 
 
-def _renamed(found: tuple[Tried, ...], votes: Counter[str]) -> tuple[Tried, ...]:
-    kept: list[Tried] = []
+def _renamed(found: tuple[EffectEvidence, ...], votes: Counter[str]) -> tuple[EffectEvidence, ...]:
+    kept: list[EffectEvidence] = []
     own = {item.effect for item in found}
     for item in found:
         others = [name for name in item.others or {} if name not in own]
@@ -48,22 +56,22 @@ def _renamed(found: tuple[Tried, ...], votes: Counter[str]) -> tuple[Tried, ...]
     return tuple(kept)
 
 
-def _as(item: Tried, name: str) -> Tried:
+def _as(item: EffectEvidence, name: str) -> EffectEvidence:
     other = (item.others or {})[name]
     equals = (item.effect, *(each for each in item.equals if each != name))
     others = {**(item.others or {}), item.effect: item}
-    return Tried(name, other.numbers, item.score, equals, others)
+    return EffectEvidence(name, other.numbers, item.score, equals, others)
 
 
-def same_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[Alike]:
+def same_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[SimilarRobots]:
     """Groups of robots by what was found in them, and by numbers without a gap; the largest first."""
     sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
         sets.setdefault(tuple(sorted(item.effect for item in outcome.found)), []).append(outcome)
     groups = []
     for effects, members in sets.items():
-        for part in clusters(members, lambda one, other: apart(one, other, robot)):
-            groups.append(Alike(effects, tuple(part), _equals(effects, part)))
+        for part in connected_components(members, lambda one, other: differ_significantly(one, other, robot)):
+            groups.append(SimilarRobots(effects, tuple(part), _equals(effects, part)))
     return sorted(groups, key=lambda group: (-len(group.members), group.effects))
 
 
@@ -75,7 +83,7 @@ def _equals(effects: tuple[str, ...], members: Sequence[RobotOutcome]) -> dict[s
     return found
 
 
-def clusters(
+def connected_components(
     members: Sequence[RobotOutcome], different: Callable[[RobotOutcome, RobotOutcome], bool]
 ) -> list[list[RobotOutcome]]:
     """Connected parts of the graph whose edges are pairs that do not differ, in order of their first member."""
@@ -87,7 +95,7 @@ def clusters(
     return parts
 
 
-def apart(one: RobotOutcome, other: RobotOutcome, robot: str) -> bool:
+def differ_significantly(one: RobotOutcome, other: RobotOutcome, robot: str) -> bool:
     """Whether the numbers of any effect differ widely and surely.
 
     Widely: |a - b| > APART (|a| + |b|) / 2, a and b the changes from doing nothing, as vectors of all numbers of one

@@ -13,23 +13,23 @@ from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import SafedpaError
-from safedpa.fleet.alike import APART, apart, clusters
+from safedpa.fleet.alike import APART, connected_components, differ_significantly
 from safedpa.fleet.discovery import upper_tail
 from safedpa.fleet.inputs import Options
 from safedpa.fleet.one_robot import read_runs
-from safedpa.fleet.outcome import RobotOutcome, Tried, neutral_of
+from safedpa.fleet.outcome import EffectEvidence, RobotOutcome, neutral_of
 from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, pooled_numbers
 from safedpa.fleet.robots import RobotLogs
 
 __all__ = [
-    "Common",
     "Confirmation",
-    "MendTask",
+    "CorrectionTask",
+    "FleetEffect",
     "common_effects",
-    "confirmed",
-    "mended_error",
-    "mended_model",
-    "mended_settings",
+    "confirm_correction",
+    "corrected_error",
+    "corrected_model",
+    "corrected_settings",
     "together_effects",
 ]
 
@@ -46,12 +46,12 @@ _FALLS = 0.01
 
 
 @dataclass(frozen=True)
-class Common:
+class FleetEffect:
     """One effect of the whole fleet."""
 
     effect: str
     numbers: Mapping[str, Pooled]
-    said: Mapping[str, Tried]
+    said: Mapping[str, EffectEvidence]
     """What each robot says, by name."""
     found_in: int
     of: int
@@ -63,7 +63,7 @@ class Common:
 
 
 @dataclass(frozen=True)
-class MendTask:
+class CorrectionTask:
     """One robot on which the mended model is tried, with the numbers of the other robots: settings by effect."""
 
     robot: RobotLogs
@@ -89,7 +89,7 @@ class Confirmation:
         return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.fall > 0
 
 
-def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[Common]:
+def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[FleetEffect]:
     """Effects that were found in nearly all robots that were judged, the most frequent first."""
     judged = [item for item in outcomes if item.judged]
     if len(judged) < _FEWEST:
@@ -99,7 +99,7 @@ def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[Common]
     return sorted(found, key=lambda item: -item.found_in)
 
 
-def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[PooledEvidence]) -> list[Common]:
+def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[PooledEvidence]) -> list[FleetEffect]:
     """Effects that show in all robots together only, the strongest first: one of them at most acts, as a rule.
 
     They resemble each other, so trying them on the robots decides, not their order.
@@ -114,7 +114,9 @@ def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[Pooled
         said = estimates(item.effect, judged)
         rivals = tuple(other.effect for other in showing if other is not item)
         numbers = pooled_numbers(list(said.values()))
-        found.append(Common(item.effect, numbers, said, votes[item.effect], len(judged), item.score, rivals, False))
+        found.append(
+            FleetEffect(item.effect, numbers, said, votes[item.effect], len(judged), item.score, rivals, False)
+        )
     return found
 
 
@@ -127,14 +129,14 @@ def _shows(item: PooledEvidence, judged: Sequence[RobotOutcome]) -> bool:
     return item.score > _TOGETHER and item.robots >= _NEARLY_ALL * len(judged) and item.favourable > 0.6 * item.robots
 
 
-def _strong(name: str, count: int, judged: Sequence[RobotOutcome], robot: str) -> Common:
+def _strong(name: str, count: int, judged: Sequence[RobotOutcome], robot: str) -> FleetEffect:
     own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
-    largest = max(clusters(own, lambda one, other: apart(one, other, robot)), key=len)
+    largest = max(connected_components(own, lambda one, other: differ_significantly(one, other, robot)), key=len)
     said = {outcome.name: outcome.found[0] for outcome in own}
     numbers = pooled_numbers([outcome.found[0] for outcome in largest])
     wide = any(_wide(robot, name, parameter, item) for parameter, item in numbers.items())
     rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in said.values()))))
-    return Common(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
+    return FleetEffect(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
 
 
 def _only(outcome: RobotOutcome, name: str) -> RobotOutcome:
@@ -147,7 +149,7 @@ def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
     return item.spread > 0.5 * APART * change
 
 
-def mended_settings(robot: str, common: Sequence[Common], without: str = "") -> dict[str, dict[str, Setting]]:
+def corrected_settings(robot: str, common: Sequence[FleetEffect], without: str = "") -> dict[str, dict[str, Setting]]:
     """The fleet's numbers by effect, those of the robot ``without`` left out; free where they differ."""
     found = {}
     for item in common:
@@ -164,7 +166,7 @@ def _setting(parameter: Parameter, value: float, free: bool) -> Setting:
     return Setting(float(f"{min(max(value, parameter.low), parameter.high):.6g}"), free=free)
 
 
-def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Setting]]) -> PhysicsModel:
+def corrected_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Setting]]) -> PhysicsModel:
     """The given model with more effects."""
     model = given
     for name, own in settings.items():
@@ -172,27 +174,27 @@ def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Settin
     return model
 
 
-def mended_error(task: MendTask) -> tuple[str, float]:
+def corrected_error(task: CorrectionTask) -> tuple[str, float]:
     """The robot's name and its held-out error with the mended model; NaN where its data cannot be read any more."""
-    from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
-    from safedpa.diagnosis.fit.heldout import error_with
-    from safedpa.diagnosis.fit.readiness import prepared
-    from safedpa.diagnosis.search.beginning import begun
+    from safedpa.diagnosis.fit.cross_validation import error_with
+    from safedpa.diagnosis.fit.data_checks import prepare_runs
+    from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
+    from safedpa.diagnosis.search.initial_model import initial_search
     from safedpa.dynamics import load_model
 
-    model = mended_model(load_model(task.options.model), task.settings)
+    model = corrected_model(load_model(task.options.model), task.settings)
     try:
         runs, _ = read_runs(model, task.robot, task.options)
-        usable = prepared(model, runs)
-        evidence = evidence_at(usable.runs, usable.seconds)
-        shown = shown_of(usable.runs, task.options.horizon, evidence)
-        found = begun(model, evidence.shooting, evidence.heldout)
+        usable = prepare_runs(model, runs)
+        evidence = data_at_horizon(usable.runs, usable.seconds)
+        shown = displayed_windows(usable.runs, task.options.horizon, evidence)
+        found = initial_search(model, evidence.shooting, evidence.heldout)
     except SafedpaError:
         return task.robot.name, math.nan
     return task.robot.name, error_with(found.current.fit, found.shooting, shown).value
 
 
-def confirmed(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
+def confirm_correction(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
     """How many robots the mended model predicts better, from the errors by robot."""
     both = [(before[name], after[name]) for name in before if name in after]
     known = [pair for pair in both if all(math.isfinite(error) and error > 0 for error in pair)]

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from safedpa.compare.windows import Floats
+from safedpa.arrays import FloatArray
 
 __all__ = ["FALSE_SHARE", "believed", "chance", "upper_tail"]
 
@@ -35,7 +35,7 @@ def chance(evidence: float, trials: int) -> float:
 
 def believed(chances: Sequence[float], share: float = FALSE_SHARE) -> tuple[list[bool], float]:
     """Which of n findings stand, and the largest p that does (0 where none does)."""
-    p: Floats = np.asarray(chances, dtype=np.float64)
+    p: FloatArray = np.asarray(chances, dtype=np.float64)
     if not len(p):
         return [], 0.0
     order = np.sort(p)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.fleet.alike import Alike, same_effects, with_one_name
-from safedpa.fleet.common import Common, Confirmation, common_effects, together_effects
+from safedpa.fleet.alike import SimilarRobots, same_effects, with_one_name
+from safedpa.fleet.common import Confirmation, FleetEffect, common_effects, together_effects
 from safedpa.fleet.discovery import FALSE_SHARE, believed, chance
 from safedpa.fleet.outcome import RobotOutcome
 from safedpa.fleet.pooled_evidence import PooledEvidence, evidence_over, pooled_number, pooled_numbers
 
-__all__ = ["Analysis", "Group", "analysed", "fleet_document"]
+__all__ = ["Analysis", "Group", "analyse_fleet", "fleet_document"]
 
 _ODD = 5.0
 """Robust standard deviations of log(error) from which a robot does not fit."""
@@ -49,15 +49,15 @@ class Analysis:
     groups: tuple[Group, ...]
     chances: Mapping[str, float]
     limit: float
-    common: tuple[Common, ...]
-    together: tuple[Common, ...]
+    common: tuple[FleetEffect, ...]
+    together: tuple[FleetEffect, ...]
     """Effects of which one may be common to all: only all robots together show it."""
     evidence: tuple[PooledEvidence, ...]
     odd: tuple[tuple[str, float], ...]
     """Robots that even the model with what was found predicts much worse than the others, and how many times."""
 
 
-def analysed(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
+def analyse_fleet(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
     """Groups, false discoveries, pooled evidence and odd ones among the robots of one fleet."""
     named = with_one_name(sorted(outcomes, key=lambda item: item.name))
     judged = [item for item in named if item.judged]
@@ -95,7 +95,7 @@ def _groups(outcomes: Sequence[RobotOutcome], sure: set[str], robot: str) -> tup
     return tuple(sorted(groups, key=lambda group: ORDER.index(group.kind)))
 
 
-def _group(kind: str, part: Alike) -> Group:
+def _group(kind: str, part: SimilarRobots) -> Group:
     return Group(kind, part.effects, part.equals, part.members)
 
 
@@ -118,7 +118,9 @@ def _odd(judged: Sequence[RobotOutcome]) -> tuple[tuple[str, float], ...]:
     return tuple((name, ratio) for name, ratio in far if ratio > _ODD_RATIO and math.log(ratio) > _ODD * width)
 
 
-def fleet_document(analysis: Analysis, mended: Sequence[tuple[Common, Confirmation]], **about: Any) -> dict[str, Any]:
+def fleet_document(
+    analysis: Analysis, mended: Sequence[tuple[FleetEffect, Confirmation]], **about: Any
+) -> dict[str, Any]:
     """The document of ``fleet.json``; ``mended``: what all have in common, and whether it held on the robots.
 
     ``about``: model, horizon, by, left_out and what it cost.
@@ -156,7 +158,7 @@ def _group_document(group: Group) -> dict[str, Any]:
     }
 
 
-def _common_document(mended: Sequence[tuple[Common, Confirmation]]) -> dict[str, Any] | None:
+def _common_document(mended: Sequence[tuple[FleetEffect, Confirmation]]) -> dict[str, Any] | None:
     if not mended:
         return None
     effects = [

@@ -17,39 +17,39 @@ import numpy as np
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, save_model, write_model
 from safedpa.errors import InputError, RecordingError
 from safedpa.fleet.common import (
-    Common,
     Confirmation,
-    MendTask,
-    confirmed,
-    mended_error,
-    mended_model,
-    mended_settings,
+    CorrectionTask,
+    FleetEffect,
+    confirm_correction,
+    corrected_error,
+    corrected_model,
+    corrected_settings,
 )
-from safedpa.fleet.document import Analysis, analysed, fleet_document
+from safedpa.fleet.document import Analysis, analyse_fleet, fleet_document
 from safedpa.fleet.inputs import Options, file_stamp, options_digest, same_files
-from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, diagnosed_robot, not_diagnosed
+from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, diagnose_robot, failed_result
 from safedpa.fleet.outcome import outcome_of
 from safedpa.fleet.page import write_fleet_page
 from safedpa.fleet.robot_recordings import robots_in, split_recording
-from safedpa.fleet.robots import RobotLogs, RobotsFound
-from safedpa.records.atomic import atomic_path
+from safedpa.fleet.robots import DiscoveredRobots, RobotLogs
+from safedpa.records.writers.tables import atomic_path
 
 __all__ = [
     "Fleet",
     "Workers",
     "clear_others",
+    "correct_fleet_model",
     "diagnose_fleet",
-    "kept",
-    "mended",
+    "has_current_result",
+    "iterate_results",
     "read_result",
-    "results",
     "write_result",
     "write_scripts",
 ]
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
-Mended = list[tuple[Common, Confirmation]]
+Mended = list[tuple[FleetEffect, Confirmation]]
 """What was tried, and whether it held beside what held before it."""
 
 _MOST_TRIED = 40
@@ -65,7 +65,7 @@ class Workers(Protocol):
         """Runs ``work`` on every job somewhere."""
 
 
-def mended(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Mended:
+def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Mended:
     """Tries what the fleet has in common on robots, each with the others' numbers; writes the model with what holds.
 
     First what nearly all were found to have, one after the other; then, beside it, the best of what shows in all
@@ -75,37 +75,37 @@ def mended(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Pa
     if not tasks:
         return []
     told: Mended = []
-    held: list[Common] = []
+    held: list[FleetEffect] = []
     errors: Mapping[str, float] = {item.name: item.error_before for item in analysis.outcomes if item.judged}
     steps = [[item] for item in analysis.common] + ([list(analysis.together)] if analysis.together else [])
     for options in steps:
         tried = [(item, _errors([*held, item], analysis, tasks, workers)) for item in options]
-        best, after = max(tried, key=lambda pair: confirmed(errors, pair[1]).fall)
-        found = confirmed(errors, after)
+        best, after = max(tried, key=lambda pair: confirm_correction(errors, pair[1]).fall)
+        found = confirm_correction(errors, after)
         told.append((best, found))
         if found.holds:
             held.append(best)
             errors = after
     if held:
-        _save(mended_model(load_model(tasks[0].options.model), mended_settings(analysis.robot, held)), path)
+        _save(corrected_model(load_model(tasks[0].options.model), corrected_settings(analysis.robot, held)), path)
     return told
 
 
 def _errors(
-    common: Sequence[Common], analysis: Analysis, tasks: Sequence[Task], workers: Workers
+    common: Sequence[FleetEffect], analysis: Analysis, tasks: Sequence[Task], workers: Workers
 ) -> Mapping[str, float]:
     """Held-out errors by robot, each with the other robots' numbers."""
     known = {item.name for item in analysis.outcomes if item.judged}
     judged = [task for task in tasks if task.robot.name in known]
     picked = np.unique(np.linspace(0, len(judged) - 1, min(len(judged), _MOST_TRIED)).astype(int))
     jobs = [
-        MendTask(task.robot, task.options, mended_settings(analysis.robot, common, task.robot.name))
+        CorrectionTask(task.robot, task.options, corrected_settings(analysis.robot, common, task.robot.name))
         for task in (judged[index] for index in picked)
     ]
-    return dict(workers(mended_error, jobs, _not_tried))
+    return dict(workers(corrected_error, jobs, _not_tried))
 
 
-def _not_tried(task: MendTask, _reason: str) -> tuple[str, float]:
+def _not_tried(task: CorrectionTask, _reason: str) -> tuple[str, float]:
     return task.robot.name, float("nan")
 
 
@@ -142,7 +142,7 @@ def write_result(result: RobotResult, out: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def kept(task: Task, out: Path) -> bool:
+def has_current_result(task: Task, out: Path) -> bool:
     """Whether the robot's result is there and belongs to the same model, options and recordings.
 
     What failed by the program's own fault is done again.
@@ -162,7 +162,7 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) and found.get("format") == FORMAT else None
 
 
-def results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any] | None]]:
+def iterate_results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any] | None]]:
     """(result.json, report.json or None) of every robot, one at a time."""
     for task in tasks:
         folder = out / ROBOTS / task.robot.name
@@ -198,7 +198,7 @@ Tell = Callable[[int, int], None]
 class Fleet:
     """What was asked: robots, model and options, and the folder for everything that is written."""
 
-    found: RobotsFound
+    found: DiscoveredRobots
     options: Options
     out: Path
 
@@ -218,15 +218,15 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
     tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
     clear_others(tasks, out)
     write_scripts(out)
-    todo = [task for task in tasks if anew or not kept(task, out)]
+    todo = [task for task in tasks if anew or not has_current_result(task, out)]
     done = len(tasks) - len(todo)
     tell(done, len(tasks))
-    for result in workers(diagnosed_robot, todo, not_diagnosed):
+    for result in workers(diagnose_robot, todo, failed_result):
         write_result(result, out)
         done += 1
         tell(done, len(tasks))
-    analysis = analysed([outcome_of(*pair) for pair in results(tasks, out)], given.system.name)
-    common = mended(analysis, tasks, workers, out / "model.toml")
+    analysis = analyse_fleet([outcome_of(*pair) for pair in iterate_results(tasks, out)], given.system.name)
+    common = correct_fleet_model(analysis, tasks, workers, out / "model.toml")
     document = fleet_document(analysis, common, **_about(fleet, len(todo)))
     with atomic_path(out / "fleet.json") as temporary:
         temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")

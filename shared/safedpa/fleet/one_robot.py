@@ -18,11 +18,11 @@ from safedpa.fleet.inputs import Options, file_stamp
 from safedpa.fleet.robots import RobotLogs
 
 if TYPE_CHECKING:
-    from safedpa.diagnosis.document import Report
+    from safedpa.diagnosis.report_schema import Report
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
-__all__ = ["FORMAT", "RobotResult", "Status", "Task", "diagnosed_robot", "not_diagnosed", "read_runs"]
+__all__ = ["FORMAT", "RobotResult", "Status", "Task", "diagnose_robot", "failed_result", "read_runs"]
 
 FORMAT = 1
 Status = Literal["diagnosed", "no_verdict", "unreadable", "failed"]
@@ -47,7 +47,7 @@ class RobotResult:
     texts: Mapping[str, str] = field(default_factory=dict)
 
 
-def diagnosed_robot(task: Task) -> RobotResult:
+def diagnose_robot(task: Task) -> RobotResult:
     """Reads and diagnoses one robot. Never raises for what is wrong with its data: that is its result."""
     begin, processor = time.perf_counter(), time.process_time()
     try:
@@ -62,7 +62,7 @@ def diagnosed_robot(task: Task) -> RobotResult:
     return RobotResult(task.robot.name, document, texts)
 
 
-def not_diagnosed(task: Task, reason: str) -> RobotResult:
+def failed_result(task: Task, reason: str) -> RobotResult:
     """The result of a robot whose process died or raised what nobody expected."""
     return RobotResult(task.robot.name, _document(task, "failed", reason, []))
 
@@ -91,7 +91,7 @@ def _diagnosed(
     task: Task,
 ) -> tuple[Status, str, tuple[Report, float] | None, dict[str, str], list[dict[str, str]]]:
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.document import as_document
+    from safedpa.diagnosis.report_schema import as_document
     from safedpa.dynamics import load_model
 
     model = load_model(task.options.model)
@@ -126,7 +126,7 @@ def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[
 
     Raises InputError and ColumnMapError for what is wrong with the options, not with a file.
     """
-    from safedpa.compare.comparison import with_distinct_names
+    from safedpa.comparison.comparison import with_distinct_names
     from safedpa.errors import RunError
     from safedpa.records import load_column_map, load_run
 

@@ -10,7 +10,7 @@ from typing import Any
 from safedpa.effects import effects_of
 from safedpa.errors import InputError
 
-__all__ = ["Number", "RobotOutcome", "Tried", "neutral_of", "outcome_of"]
+__all__ = ["EffectEvidence", "Number", "RobotOutcome", "neutral_of", "outcome_of"]
 
 _BY_FILTER = 3.0
 """The filter's standard deviations count a third: it has to put a number 9 away from doing nothing where unseen blocks
@@ -29,7 +29,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Tried:
+class EffectEvidence:
     """One effect in one robot: its numbers by name, and what unseen blocks say of it in standard errors."""
 
     effect: str
@@ -37,7 +37,7 @@ class Tried:
     score: float
     equals: tuple[str, ...] = ()
     """Effects that this robot's data cannot tell from it."""
-    others: Mapping[str, Tried] | None = None
+    others: Mapping[str, EffectEvidence] | None = None
     """The same stage's candidates among ``equals``, by name."""
 
 
@@ -48,12 +48,12 @@ class RobotOutcome:
     name: str
     status: str
     reason: str
-    found: tuple[Tried, ...] = ()
+    found: tuple[EffectEvidence, ...] = ()
     evidence: float = -math.inf
     """Of the weakest found effect, of the best candidate where none was found: standard errors on unseen blocks."""
     trials: int = 1
     """Candidates among which the best was chosen."""
-    last: Mapping[str, Tried] | None = None
+    last: Mapping[str, EffectEvidence] | None = None
     """Every single effect in the last stage, beside all that was found."""
     free: Mapping[str, Number] | None = None
     """Refitted parameters of the given model, by path."""
@@ -119,7 +119,7 @@ def neutral_of(robot: str, effect: str, parameter: str) -> float | None:
     return own.get(parameter)
 
 
-def _found(name: str, report: Mapping[str, Any]) -> Tried:
+def _found(name: str, report: Mapping[str, Any]) -> EffectEvidence:
     """An accepted effect with its final numbers; the candidate is the one that was accepted last."""
     own = [c for c in report["candidates"] if name in c["effect"].split(" + ") and c["decision"] == "accepted"]
     item = own[-1] if own else None
@@ -127,22 +127,22 @@ def _found(name: str, report: Mapping[str, Any]) -> Tried:
         path.split(".")[1]: _number(value) for path, value in report["parameters"].items() if path.split(".")[0] == name
     }
     if item is None:  # it took the place of one that was accepted
-        return Tried(name, numbers, math.inf)
+        return EffectEvidence(name, numbers, math.inf)
     equals = tuple(other for other in item["indistinguishable_from"] if " + " not in other)
     same = [c for c in report["candidates"] if c["stage"] == item["stage"] and c["effect"] in equals]
-    return Tried(name, numbers, _float(item["score"]), equals, {c["effect"]: _tried(c) for c in same})
+    return EffectEvidence(name, numbers, _float(item["score"]), equals, {c["effect"]: _tried(c) for c in same})
 
 
-def _last(report: Mapping[str, Any]) -> dict[str, Tried]:
+def _last(report: Mapping[str, Any]) -> dict[str, EffectEvidence]:
     """Single effects of the last stage that were not added, in which nothing passed any more."""
     every = [item for item in report["candidates"] if " + " not in item["effect"]]
     stage = max((item["stage"] for item in every), default=0)
     return {i["effect"]: _tried(i) for i in every if i["stage"] == stage and i["decision"] != "accepted"}
 
 
-def _tried(item: Mapping[str, Any]) -> Tried:
+def _tried(item: Mapping[str, Any]) -> EffectEvidence:
     numbers = {name: _number(value) for name, value in item["parameters"].items()}
-    return Tried(item["effect"], numbers, _float(item["score"]), tuple(item["indistinguishable_from"]))
+    return EffectEvidence(item["effect"], numbers, _float(item["score"]), tuple(item["indistinguishable_from"]))
 
 
 def _number(item: Mapping[str, Any]) -> Number:
@@ -153,7 +153,7 @@ def _float(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _evidence(item: Tried, robot: str) -> float:
+def _evidence(item: EffectEvidence, robot: str) -> float:
     """Standard errors of unseen blocks where they decided; else those of the filter, a third of them."""
     if item.score > _BLOCKS:
         return item.score

@@ -18,7 +18,7 @@ from safedpa.fleet.story import (
     listed,
     range_text,
 )
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_page import embedded, rendered
 from safedpa.report.panels import Panels
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safedpa.fleet.outcome import Number, RobotOutcome, Tried
+from safedpa.fleet.outcome import EffectEvidence, Number, RobotOutcome
 
 __all__ = ["Pooled", "PooledEvidence", "estimates", "evidence_over", "pooled_number", "pooled_numbers"]
 
@@ -81,13 +81,13 @@ def pooled_number(numbers: Sequence[Number]) -> Pooled:
     return Pooled(mean, deviation, spread, low, high, stated, len(values), numbers[0].unit)
 
 
-def pooled_numbers(tried: Sequence[Tried]) -> dict[str, Pooled]:
+def pooled_numbers(tried: Sequence[EffectEvidence]) -> dict[str, Pooled]:
     """Every parameter of one effect over several robots, by name."""
     names = tried[0].numbers if tried else {}
     return {name: pooled_number([item.numbers[name] for item in tried if name in item.numbers]) for name in names}
 
 
-def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, Tried]:
+def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, EffectEvidence]:
     """What each robot says of an effect, found or not, by the robot's name; robots that did not try it are missing."""
     said = {}
     for outcome in outcomes:
@@ -114,7 +114,7 @@ def evidence_over(outcomes: Sequence[RobotOutcome]) -> list[PooledEvidence]:
     return [PooledEvidence(best.effect, best.score, best.robots, best.favourable, rivals), *every[1:]]
 
 
-def _free(item: Tried) -> bool:
+def _free(item: EffectEvidence) -> bool:
     """Whether any number was not pushed to a bound; there it speaks against the effect, whatever else was refitted."""
     return any(math.isfinite(number.std) for number in item.numbers.values())
 

@@ -11,9 +11,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus.wire.topics import STATE, topic_of
+from safedpa.bus.messages.topics import STATE, topic_of
 from safedpa.errors import InputError, SafedpaError
-from safedpa.records.mcap_records import DamageError, channels_at_end, records_of
+from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
 
 __all__ = ["robots_in", "split_recording"]
 

@@ -11,7 +11,7 @@ from typing import Literal
 from safedpa.errors import InputError
 from safedpa.fleet.robot_recordings import robots_in
 
-__all__ = ["By", "RobotLogs", "RobotsFound", "robots_in_folder", "robots_of_files"]
+__all__ = ["By", "DiscoveredRobots", "RobotLogs", "robots_in_folder", "robots_of_files"]
 
 By = Literal["auto", "folder", "file", "robot"]
 _ENDINGS = (".csv", ".parquet", ".mcap")
@@ -27,7 +27,7 @@ class RobotLogs:
 
 
 @dataclass(frozen=True)
-class RobotsFound:
+class DiscoveredRobots:
     """The robots by name, what a robot is told by, and recordings that belong to none, with the reason."""
 
     robots: tuple[RobotLogs, ...]
@@ -35,7 +35,7 @@ class RobotsFound:
     left_out: tuple[tuple[Path, str], ...] = ()
 
 
-def robots_in_folder(folder: Path, by: By = "auto") -> RobotsFound:
+def robots_in_folder(folder: Path, by: By = "auto") -> DiscoveredRobots:
     """The robots whose recordings lie below a folder.
 
     ``folder``: each folder in it is a robot, with every recording below it. ``file``: each file is one. ``robot``: the
@@ -51,7 +51,7 @@ def robots_in_folder(folder: Path, by: By = "auto") -> RobotsFound:
     return _grouped(files, folder, by if by != "auto" else "folder" if nested else _loose(files))
 
 
-def robots_of_files(paths: Sequence[Path], by: By = "auto") -> RobotsFound:
+def robots_of_files(paths: Sequence[Path], by: By = "auto") -> DiscoveredRobots:
     """The robots of files that were named one by one; by folder, the folder that holds a file is its robot.
 
     Raises InputError where there is no file, or where folders of the same name would be one robot.
@@ -87,7 +87,7 @@ def _is_recording(name: str) -> bool:
     return name.lower().endswith(_ENDINGS) and not name.startswith(".")
 
 
-def _grouped(files: Sequence[Path], base: Path, by: By) -> RobotsFound:
+def _grouped(files: Sequence[Path], base: Path, by: By) -> DiscoveredRobots:
     if by == "robot":
         return _by_robot(files)
     groups: dict[str, list[Path]] = {}
@@ -103,14 +103,14 @@ def _grouped(files: Sequence[Path], base: Path, by: By) -> RobotsFound:
         groups.setdefault(name, []).append(path)
     if not groups:
         raise InputError(f"{base}: by folder: got files only; wanted one folder for each robot, or --by file")
-    return RobotsFound(tuple(RobotLogs(name, tuple(groups[name])) for name in sorted(groups)), by, tuple(left))
+    return DiscoveredRobots(tuple(RobotLogs(name, tuple(groups[name])) for name in sorted(groups)), by, tuple(left))
 
 
 def _joined(parts: Iterable[str]) -> str:
     return "_".join(parts)
 
 
-def _by_robot(files: Sequence[Path]) -> RobotsFound:
+def _by_robot(files: Sequence[Path]) -> DiscoveredRobots:
     groups: dict[str, list[Path]] = {}
     left: list[tuple[Path, str]] = []
     for path in files:
@@ -123,4 +123,4 @@ def _by_robot(files: Sequence[Path]) -> RobotsFound:
         path, why = left[0]
         raise InputError(f"{path}: {why}; wanted MCAP recordings of robots, or --by file")
     robots = (RobotLogs(name, tuple(groups[name]), name) for name in sorted(groups))
-    return RobotsFound(tuple(robots), "robot", tuple(left))
+    return DiscoveredRobots(tuple(robots), "robot", tuple(left))

@@ -6,6 +6,7 @@ from safedpa.limits.table import limit
 
 __all__ = ["printable", "readable"]
 
+
 def readable(text: str, longest: int | None = None) -> str:
     r"""The text with every character that is not printable written as ``\xNN`` or ``\uNNNN``.
 

@@ -23,8 +23,8 @@ from typing import Final, final
 
 from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
 from safedpa.errors import RecordingError, did_you_mean
-from safedpa.live.under_way import Strays, UnderWay, stamped
-from safedpa.live.versions import Kept, OfferedEffect, Version, VersionFolder
+from safedpa.live.under_way import ChangeInProgress, ModelMismatchMonitor, with_stamp
+from safedpa.live.versions import ModelVersion, OfferedEffect, PersistedState, VersionFolder
 
 __all__ = ["ChangeSettings", "ModelChanges"]
 
@@ -55,29 +55,31 @@ class ModelChanges:
     """
 
     def __init__(
-        self, first: Version, folder: VersionFolder | None = None, settings: ChangeSettings | None = None
+        self, first: ModelVersion, folder: VersionFolder | None = None, settings: ChangeSettings | None = None
     ) -> None:
         self._lock = RLock()
         self._folder, self._settings = folder, settings or ChangeSettings()
         kept = None if folder is None else folder.load()
-        self._kept = kept or Kept((first,))
+        self._kept = kept or PersistedState((first,))
         self._version = self._kept.versions[-1]
-        self._coming: Version | None = None
+        self._coming: ModelVersion | None = None
         self._state: StateMessage | None = None
-        self._change: UnderWay | None = None
+        self._change: ChangeInProgress | None = None
         self._told: deque[ModelMessage] = deque()
-        self._strays = Strays()
+        self._strays = ModelMismatchMonitor()
         self._finding = 0
         self._candidates: dict[str, OfferedEffect] = {}
         self.sentence = "the model is the one that the robot began with" if kept is None else "taken up after a restart"
         """What became of the last change."""
         if self._kept.offered:
-            lost = UnderWay(self._kept.change, "undecided", "", self.fingerprint, (), Version(self._kept.offered, ""))
+            lost = ChangeInProgress(
+                self._kept.change, "undecided", "", self.fingerprint, (), ModelVersion(self._kept.offered, "")
+            )
             self._told.append(lost.message("drop", "the diagnosis was restarted"))
             self._kept = replace(self._kept, offered="")
 
     @property
-    def version(self) -> Version:
+    def version(self) -> ModelVersion:
         """In force at the newest state's tick."""
         return self._version
 
@@ -87,7 +89,7 @@ class ModelChanges:
         return self._version.fingerprint
 
     @property
-    def versions(self) -> tuple[Version, ...]:
+    def versions(self) -> tuple[ModelVersion, ...]:
         """Agreed on, oldest first; the last is in force, or will be in a few ticks. ``roll_back`` removes it."""
         return self._kept.versions
 
@@ -139,10 +141,10 @@ class ModelChanges:
             self._state = state
             self._settle(state)
             if self._told:
-                return stamped(self._told.popleft(), state, time.time())
+                return with_stamp(self._told.popleft(), state, time.time())
             self._change = self._change or self._repair()
             message = None if self._change is None else self._advance(self._change, state)
-            return None if message is None else stamped(message, state, time.time())
+            return None if message is None else with_stamp(message, state, time.time())
 
     def answer(self, request: Request) -> Answer:
         """Does what is asked, or says why not; called on any thread."""
@@ -165,22 +167,22 @@ class ModelChanges:
             change = self._roll_back(request.who) if request.do == "roll_back" else self._accept(request)
             return self._answer(True, f"{change.name} begins")
 
-    def _accept(self, request: Request) -> UnderWay:
+    def _accept(self, request: Request) -> ChangeInProgress:
         change = self._begun(f"accept {request.effect} of finding {request.finding}", request.who)
         change.candidate = self._candidates[request.effect]
         if change.candidate.document:
             change.complete(change.candidate)
         return change
 
-    def _roll_back(self, who: str, reason: str = "") -> UnderWay:
+    def _roll_back(self, who: str, reason: str = "") -> ChangeInProgress:
         *before, last = self._kept.versions
         change = self._begun(f"roll back {last.why or 'the last change'}{reason}", who)
         change.version, change.versions = before[-1], tuple(before)
         return change
 
-    def _begun(self, why: str, who: str) -> UnderWay:
+    def _begun(self, why: str, who: str) -> ChangeInProgress:
         self._kept = replace(self._kept, change=self._kept.change + 1)
-        self._change = UnderWay(self._kept.change, why, who, self.fingerprint, self._kept.versions, None)
+        self._change = ChangeInProgress(self._kept.change, why, who, self.fingerprint, self._kept.versions, None)
         return self._change
 
     def _reject(self, request: Request) -> Answer:
@@ -189,7 +191,7 @@ class ModelChanges:
         if problem:
             return self._answer(False, f"refused: {problem}")
         what = f"reject {request.effect} of finding {request.finding}"
-        noted = UnderWay(self._kept.change, what, request.who, self.fingerprint, (), None)
+        noted = ChangeInProgress(self._kept.change, what, request.who, self.fingerprint, (), None)
         self._told.append(noted.message("drop"))  # for the recording; no service was offered anything
         return self._answer(True, f"{request.effect} is rejected")
 
@@ -206,7 +208,7 @@ class ModelChanges:
             self._version, self._coming = coming, None
             self._strays.settle(state, anew=True)
 
-    def _advance(self, change: UnderWay, state: StateMessage) -> ModelMessage | None:
+    def _advance(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
         change.steps += 1
         if change.stage == "take":
             return self._collect(change)
@@ -220,7 +222,7 @@ class ModelChanges:
             self._give_up(change, f"{change.unready} did not answer") if change.steps > self._settings.ready else None
         )
 
-    def _await_document(self, change: UnderWay) -> ModelMessage | None:
+    def _await_document(self, change: ChangeInProgress) -> ModelMessage | None:
         if change.version is None:
             late = change.steps > self._settings.prepare
             return self._give_up(change, "its model was not made in time") if late else None
@@ -230,7 +232,7 @@ class ModelChanges:
         change.enter("offer")
         return change.message("offer")
 
-    def _decide(self, change: UnderWay, state: StateMessage) -> ModelMessage | None:
+    def _decide(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
         """Kept first, told then: whoever asks after a crash hears what was decided."""
         problem = self._keep(replace(self._kept, versions=change.versions, offered=""))
         if problem:
@@ -243,7 +245,7 @@ class ModelChanges:
         self.sentence = f"{change.name}: used from tick {change.from_tick} on{change.consequence}"
         return change.message("take")
 
-    def _collect(self, change: UnderWay) -> ModelMessage | None:
+    def _collect(self, change: ChangeInProgress) -> ModelMessage | None:
         late = bool(change.refused) or change.steps > self._settings.ahead + self._settings.taken
         if not change.unconfirmed and self._coming is None:
             self._finish(f"{change.name}: taken by everyone{change.consequence}")
@@ -254,7 +256,7 @@ class ModelChanges:
             return change.message("take")
         return None
 
-    def _give_up(self, change: UnderWay, reason: str) -> ModelMessage:
+    def _give_up(self, change: ChangeInProgress, reason: str) -> ModelMessage:
         """Everyone stays on the version in force; where one of them cannot use it, all go back."""
         self._finish(f"{change.name}: dropped, {reason}")
         self._keep(replace(self._kept, offered=""))
@@ -267,7 +269,7 @@ class ModelChanges:
     def _finish(self, sentence: str) -> None:
         self._change, self.sentence = None, sentence
 
-    def _repair(self) -> UnderWay | None:
+    def _repair(self) -> ChangeInProgress | None:
         """Offers the version in force again, where some service is known to use another one."""
         strays = self._strays.found(self.fingerprint)
         if not strays:
@@ -276,7 +278,7 @@ class ModelChanges:
         change.version, change.repair = self._version, True
         return change
 
-    def _keep(self, kept: Kept) -> str:
+    def _keep(self, kept: PersistedState) -> str:
         """Why it cannot be kept; what is kept stays as it was then."""
         try:
             if self._folder is not None:
@@ -291,7 +293,7 @@ class ModelChanges:
         answer = replace(self._answer(True, self.sentence), document=version.document, margin=version.margin)
         if change is None:
             return answer
-        coming = change.version or Version("", "")
+        coming = change.version or ModelVersion("", "")
         return replace(
             answer,
             pending=change.stage,

@@ -13,35 +13,35 @@ from pathlib import Path
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, parse_model
 from safedpa.live.named_candidate import named_candidate
-from safedpa.live.watch import VerdictFacts, Watch
-from safedpa.live.work import AbstractWorker, Work, WorkOutcome
+from safedpa.live.watch import ModelMonitor, VerdictFacts
+from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.records.run import Run, Stretch
 from safedpa.systems import System
 
-__all__ = ["FIRST_SEARCH", "History", "RobotDiagnosis"]
+__all__ = ["FIRST_SEARCH", "DriveHistory", "RobotDiagnosis"]
 
 
 @final
-class History:
+class DriveHistory:
     """States and the actions that followed them, at most ``longest`` [s] of them."""
 
     def __init__(self, system: System, period: float, longest: float = 120.0) -> None:
         self._system = system
         self._period = period
-        self._rows: deque[tuple[int, Vector, Vector]] = deque(maxlen=max(2, round(longest / period)))
+        self._rows: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=max(2, round(longest / period)))
         """Tick, state, and what was applied before it."""
 
-    def add(self, tick: int, state: Vector, applied: Vector) -> None:
+    def add(self, tick: int, state: FloatArray, applied: FloatArray) -> None:
         """Keeps one tick; one that cannot be believed is left out, which makes a gap."""
         if self._system.is_plausible(state) and np.isfinite(applied).all():
             self._rows.append((tick, state, applied))
 
-    def last(self, seconds: float) -> list[tuple[int, Vector, Vector]]:
+    def last(self, seconds: float) -> list[tuple[int, FloatArray, FloatArray]]:
         """Tick, state, and what was applied before it, of the newest rows."""
         return list(self._rows)[-max(1, round(seconds / self._period)) :]
 
@@ -69,11 +69,9 @@ class History:
         return Run(name, self._system, t, states, actions, tuple(stretches))
 
 
-def _unwrapped(angles: Vector) -> Vector:
+def _unwrapped(angles: FloatArray) -> FloatArray:
     return np.asarray(np.unwrap(angles)) if len(angles) else angles
 
-
-Vector = NDArray[np.float64]
 
 FIRST_SEARCH: Final = 15.0
 """s of driving after the change for the first search; each further one has twice as much."""
@@ -138,8 +136,8 @@ class RobotDiagnosis:
         self.fingerprint = fingerprint(model)
         """Of the model in force."""
         self._period = model.period if period is None else period
-        self.watch = Watch(model, horizon, period=self._period)
-        self.history = History(model.system, self._period)
+        self.watch = ModelMonitor(model, horizon, period=self._period)
+        self.history = DriveHistory(model.system, self._period)
         self.number = number
         """Of the newest finding; they are counted over all drives of the robot."""
         self._finding: _Finding | None = None
@@ -172,14 +170,14 @@ class RobotDiagnosis:
         model = parse_model(document, self._folder)
         self._adopted = _Adopted(self.time, self.watch.error)
         self._document, self.fingerprint = document, fingerprint(model)
-        self.watch = Watch(model, self._horizon, self.watch.scale, self._period)
+        self.watch = ModelMonitor(model, self._horizon, self.watch.scale, self._period)
         for tick, state, applied in self.history.last(_REPLAYED * self._horizon):
             self.watch.observe(tick, state, applied, None)
         self._close()
 
     def dismiss(self) -> None:
         """What was found is not wanted: how the model errs now is what is usual from here on."""
-        self.watch = Watch(self.watch.model, self._horizon, self.watch.scale, self._period)
+        self.watch = ModelMonitor(self.watch.model, self._horizon, self.watch.scale, self._period)
         self._close()
 
     def pause(self) -> None:
@@ -231,7 +229,9 @@ class RobotDiagnosis:
             if self._worker.busy(self._robot):
                 return
             run = self.history.excerpt(finding.first, self._robot)
-            self._worker.begin(self._robot, Work("search", self._document, run, self._horizon, folder=self._folder))
+            self._worker.begin(
+                self._robot, SearchJob("search", self._document, run, self._horizon, folder=self._folder)
+            )
             finding.searching = True
 
     def _close(self) -> None:
@@ -243,7 +243,7 @@ class RobotDiagnosis:
         self._worker.cancel(self._robot)
         self._finding = None
 
-    def _latent(self, latent: LatentMessage | None) -> Vector | None:
+    def _latent(self, latent: LatentMessage | None) -> FloatArray | None:
         """The latent if it belongs to the model; else the model's own values stand in."""
         names = self.watch.model.latent_names
         if latent is None or latent.model != self.fingerprint or len(latent.values) != len(names) or not names:

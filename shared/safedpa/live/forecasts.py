@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.systems import System
 
-__all__ = ["Forecast", "Forecasts", "channel_errors", "channels", "stretch_error"]
+__all__ = ["Forecast", "ForecastTracker", "channel_errors", "channels", "stretch_error"]
 
 
 _PLANE = ("x", "y", "yaw")
@@ -33,7 +33,7 @@ def channels(system: System) -> tuple[tuple[str, str], ...]:
     return (("place along the heading", "m"), ("place across the heading", "m"), *own[2:])
 
 
-def channel_errors(system: System, forecast: Forecast) -> Vector:
+def channel_errors(system: System, forecast: Forecast) -> FloatArray:
     """measured - predicted (channels,), the place turned into the frame of the start's heading."""
     error = system.difference(forecast.measured, forecast.predicted)
     if system.state_names[:3] == _PLANE:
@@ -42,7 +42,7 @@ def channel_errors(system: System, forecast: Forecast) -> Vector:
     return error
 
 
-def stretch_error(system: System, forecasts: Sequence[Forecast], scale: Vector) -> float:
+def stretch_error(system: System, forecasts: Sequence[Forecast], scale: FloatArray) -> float:
     """Root mean square error of each state over ``scale`` (states,), mean over the states whose scale is not 0.
 
     The same number as a report's ``heldout_error``, without its trimming: a stretch has few forecasts.
@@ -56,8 +56,6 @@ def stretch_error(system: System, forecasts: Sequence[Forecast], scale: Vector) 
     return float(min(found.mean(), 1e6)) if not np.isnan(found).any() else 1e6
 
 
-Vector = NDArray[np.float64]
-
 _SIDE_BY_SIDE = 2
 """Predictions that run at a time: one begins in every half of the horizon."""
 
@@ -70,40 +68,40 @@ class Forecast:
     """Tick of the measured start."""
     end: int
     """Tick with which it is compared."""
-    began: Vector
+    began: FloatArray
     """Measured state at the start (states,)."""
-    measured: Vector
+    measured: FloatArray
     """Measured state at the end (states,)."""
-    predicted: Vector
+    predicted: FloatArray
     """(states,)"""
-    actions: Vector
+    actions: FloatArray
     """Mean of what was applied (actions,)."""
-    variation: Vector
+    variation: FloatArray
     """Sum of the changes of what was applied, without sign (actions,): what a window asks of a model."""
 
 
 @dataclass
 class _Running:
     start: int
-    began: Vector
-    state: Vector
+    began: FloatArray
+    state: FloatArray
     memory: Any
-    latent: Vector | None
-    summed: Vector
-    variation: Vector
+    latent: FloatArray | None
+    summed: FloatArray
+    variation: FloatArray
 
 
 @dataclass
 class _Last:
     tick: int
-    state: Vector
-    action: Vector | None = None
+    state: FloatArray
+    action: FloatArray | None = None
     memory: Any = None
     running: list[_Running] = field(default_factory=list)
 
 
 @final
-class Forecasts:
+class ForecastTracker:
     """Follows one robot with a tick every ``period`` [s], by default the model's.
 
     Raises InputError for a horizon shorter than two periods.
@@ -117,7 +115,7 @@ class Forecasts:
             raise InputError(f"horizon: got {horizon} s, wanted at least two periods of {self._period:g} s")
         self._last: _Last | None = None
 
-    def observe(self, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> list[Forecast]:
+    def observe(self, tick: int, state: FloatArray, applied: FloatArray, latent: FloatArray | None) -> list[Forecast]:
         """Takes the state (states,) of a tick and what was applied since the last one (actions,).
 
         Returns what came to its end. After a gap in the ticks, or a state that cannot be believed, all begins anew.
@@ -133,7 +131,9 @@ class Forecasts:
         self._begin(last, tick, state, latent)
         return ended
 
-    def _onward(self, last: _Last, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> list[Forecast]:
+    def _onward(
+        self, last: _Last, tick: int, state: FloatArray, applied: FloatArray, latent: FloatArray | None
+    ) -> list[Forecast]:
         model = self._model
         memory = model.initial_memory(applied, latent) if last.action is None else last.memory
         change = np.zeros(len(applied)) if last.action is None else np.abs(applied - last.action)
@@ -155,7 +155,7 @@ class Forecasts:
         last.tick, last.state, last.action = tick, state, applied
         return ended
 
-    def _begin(self, last: _Last, tick: int, state: Vector, latent: Vector | None) -> None:
+    def _begin(self, last: _Last, tick: int, state: FloatArray, latent: FloatArray | None) -> None:
         newest = max((own.start for own in last.running), default=None)
         if newest is None or tick - newest >= self.steps / _SIDE_BY_SIDE:
             none = np.zeros(len(self._model.system.action))

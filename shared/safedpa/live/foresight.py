@@ -13,13 +13,13 @@ from typing import Final
 
 from safedpa.bus import VerdictMessage
 from safedpa.errors import InputError
-from safedpa.live.work import AbstractWorker, Work, WorkOutcome
-from safedpa.safety.margin_change import margin_change
-from safedpa.safety.margin_text import margin_from_text
+from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import margin_from_text
+from safedpa.safety.margins.transition import margin_change
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.shipped import settings_named
 
-__all__ = ["Foresight", "Foretell", "foretell_with"]
+__all__ = ["CandidateForecasts", "Foretell", "forecast_with"]
 
 Foretell = Callable[[str, str, VerdictMessage | None], str]
 """(text of the margin in force, text of another one, newest verdict) -> what the change does to the robot, in words."""
@@ -30,17 +30,17 @@ _WITHOUT_H: Final = ("fallback", "disabled", "stopped")
 
 
 @dataclass
-class Foresight:
+class CandidateForecasts:
     """Of one robot and its newest candidates."""
 
-    waiting: list[Work] = field(default_factory=list)
+    waiting: list[SearchJob] = field(default_factory=list)
     """To be done, best first."""
-    running: Work | None = None
+    running: SearchJob | None = None
     found: dict[str, WorkOutcome] = field(default_factory=dict)
     """By effect."""
     verdict: VerdictMessage | None = None
 
-    def begin(self, works: list[Work]) -> None:
+    def begin(self, works: list[SearchJob]) -> None:
         """Forgets the candidates before; one that is being looked at is left to end, and not told."""
         self.waiting, self.found = works[:MOST], {}
         self.running = None if self.running is None else replace(self.running, effect="")
@@ -72,7 +72,7 @@ class Foresight:
         }
 
 
-def foretell_with(settings: str) -> Foretell:
+def forecast_with(settings: str) -> Foretell:
     """For the filter's settings (a file or a name).
 
     Of h the verdict tells the least of all barriers alone; it stands for every kind, which is on the safe side. The

@@ -32,22 +32,22 @@ from safedpa.dynamics import fingerprint, parse_model
 from safedpa.errors import MessageError
 from safedpa.live.change import ModelChanges
 from safedpa.live.finding import RobotDiagnosis
-from safedpa.live.foresight import Foresight, Foretell
-from safedpa.live.versions import OfferedEffect, Version
-from safedpa.live.work import AbstractWorker, Work, WorkOutcome
+from safedpa.live.foresight import CandidateForecasts, Foretell
+from safedpa.live.versions import ModelVersion, OfferedEffect
+from safedpa.live.work import AbstractWorker, SearchJob, WorkOutcome
 from safedpa.systems import System
 
 __all__ = ["DiagnosisNode"]
 
 
 @dataclass
-class _Robot:
+class _DiagnosedRobot:
     diagnosis: RobotDiagnosis
     footprint: tuple[float, ...] = ()
     told: WorkOutcome | None = None
     """Whose candidates are proposed."""
-    preparing: Work | None = None
-    ahead: Foresight = field(default_factory=Foresight)
+    preparing: SearchJob | None = None
+    ahead: CandidateForecasts = field(default_factory=CandidateForecasts)
 
 
 @final
@@ -72,21 +72,21 @@ class DiagnosisNode(AbstractNode):
         document: str,
         worker: AbstractWorker,
         margin: str = "",
-        changes: Callable[[str, Version], ModelChanges] = lambda _robot, first: ModelChanges(first),
+        changes: Callable[[str, ModelVersion], ModelChanges] = lambda _robot, first: ModelChanges(first),
         folder: Path | None = None,
         foretell: Foretell | None = None,
     ) -> None:
         model = parse_model(document, folder)
         self._folder = folder
         self._system: System = model.system
-        self._first = Version(fingerprint(model), document, margin)
+        self._first = ModelVersion(fingerprint(model), document, margin)
         self._worker = worker
         self._foretell = foretell
         self._new_changes = changes
         self._lock = RLock()
         self._changes: dict[str, ModelChanges] = {}
         self._numbers: dict[str, int] = {}
-        self._robots: dict[str, _Robot] = {}
+        self._robots: dict[str, _DiagnosedRobot] = {}
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         self._check(state)
@@ -143,13 +143,13 @@ class DiagnosisNode(AbstractNode):
             known.diagnosis.close()
             self.changes_of(robot).propose(known.diagnosis.number, {})
 
-    def _robot(self, robot: str, changes: ModelChanges, period: float) -> _Robot:
+    def _robot(self, robot: str, changes: ModelChanges, period: float) -> _DiagnosedRobot:
         if robot not in self._robots:
             number = self._numbers.get(robot, 0)
             diagnosis = RobotDiagnosis(
                 robot, changes.version.document, self._worker, folder=self._folder, period=period, number=number
             )
-            self._robots[robot] = _Robot(diagnosis)
+            self._robots[robot] = _DiagnosedRobot(diagnosis)
         return self._robots[robot]
 
     def _check(self, state: StateMessage) -> None:
@@ -159,7 +159,7 @@ class DiagnosisNode(AbstractNode):
                 f"{self._system.name}"
             )
 
-    def _propose(self, known: _Robot, changes: ModelChanges) -> None:
+    def _propose(self, known: _DiagnosedRobot, changes: ModelChanges) -> None:
         """Hands on what may be accepted; when a person rejected all of it, the error is usual from now on."""
         outcome, number = known.diagnosis.outcome, known.diagnosis.number
         if outcome is not known.told:
@@ -171,7 +171,7 @@ class DiagnosisNode(AbstractNode):
         if outcome is not None and outcome.effects and {(number, e) for e in outcome.effects} <= changes.rejected:
             known.diagnosis.dismiss()
 
-    def _prepare(self, robot: str, known: _Robot, changes: ModelChanges) -> None:
+    def _prepare(self, robot: str, known: _DiagnosedRobot, changes: ModelChanges) -> None:
         """Has the model with the accepted effect made, and its margin calibrated on the newest data."""
         wanted = changes.wanted
         if wanted is None and known.preparing is None:
@@ -194,16 +194,16 @@ class DiagnosisNode(AbstractNode):
         known.preparing = works[0]
         self._worker.begin(robot, known.preparing)
 
-    def _works(self, known: _Robot, changes: ModelChanges, effects: tuple[str, ...]) -> list[Work]:
+    def _works(self, known: _DiagnosedRobot, changes: ModelChanges, effects: tuple[str, ...]) -> list[SearchJob]:
         """To make the models with these effects, on the newest data; none where no finding is open."""
         run, outcome = known.diagnosis.data(), known.diagnosis.outcome
         if run is None or outcome is None:
             return []
-        work = Work("prepare", changes.version.document, run, footprint=known.footprint, folder=self._folder)
+        work = SearchJob("prepare", changes.version.document, run, footprint=known.footprint, folder=self._folder)
         return [replace(work, effect=effect, document=outcome.documents.get(effect, "")) for effect in effects]
 
 
-def _hand_over(changes: ModelChanges, work: Work, outcome: WorkOutcome) -> None:
+def _hand_over(changes: ModelChanges, work: SearchJob, outcome: WorkOutcome) -> None:
     if outcome.failure:
         changes.failed(outcome.failure)
         return

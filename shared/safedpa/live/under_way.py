@@ -9,16 +9,16 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, final
 
 from safedpa.bus import HealthMessage, ModelMessage, StateMessage, TakeoverMessage
-from safedpa.live.versions import OfferedEffect, Version
+from safedpa.live.versions import ModelVersion, OfferedEffect
 
-__all__ = ["SERVICES", "Strays", "UnderWay", "stamped"]
+__all__ = ["SERVICES", "ChangeInProgress", "ModelMismatchMonitor", "with_stamp"]
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 """Who uses the model, and has to take over a new one."""
 
 
 @dataclass
-class UnderWay:
+class ChangeInProgress:
     """A change from the request to the last service's confirmation."""
 
     number: int
@@ -26,9 +26,9 @@ class UnderWay:
     who: str
     replaces: str
     """Fingerprint of the model in force when it began."""
-    versions: tuple[Version, ...]
+    versions: tuple[ModelVersion, ...]
     """Agreed on if it succeeds, the last of them in force."""
-    version: Version | None
+    version: ModelVersion | None
     """The last of them; None while its document is being made."""
     candidate: OfferedEffect = field(default_factory=lambda: OfferedEffect(""))
     """What was accepted."""
@@ -72,7 +72,9 @@ class UnderWay:
 
     def complete(self, made: OfferedEffect) -> None:
         """The document is there."""
-        self.version = Version(made.fingerprint, made.document, made.margin, self.number, self.why, self.who, made.data)
+        self.version = ModelVersion(
+            made.fingerprint, made.document, made.margin, self.number, self.why, self.who, made.data
+        )
         self.versions = (*self.versions, self.version)
 
     def hear(self, message: TakeoverMessage) -> None:
@@ -91,7 +93,7 @@ class UnderWay:
 
     def message(self, step: Literal["offer", "take", "drop"], reason: str = "") -> ModelMessage:
         """What the services are told; unstamped. ``reason``: why it is dropped."""
-        version = self.version or Version("", "")
+        version = self.version or ModelVersion("", "")
         offers, takes = step == "offer", step == "take"
         return ModelMessage(
             epoch=0,
@@ -111,7 +113,7 @@ class UnderWay:
         )
 
 
-def stamped(message: ModelMessage, state: StateMessage, publish_time: float) -> ModelMessage:
+def with_stamp(message: ModelMessage, state: StateMessage, publish_time: float) -> ModelMessage:
     """The message with the stamp of the newest state."""
     return replace(message, epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=publish_time)
 
@@ -129,7 +131,7 @@ _LONGEST_PAUSE = 72000
 
 
 @final
-class Strays:
+class ModelMismatchMonitor:
     """Keeps the newest health of every service, and how long to wait after a repair that failed."""
 
     def __init__(self) -> None:

@@ -11,13 +11,13 @@ from safedpa.disk import write_through
 from safedpa.errors import InputError, RecordingError
 from safedpa.limits import parse_json, text_of_file
 
-__all__ = ["Kept", "OfferedEffect", "Version", "VersionFolder"]
+__all__ = ["ModelVersion", "OfferedEffect", "PersistedState", "VersionFolder"]
 
 _STATE = "changes.json"
 
 
 @dataclass(frozen=True)
-class Version:
+class ModelVersion:
     """One model that was or is in force, and where it came from."""
 
     fingerprint: str
@@ -45,10 +45,10 @@ class OfferedEffect:
 
 
 @dataclass(frozen=True)
-class Kept:
+class PersistedState:
     """What must outlive the process: versions, the last one in force, and how far changes were counted."""
 
-    versions: tuple[Version, ...]
+    versions: tuple[ModelVersion, ...]
     change: int = 0
     offered: str = ""
     """Fingerprint of what is offered and not decided, else empty."""
@@ -63,14 +63,14 @@ class VersionFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def load(self) -> Kept | None:
+    def load(self) -> PersistedState | None:
         """What was kept before; None in a new folder. Raises InputError when it cannot be read."""
         path = self.folder / _STATE
         try:
             table = parse_json(text_of_file(path, "json_bytes"))
-            versions = tuple(Version(**entry) for entry in table["versions"])
+            versions = tuple(ModelVersion(**entry) for entry in table["versions"])
             rejected = tuple((int(number), str(effect)) for number, effect in table["rejected"])
-            kept = Kept(versions, int(table["change"]), str(table["offered"]), rejected)
+            kept = PersistedState(versions, int(table["change"]), str(table["offered"]), rejected)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError, InputError) as error:
@@ -79,7 +79,7 @@ class VersionFolder:
             raise InputError(f"{path}: got no version, wanted at least one; move it away to begin without it")
         return kept
 
-    def save(self, kept: Kept) -> None:
+    def save(self, kept: PersistedState) -> None:
         """Keeps it before anybody acts on it. Raises RecordingError when that fails; what was kept before stays."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -40,13 +40,23 @@ from math import exp, log
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
-from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, channels, stretch_error
+from safedpa.live.forecasts import Forecast, ForecastTracker, channel_errors, channels, stretch_error
 from safedpa.systems import System
 
-__all__ = ["ALPHA", "BEYOND", "Band", "EDetector", "VerdictFacts", "Watch", "learned_band", "moved", "place_in_words"]
+__all__ = [
+    "ALPHA",
+    "BEYOND",
+    "EDetector",
+    "ErrorBand",
+    "ModelMonitor",
+    "VerdictFacts",
+    "describe_conditions",
+    "has_moved",
+    "learned_band",
+]
 
 
 _STRETCH: Final = 10
@@ -60,33 +70,33 @@ _MOVED = 0.05
 
 
 @dataclass(frozen=True)
-class Band:
+class ErrorBand:
     """The learned band of one robot and model."""
 
-    scale: Vector
+    scale: FloatArray
     """Standard deviation of the state's change over the horizon (states,)."""
-    usual: Vector
+    usual: FloatArray
     """Mean variation of the commands (actions,)."""
-    edges: Vector
+    edges: FloatArray
     """(channels,), in the channel's unit."""
     error: float
     """Upper edge of the error of a stretch, scaled like a report's ``heldout_error``."""
 
-    def ratios(self, system: System, forecast: Forecast) -> Vector:
+    def ratios(self, system: System, forecast: Forecast) -> FloatArray:
         """|error| over the band's edge (channels,): beyond 1 it is outside."""
         with np.errstate(over="ignore", invalid="ignore"):
             found = np.abs(channel_errors(system, forecast)) / (self.edges * _widened(forecast, self.usual))
         return np.asarray(np.nan_to_num(found, nan=1e6, posinf=1e6))
 
 
-def moved(system: System, forecast: Forecast) -> bool:
+def has_moved(system: System, forecast: Forecast) -> bool:
     """Whether the robot moved, or should have: standing still says nothing about a model."""
     happened = np.abs(system.difference(forecast.measured, forecast.began)).max()
     expected = np.abs(system.difference(forecast.predicted, forecast.began)).max()
     return bool(max(happened, expected) > _MOVED or not np.isfinite(expected))
 
 
-def learned_band(system: System, forecasts: Sequence[Forecast], scale: Vector | None = None) -> Band:
+def learned_band(system: System, forecasts: Sequence[Forecast], scale: FloatArray | None = None) -> ErrorBand:
     """The band of at least ``_STRETCH`` forecasts in which the robot moved, on their own scale or on a given one."""
     if scale is None:
         spread = np.std([system.difference(item.measured, item.began) for item in forecasts], axis=0)
@@ -97,15 +107,15 @@ def learned_band(system: System, forecasts: Sequence[Forecast], scale: Vector | 
     largest = np.maximum((np.abs(errors) / widened[:, None]).max(axis=0), _CONCERN * _by_channel(system, scale))
     stretches = [forecasts[start : start + _STRETCH] for start in range(len(forecasts) - _STRETCH + 1)]
     usually = max([stretch_error(system, part, scale) for part in stretches] + [_CONCERN])
-    return Band(scale, usual, np.maximum(_INFLATION * largest, 1e-9), _INFLATION * usually)
+    return ErrorBand(scale, usual, np.maximum(_INFLATION * largest, 1e-9), _INFLATION * usually)
 
 
-def _widened(forecast: Forecast, usual: Vector) -> float:
+def _widened(forecast: Forecast, usual: FloatArray) -> float:
     """1 + V / 2"""
     return 1.0 + _TRANSIENT * float(np.mean(forecast.variation / usual)) if len(usual) else 1.0
 
 
-def _by_channel(system: System, scale: Vector) -> Vector:
+def _by_channel(system: System, scale: FloatArray) -> FloatArray:
     """The scale of each channel: along and across the heading that of the place."""
     found = scale.copy()
     if system.state_names[:2] == ("x", "y"):
@@ -122,7 +132,7 @@ _TIMES = 1.8
 """Ratio of the errors on both sides of a variable's middle from which on it is named."""
 
 
-def place_in_words(system: System, band: Band, forecasts: Sequence[Forecast], horizon: float) -> str:
+def describe_conditions(system: System, band: ErrorBand, forecasts: Sequence[Forecast], horizon: float) -> str:
     """One sentence about forecasts that were made since the error left its band; empty with fewer than four."""
     if len(forecasts) < _FEWEST:
         return ""
@@ -139,7 +149,7 @@ def place_in_words(system: System, band: Band, forecasts: Sequence[Forecast], ho
     return f"{name}: {measured} after {horizon:g} s{heading or _condition(system, forecasts, errors)}"
 
 
-def _condition(system: System, forecasts: Sequence[Forecast], errors: Vector) -> str:
+def _condition(system: System, forecasts: Sequence[Forecast], errors: FloatArray) -> str:
     """The variable that tells large errors from small ones best, if any does."""
     found = []
     for name, unit, values in _variables(system, forecasts):
@@ -154,7 +164,7 @@ def _condition(system: System, forecasts: Sequence[Forecast], errors: Vector) ->
     return words if times >= _TIMES else ""
 
 
-def _heading(system: System, forecasts: Sequence[Forecast], errors: Vector) -> str:
+def _heading(system: System, forecasts: Sequence[Forecast], errors: FloatArray) -> str:
     """Whether the error has opposite signs in opposite headings: least squares on the heading's cosine and sine."""
     if "yaw" not in system.state_names or len(errors) < 2 * _FEWEST:
         return ""
@@ -171,7 +181,7 @@ def _heading(system: System, forecasts: Sequence[Forecast], errors: Vector) -> s
     return f", turning with the heading (most towards {towards} degrees)"
 
 
-def _variables(system: System, forecasts: Sequence[Forecast]) -> list[tuple[str, str, Vector]]:
+def _variables(system: System, forecasts: Sequence[Forecast]) -> list[tuple[str, str, FloatArray]]:
     """Name, unit and values of what may decide: states that are no place and no angle, and the commands."""
     found = []
     for index, variable in enumerate(system.state):
@@ -233,8 +243,6 @@ class EDetector:
             self.since = start
 
 
-Vector = NDArray[np.float64]
-
 _LEARN = 40
 """Forecasts in which the robot moves, 20 s of them, from which the band is learned."""
 _SETTLE = 2
@@ -253,7 +261,7 @@ class VerdictFacts:
 
 
 @final
-class Watch:
+class ModelMonitor:
     """Follows one robot and one model; a new model needs a new watch.
 
     ``scale`` (states,) is that of the watch before, so that errors of both models are told on one scale; ``period`` [s]
@@ -261,14 +269,14 @@ class Watch:
     """
 
     def __init__(
-        self, model: PhysicsModel, horizon: float = 1.0, scale: Vector | None = None, period: float | None = None
+        self, model: PhysicsModel, horizon: float = 1.0, scale: FloatArray | None = None, period: float | None = None
     ) -> None:
         self.model = model
         self.horizon = horizon
-        self.band: Band | None = None
+        self.band: ErrorBand | None = None
         """None while it is being learned."""
         self.evidence = EDetector()
-        self._forecasts = Forecasts(model, horizon, period)
+        self._forecasts = ForecastTracker(model, horizon, period)
         self._seen: deque[Forecast] = deque(maxlen=_KEPT)
         self._settling = _SETTLE
         self._judged_until = -1
@@ -277,7 +285,7 @@ class Watch:
         self._scale = scale
 
     @property
-    def scale(self) -> Vector:
+    def scale(self) -> FloatArray:
         """Standard deviation of the state's change over the horizon (states,): of the band, or of what was seen."""
         if self._scale is not None:
             return self._scale
@@ -314,7 +322,7 @@ class Watch:
         if self.band is None or since is None:
             return ""
         after = [item for item in self._seen if item.start >= since]
-        return place_in_words(self.model.system, self.band, after, self.horizon)
+        return describe_conditions(self.model.system, self.band, after, self.horizon)
 
     def changed_at(self) -> int | None:
         """Start of the first forecast that the change touched: the split of the forecasts by which the logarithms of
@@ -329,12 +337,12 @@ class Watch:
         apart = np.where(after > before, count * count[::-1] * (after - before) ** 2, 0.0)
         return recent[int(apart[:-1].argmax()) + 1].start
 
-    def observe(self, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> None:
+    def observe(self, tick: int, state: FloatArray, applied: FloatArray, latent: FloatArray | None) -> None:
         """Takes one tick: state (states,), what was applied since the last one (actions,), the latent (latents,)."""
         for forecast in self._forecasts.observe(tick, state, applied, latent):
             if self._settling > 0:
                 self._settling -= 1
-            elif moved(self.model.system, forecast):
+            elif has_moved(self.model.system, forecast):
                 self._take(forecast)
 
     def judge_margin(self, tick: int, decision: VerdictFacts | None, *, obeyed: bool = True) -> None:

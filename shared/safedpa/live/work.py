@@ -14,9 +14,9 @@ from safedpa.errors import SafedpaError
 from safedpa.records.run import Run
 
 if TYPE_CHECKING:
-    from safedpa.diagnosis.document import Candidate
+    from safedpa.diagnosis.report_schema import Candidate
 
-__all__ = ["AbstractWorker", "Calibrate", "InlineWorker", "Work", "WorkOutcome", "carried_out"]
+__all__ = ["AbstractWorker", "Calibrate", "InlineWorker", "SearchJob", "WorkOutcome", "execute_job"]
 
 _BETTER = 0.9
 """Times the error of what the search took."""
@@ -27,7 +27,7 @@ with; empty where the model is none that the filter drives."""
 
 
 @dataclass(frozen=True)
-class Work:
+class SearchJob:
     """What is to be done, with all that it takes."""
 
     task: Literal["search", "prepare"]
@@ -62,7 +62,7 @@ class WorkOutcome:
     """Why nothing came of it, in one sentence."""
 
 
-def carried_out(work: Work, calibrate: Calibrate) -> WorkOutcome:
+def execute_job(work: SearchJob, calibrate: Calibrate) -> WorkOutcome:
     """Does the work in this process; takes seconds. What goes wrong with data or model stands in the outcome."""
     try:
         return _searched(work) if work.task == "search" else _prepared(work, calibrate)
@@ -70,9 +70,9 @@ def carried_out(work: Work, calibrate: Calibrate) -> WorkOutcome:
         return WorkOutcome(failure=" ".join(str(error).split()))
 
 
-def _searched(work: Work) -> WorkOutcome:
+def _searched(work: SearchJob) -> WorkOutcome:
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.document import as_document
+    from safedpa.diagnosis.report_schema import as_document
 
     given = parse_model(work.model, work.folder)
     report = diagnose(given, [work.run], work.horizon)
@@ -106,7 +106,7 @@ def _in_order(candidates: Sequence[Candidate], confirmed: set[str]) -> tuple[str
     return tuple(dict.fromkeys(ordered))
 
 
-def _prepared(work: Work, calibrate: Calibrate) -> WorkOutcome:
+def _prepared(work: SearchJob, calibrate: Calibrate) -> WorkOutcome:
     from safedpa.diagnosis.diagnose import add_effect
 
     if work.document:
@@ -121,7 +121,7 @@ class AbstractWorker(ABC):
     """Carries out at most one work for each robot, beside whatever else goes on."""
 
     @abstractmethod
-    def begin(self, robot: str, work: Work) -> None:
+    def begin(self, robot: str, work: SearchJob) -> None:
         """Starts a work; one that the robot still has is cancelled."""
 
     @abstractmethod
@@ -145,8 +145,8 @@ class InlineWorker(AbstractWorker):
         self._calibrate = calibrate
         self._outcomes: dict[str, WorkOutcome] = {}
 
-    def begin(self, robot: str, work: Work) -> None:  # noqa: D102
-        self._outcomes[robot] = carried_out(work, self._calibrate)
+    def begin(self, robot: str, work: SearchJob) -> None:  # noqa: D102
+        self._outcomes[robot] = execute_job(work, self._calibrate)
 
     def outcome(self, robot: str) -> WorkOutcome | None:  # noqa: D102
         return self._outcomes.pop(robot, None)

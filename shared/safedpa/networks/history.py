@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.layers import Layer, convolution_stack, dense_stack, layers_of
@@ -15,7 +16,6 @@ from safedpa.networks.weights import STRIDE, Weights
 
 __all__ = ["HistoryEncoder"]
 
-Values = NDArray[np.float64]
 
 _CHUNK = 16
 """Histories at a time: twice as many, and the memory for what lies between the layers is fetched anew each time."""
@@ -50,7 +50,7 @@ class HistoryEncoder:
         self.out = Layer(weights["phi.out.weight"], weights["phi.out.bias"])
         self.low, self.high = (weights[name].astype(np.float64) for name in ("latent_low", "latent_high"))
 
-    def rows(self, states: Values, actions: Values) -> Values:
+    def rows(self, states: FloatArray, actions: FloatArray) -> FloatArray:
         """The rows (..., n, row_length) of n transitions: states (..., n + 1, states), actions (..., n, actions)."""
         if states.shape[-2] != actions.shape[-2] + 1:
             raise InputError(
@@ -76,13 +76,13 @@ class HistoryEncoder:
         ]
         return [(value - middle) / scale for value, middle, scale in zip(seen, self._middles, self._sizes, strict=True)]
 
-    def padded(self, rows: Values) -> Values:
+    def padded(self, rows: FloatArray) -> FloatArray:
         """The last k rows (..., k, row_length), with rows of zeros in front where there are fewer."""
         kept = rows[..., max(0, rows.shape[-2] - self.length) :, :]
         missing = self.length - kept.shape[-2]
         return np.concatenate([np.zeros((*kept.shape[:-2], missing, self.row_length)), kept], axis=-2)
 
-    def encode(self, rows: Values) -> Values:
+    def encode(self, rows: FloatArray) -> FloatArray:
         """z (..., latents) for exactly k rows (..., k, row_length), within the range that the networks know.
 
         Raises InputError when there are fewer or more: pad a history that has just begun with ``padded``.
@@ -98,7 +98,7 @@ class HistoryEncoder:
             latent[start : start + _CHUNK] = self._encoded(flat[start : start + _CHUNK])
         return np.clip(latent.reshape(*rows.shape[:-2], -1), self.low, self.high)
 
-    def _encoded(self, rows: Values) -> NDArray[Any]:
+    def _encoded(self, rows: FloatArray) -> NDArray[Any]:
         """Of histories (n, k, row_length)."""
         seen = dense_stack(rows.astype(np.float32), self.dense, "relu", last_linear=False)
         seen = convolution_stack(seen, self.convolutions, STRIDE)

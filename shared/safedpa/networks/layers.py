@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import AnyFloatArray
 from safedpa.errors import InputError
 
 __all__ = ["Activation", "Layer", "convolution_stack", "dense_stack", "layers_of"]
 
 Activation = Literal["relu", "tanh"]
-Values = NDArray[np.floating[Any]]
 
 
 class Layer(NamedTuple):
     """Weight and bias: (out, in) and (out,) of a dense layer, (out, in, kernel) and (out,) of a convolution."""
 
-    weight: Values
-    bias: Values
+    weight: AnyFloatArray
+    bias: AnyFloatArray
 
 
-def layers_of(tensors: Mapping[str, Values], prefix: str) -> tuple[Layer, ...]:
+def layers_of(tensors: Mapping[str, AnyFloatArray], prefix: str) -> tuple[Layer, ...]:
     """The layers ``prefix.0``, ``prefix.1``, ... of a weights file; none when there is no such network.
 
     Raises InputError when a weight comes without its bias.
@@ -37,7 +36,9 @@ def layers_of(tensors: Mapping[str, Values], prefix: str) -> tuple[Layer, ...]:
     return tuple(layers)
 
 
-def dense_stack(x: Values, layers: Sequence[Layer], activation: Activation, *, last_linear: bool = True) -> Values:
+def dense_stack(
+    x: AnyFloatArray, layers: Sequence[Layer], activation: Activation, *, last_linear: bool = True
+) -> AnyFloatArray:
     """y = W_n s(... s(W_1 x + b_1) ...) + b_n for x (..., in), shape (..., out); s is the activation.
 
     ``last_linear`` false applies the activation after the last layer, too.
@@ -52,7 +53,7 @@ def dense_stack(x: Values, layers: Sequence[Layer], activation: Activation, *, l
     return x.reshape(*leading, x.shape[-1])
 
 
-def convolution_stack(x: Values, layers: Sequence[Layer], stride: int) -> Values:
+def convolution_stack(x: AnyFloatArray, layers: Sequence[Layer], stride: int) -> AnyFloatArray:
     """Convolutions over time with ReLU after each, without padding: x (..., time, in) to (..., shorter time, out).
 
     y[t, o] = relu(b[o] + sum over i, j of W[o, i, j] x[stride t + j, i]).

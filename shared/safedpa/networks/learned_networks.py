@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError
 from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.layers import Layer, dense_stack, layers_of
@@ -23,8 +24,6 @@ from safedpa.networks.plain_rows import world_row
 from safedpa.networks.weights import Weights
 
 __all__ = ["LearnedNetworks", "Paired"]
-
-Values = NDArray[np.float64]
 
 
 @final
@@ -53,7 +52,7 @@ class LearnedNetworks:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["weights"], state["frame"])
 
-    def own_increment(self, state: Values, latent: Values) -> tuple[Values, Values]:
+    def own_increment(self, state: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(f, g) of the own-frame increment f + g a: f (..., states), g (..., states, actions).
 
         For states (..., states) and latents (..., latents), a in the action's units.
@@ -66,7 +65,7 @@ class LearnedNetworks:
         found = found.reshape(*shape, state.shape[-1], -1)
         return found[..., 0], found[..., 1:]
 
-    def increment(self, state: Values, latent: Values) -> tuple[Values, Values]:
+    def increment(self, state: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(f, g) of the state's own entries' increment f + g a; shapes as in ``own_increment``."""
         if state.ndim == latent.ndim == 1:
             f_of_one, g_of_one = self.increment_of_one(state.tolist(), latent.tolist())
@@ -108,22 +107,20 @@ class LearnedNetworks:
         f, g = (_unscaled(layers_of(weights.tensors, name), feature, scale) for name in ("f", "g"))
         return Paired(f, g, mix.reshape(states * (1 + actions), -1))
 
-    def encode(self, environment: Values) -> Values:
+    def encode(self, environment: FloatArray) -> FloatArray:
         """z = mu((e - middle) / scale), shape (..., latents), for environments e (..., entries) in SI units."""
         middle, scale = self.weights["environment_middle"], self.weights["environment_scale"]
         scaled = ((environment - middle) / scale).astype(np.float32)
         return dense_stack(scaled, self._mu, "relu").astype(np.float64)
 
 
-def _unscaled(layers: Sequence[Layer], middle: Values, scale: Values) -> list[Layer]:
+def _unscaled(layers: Sequence[Layer], middle: FloatArray, scale: FloatArray) -> list[Layer]:
     """Layers that take x instead of (x - middle) / scale as their first entries."""
     first, *others = layers
     weight = first.weight.astype(np.float64)
     weight[:, : len(scale)] /= scale
     return [Layer(weight, first.bias - weight[:, : len(scale)] @ middle), *others]
 
-
-Rows = NDArray[np.float32]
 
 _PAD = 16
 """Columns behind the units of each network: the 1, then zeros, so that rows begin on borders of the memory's lines."""
@@ -137,7 +134,7 @@ class _Middle(NamedTuple):
 
     before: slice
     after: slice
-    matrix: Rows
+    matrix: Float32Array
 
 
 @final
@@ -157,7 +154,7 @@ class Paired:
         self._leave = _leaving(*pairs[-1], mix)
         self._work = _Work(self._enter, self._middle, self._leave)
 
-    def one(self, values: Sequence[float]) -> Rows:
+    def one(self, values: Sequence[float]) -> Float32Array:
         """y (outputs,) for x (inputs,), as plain numbers or an array; the next call overwrites it."""
         work = self._work
         work.input[0, :-1] = values
@@ -174,7 +171,7 @@ class Paired:
         work.run()
         return list(work.take(work.last))
 
-    def many(self, inputs: NDArray[np.floating]) -> Rows:
+    def many(self, inputs: NDArray[np.floating]) -> Float32Array:
         """y (n, outputs) for x (n, inputs)."""
         work, outputs = self._work, np.empty((len(inputs), self._leave.shape[1]), dtype=np.float32)
         for start in range(0, len(inputs), _CHUNK):
@@ -196,13 +193,13 @@ class Paired:
 class _Work(threading.local):
     """What lies between the layers; of each thread its own, for numpy lets others run during a product."""
 
-    def __init__(self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows) -> None:
+    def __init__(self, enter: Float32Array, middle: Sequence[tuple[_Middle, _Middle]], leave: Float32Array) -> None:
         widths = [enter.shape[1], *(right.after.stop + _PAD for _, right in middle)]
         self.input = np.ones((_CHUNK, len(enter)), dtype=np.float32)
         self.hidden = [np.zeros((_CHUNK, width), dtype=np.float32) for width in widths]
         for (left, right), buffer in zip(middle, self.hidden[1:], strict=True):
             buffer[:, left.after.stop] = buffer[:, right.after.stop] = 1.0
-        self.output: Rows = np.zeros(leave.shape[1], dtype=np.float32)
+        self.output: Float32Array = np.zeros(leave.shape[1], dtype=np.float32)
         self.steps = self._steps_of_one(enter, middle, leave)
         self.put, self.take = (
             struct.Struct(f"{len(enter) - 1}f").pack_into,
@@ -216,7 +213,7 @@ class _Work(threading.local):
             step()
 
     def _steps_of_one(
-        self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows
+        self, enter: Float32Array, middle: Sequence[tuple[_Middle, _Middle]], leave: Float32Array
     ) -> list[Callable[[], Any]]:
         """The products for one input, and what cuts off below zero each layer that is complete."""
         rows = [buffer[0] for buffer in self.hidden]
@@ -228,12 +225,12 @@ class _Work(threading.local):
         return [*steps, partial(rows[-1].dot, leave, self.output)]
 
 
-def _cut(whole: Rows) -> partial[Any]:
+def _cut(whole: Float32Array) -> partial[Any]:
     """Of the same shape as the layer, zeros are compared faster than one zero."""
     return partial(np.maximum, whole, np.zeros_like(whole), out=whole)
 
 
-def _entering(layer: Layer) -> Rows:
+def _entering(layer: Layer) -> Float32Array:
     """(inputs + 1, units + pad) of a first layer: the column behind the units makes the 1 of its 1."""
     units, inputs = layer.weight.shape
     matrix = np.zeros((inputs + 1, units + _PAD), dtype=np.float32)
@@ -253,7 +250,7 @@ def _middle(first: Layer, second: Layer) -> tuple[_Middle, _Middle]:
     return made[0], made[1]
 
 
-def _leaving(first: Layer, second: Layer, mix: NDArray[np.float64]) -> Rows:
+def _leaving(first: Layer, second: Layer, mix: NDArray[np.float64]) -> Float32Array:
     """(units of both with their pads, outputs) of the last layers and what is made of their outputs."""
     blocks, start = [], 0
     for layer in (first, second):

@@ -15,18 +15,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.networks.layers import Layer, layers_of
 from safedpa.networks.weights import STRIDE, Weights
 
 __all__ = ["reference_action", "reference_latent"]
 
-Values = NDArray[np.float64]
 
 _LARGEST_OBSERVATION = 10.0
 """As in ``safedpa.policy.learned``: scaled observations are clipped to it."""
 
 
-def reference_latent(weights: Weights, rows: Values) -> Values:
+def reference_latent(weights: Weights, rows: FloatArray) -> FloatArray:
     """z (n, latents) = phi(rows) for histories (n, k, row_length), clipped to the range that the networks know."""
     seen = _tensor(rows)
     for layer in layers_of(weights.tensors, "phi.dense"):
@@ -39,7 +39,7 @@ def reference_latent(weights: Weights, rows: Values) -> Values:
     return np.asarray(torch.minimum(torch.maximum(latent, low), high).numpy())
 
 
-def reference_action(weights: Weights, observation: Values) -> Values:
+def reference_action(weights: Weights, observation: FloatArray) -> FloatArray:
     """a (n, actions) = middle + scale clip(pi((o - middle) / scale), -1, 1) for observations (n, observations)."""
     scaled = (_tensor(observation) - _tensor(weights["observation_middle"])) / _tensor(weights["observation_scale"])
     seen = scaled.clip(-_LARGEST_OBSERVATION, _LARGEST_OBSERVATION)

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError
 from safedpa.networks.history import HistoryEncoder
 from safedpa.networks.layers import Layer
@@ -26,8 +26,6 @@ from safedpa.networks.weights import STRIDE
 
 __all__ = ["HistoryStreams"]
 
-Rows = NDArray[np.float32]
-Values = NDArray[np.float64]
 
 _ZERO = np.zeros((), dtype=np.float32)
 
@@ -52,13 +50,13 @@ class HistoryStreams:
         last = self._series[-1]
         self._out = _by_time(encoder.out.weight.reshape(len(encoder.out.weight), last.width, last.kernel))
         self._out_bias = encoder.out.bias
-        self._latent: Rows = np.zeros((robots, encoder.latents), dtype=np.float32)
+        self._latent: Float32Array = np.zeros((robots, encoder.latents), dtype=np.float32)
         self._low, self._high = encoder.low.astype(np.float32), encoder.high.astype(np.float32)
         self._ticks = 0
         self._of_nothing = _values_of_nothing(encoder)
         self.reset()
 
-    def push(self, rows: Values | Sequence[Sequence[float]]) -> Rows:
+    def push(self, rows: FloatArray | Sequence[Sequence[float]]) -> Float32Array:
         """z (robots, latents) after one more row (robots, row_length) of each; the next call overwrites it."""
         product, tick = self._product, self._ticks
         self._input[:] = rows
@@ -80,7 +78,7 @@ class HistoryStreams:
         for series, value in zip(self._series, self._of_nothing, strict=True):
             series.fill(which, value)
 
-    def _encoded(self, tick: int) -> Rows:
+    def _encoded(self, tick: int) -> Float32Array:
         latent = self._latent
         self._product(self._series[-1].window(tick - self._lag), self._out, out=latent)
         np.add(latent, self._out_bias, out=latent)
@@ -96,7 +94,7 @@ class _Dense:
         self._matrix, self._bias = np.ascontiguousarray(layer.weight.T), layer.bias
         self._output = np.zeros((robots, len(layer.weight)), dtype=np.float32)
 
-    def of(self, x: Rows, product: Any) -> Rows:
+    def of(self, x: Float32Array, product: Any) -> Float32Array:
         output = self._output
         product(x, self._matrix, out=output)
         np.add(output, self._bias, out=output)
@@ -114,9 +112,9 @@ class _Series:
     def __init__(self, robots: int, width: int, kernel: int, spacing: int) -> None:
         self.width, self.kernel = width, kernel
         self._values = np.zeros((spacing, robots, 2 * kernel * width), dtype=np.float32)
-        self._places: list[Rows] = []
-        self._twins: list[Rows] = []
-        self._windows: list[Rows] = []
+        self._places: list[Float32Array] = []
+        self._twins: list[Float32Array] = []
+        self._windows: list[Float32Array] = []
         for place in range(kernel):
             for phase in self._values:
                 start, twin = place * width, (place + kernel) * width
@@ -124,7 +122,7 @@ class _Series:
                 self._twins.append(phase[:, twin : twin + width])
                 self._windows.append(phase[:, start + width : twin + width])
 
-    def place(self, tick: int) -> Rows:
+    def place(self, tick: int) -> Float32Array:
         """Where the value (robots, width) of a tick goes; ``kept`` says that it is there."""
         return self._places[tick % len(self._places)]
 
@@ -132,20 +130,20 @@ class _Series:
         at = tick % len(self._places)
         self._twins[at][:] = self._places[at]
 
-    def keep(self, value: Rows, tick: int) -> None:
+    def keep(self, value: Float32Array, tick: int) -> None:
         self.place(tick)[:] = value
         self.kept(tick)
 
-    def window(self, tick: int) -> Rows:
+    def window(self, tick: int) -> Float32Array:
         """(robots, kernel width): the value of a tick last, before it those ``spacing``, 2 ``spacing``, ... earlier."""
         return self._windows[tick % len(self._windows)]
 
-    def fill(self, which: slice | Sequence[int], value: Rows) -> None:
+    def fill(self, which: slice | Sequence[int], value: Float32Array) -> None:
         """Takes a value (1, width) as the one of all ticks so far."""
         self._values[:, which] = np.tile(value, 2 * self.kernel)
 
 
-def _values_of_nothing(encoder: HistoryEncoder) -> list[Rows]:
+def _values_of_nothing(encoder: HistoryEncoder) -> list[Float32Array]:
     """The inputs (1, width) of each convolution and of the last layer while all rows are zeros."""
     seen = np.zeros((1, encoder.row_length), dtype=np.float32)
     for layer in encoder.dense:
@@ -175,6 +173,6 @@ def _series_of(encoder: HistoryEncoder, robots: int) -> tuple[list[_Series], int
     return series, lag
 
 
-def _by_time(weight: Rows) -> Rows:
+def _by_time(weight: Float32Array) -> Float32Array:
     """A kernel (out, in, time) as a matrix (time in, out): its windows are rows one after the other."""
     return np.ascontiguousarray(weight.transpose(2, 1, 0).reshape(-1, len(weight)))

@@ -2,14 +2,14 @@
 
 from safedpa.perception.node import PerceptionNode
 from safedpa.perception.settings import PerceptionSettings, SourceSettings, load_perception, parse_perception
-from safedpa.perception.surroundings import Surroundings
+from safedpa.perception.surroundings import SurroundingsTracker
 from safedpa.perception.zones import Zone
 
 __all__ = [
     "PerceptionNode",
     "PerceptionSettings",
     "SourceSettings",
-    "Surroundings",
+    "SurroundingsTracker",
     "Zone",
     "load_perception",
     "parse_perception",

@@ -19,11 +19,11 @@ from safedpa.bus import (
     StateMessage,
     SurroundingsMessage,
 )
-from safedpa.bus.log import log_event
+from safedpa.bus.logging import log_event
+from safedpa.perception.overrides import SensorOverrides
 from safedpa.perception.settings import PerceptionSettings
-from safedpa.perception.surroundings import Surroundings
-from safedpa.perception.switches import Switches
-from safedpa.perception.zones import InForce
+from safedpa.perception.surroundings import SurroundingsTracker
+from safedpa.perception.zones import ActiveZones
 
 __all__ = ["PerceptionNode"]
 
@@ -46,10 +46,10 @@ class PerceptionNode(AbstractNode):
 
     def __init__(self, settings: PerceptionSettings | None = None, orders: Path | None = None) -> None:
         self._settings = settings or PerceptionSettings()
-        self.switches = Switches(self._settings, orders)
+        self.switches = SensorOverrides(self._settings, orders)
         """What a person may switch while it runs."""
-        self._robots: dict[str, Surroundings] = {}
-        self._in_force: dict[str, InForce] = {}
+        self._robots: dict[str, SurroundingsTracker] = {}
+        self._in_force: dict[str, ActiveZones] = {}
         """By robot, as of its last tick."""
         self._heard: dict[str, deque[tuple[int, str, int]]] = {}
         """By robot: epoch, source and number of each scan that came since its last tick."""
@@ -98,7 +98,7 @@ class PerceptionNode(AbstractNode):
             if epoch == state.epoch and name in state.sources
         )
 
-    def _tell(self, robot: str, state: StateMessage, now: InForce) -> None:
+    def _tell(self, robot: str, state: StateMessage, now: ActiveZones) -> None:
         """What takes something away from what is told: when a robot is met, and when somebody switched."""
         known, self._in_force[robot] = self._in_force.get(robot), now
         tell = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
@@ -114,9 +114,9 @@ class PerceptionNode(AbstractNode):
         if off:
             tell("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
 
-    def _of(self, robot: str) -> Surroundings:
+    def _of(self, robot: str) -> SurroundingsTracker:
         if robot not in self._robots:
-            self._robots[robot] = Surroundings(self._settings)
+            self._robots[robot] = SurroundingsTracker(self._settings)
         return self._robots[robot]
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:

@@ -7,7 +7,7 @@ from collections import deque
 from math import hypot, pi, remainder
 from typing import final
 
-__all__ = ["Odometry", "Pose"]
+__all__ = ["OdometryBuffer", "Pose"]
 
 Pose = tuple[float, float, float]
 """x, y in m, yaw in rad, turns counted or not."""
@@ -17,7 +17,7 @@ _KEPT = 200
 
 
 @final
-class Odometry:
+class OdometryBuffer:
     """Poses by the robot's own clock, the newest last."""
 
     def __init__(self) -> None:

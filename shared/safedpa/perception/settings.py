@@ -12,7 +12,7 @@ from typing import Any, final
 
 from safedpa.errors import InputError
 from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file, whole_number
-from safedpa.perception.maps import Cells, read_map
+from safedpa.perception.ros_map import PackedCells, read_map
 from safedpa.perception.zones import Zone
 
 __all__ = ["PerceptionSettings", "SourceSettings", "load_perception", "parse_perception"]
@@ -208,11 +208,11 @@ def _zone(value: Any) -> Zone:
     )
 
 
-def _cells(where: str, table: Mapping[str, Any]) -> Cells | None:
+def _cells(where: str, table: Mapping[str, Any]) -> PackedCells | None:
     if "cells" not in table:
         return None
     try:
-        return Cells(_value("cells", "str", table["cells"]))
+        return PackedCells(_value("cells", "str", table["cells"]))
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 

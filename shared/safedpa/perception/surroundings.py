@@ -15,20 +15,27 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus.wire.messages import ScanMessage, StateMessage
+from safedpa.arrays import BoolArray, FloatArray
+from safedpa.bus.messages.messages import ScanMessage, StateMessage
 from safedpa.errors import MessageError
-from safedpa.perception.grid import CELL, Grid
-from safedpa.perception.odometry import Odometry, Pose
+from safedpa.perception.obstacle_tracker import ObstacleTracker
+from safedpa.perception.occupancy_grid import CELL, Grid
+from safedpa.perception.odometry import OdometryBuffer, Pose
+from safedpa.perception.scan import ScanRays, check_scan, hitch_position, within_body
 from safedpa.perception.settings import PerceptionSettings
-from safedpa.perception.sources import Sources
-from safedpa.perception.sweep import Sweep, check_scan, hitch_at, within_body
-from safedpa.perception.things import Things
-from safedpa.perception.zones import AS_EVER, HALF_DIAGONAL, InForce, Zone, closed_cells, nobody_in, within_any
+from safedpa.perception.source_health import Sources
+from safedpa.perception.zones import (
+    CONFIGURED_ZONES,
+    HALF_DIAGONAL,
+    ActiveZones,
+    Zone,
+    closed_cells,
+    unoccupied_cells,
+    within_any,
+)
 
-__all__ = ["Seen", "Surroundings", "closed_discs", "covering"]
+__all__ = ["SurroundingsSnapshot", "SurroundingsTracker", "closed_discs", "cover_with_fewer_discs"]
 
-Values = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Rows = tuple[tuple[float, ...], ...]
 
 _WAITING = 64
@@ -52,7 +59,7 @@ _SPAN = 2**20
 
 
 @final
-class Seen:
+class SurroundingsSnapshot:
     """What is told of one tick; fields as in ``SurroundingsMessage``."""
 
     def __init__(self, points: Rows, movers: Rows, hidden: Rows) -> None:
@@ -60,15 +67,15 @@ class Seen:
 
 
 @final
-class Surroundings:
+class SurroundingsTracker:
     """Call ``hear`` for each scan as it comes, and ``at`` once for each state, ticks growing."""
 
     def __init__(self, settings: PerceptionSettings) -> None:
         self.settings = settings
         self.sources = Sources(settings)
-        self._odometry = Odometry()
+        self._odometry = OdometryBuffer()
         self._waiting: deque[ScanMessage] = deque(maxlen=_WAITING)
-        self._things: Things | None = None
+        self._things: ObstacleTracker | None = None
         self._looked = 0.0
         """s; when the front of what hides was last drawn."""
         self._now: tuple[int, float] | None = None
@@ -84,7 +91,7 @@ class Surroundings:
         check_scan(scan)
         self._waiting.append(scan)
 
-    def at(self, state: StateMessage, in_force: InForce = AS_EVER) -> Seen:
+    def at(self, state: StateMessage, in_force: ActiveZones = CONFIGURED_ZONES) -> SurroundingsSnapshot:
         """What is around the robot at the moment of ``state``, by what is ``in_force`` of sources and zones.
 
         Raises MessageError for a robot that is nowhere.
@@ -93,7 +100,7 @@ class Surroundings:
             raise MessageError(f"state: got {len(state.values)} values, wanted x, y, yaw first")
         x, y, yaw = state.values[:3]
         if self._now is not None and not self._goes_on(state, *self._now):
-            self.sources, self._odometry, self._things = Sources(self.settings), Odometry(), None
+            self.sources, self._odometry, self._things = Sources(self.settings), OdometryBuffer(), None
             self._at_load = -inf
         self._now = state.epoch, state.robot_time
         self._odometry.add(state.robot_time, (x, y, yaw))
@@ -101,10 +108,10 @@ class Surroundings:
         speed = state.values[3] if len(state.values) > 3 else None
         self._ignored, self._closed = (in_force.of_kind(kind, speed) for kind in ("ignored", "closed"))
         if self._things is None:
-            self._things, self._looked = Things(self.settings, x, y), state.robot_time
+            self._things, self._looked = ObstacleTracker(self.settings, x, y), state.robot_time
         self._things.follow(x, y)
         self._things.driven += self._odometry.last_step
-        self._things.hiding.nobody = nobody_in(self._ignored, self._things.grid, (x, y, yaw))
+        self._things.hiding.nobody = unoccupied_cells(self._ignored, self._things.grid, (x, y, yaw))
         for scan in self._due(state):
             self._take(scan, state, self._things)
         while state.robot_time - self._looked > self._things.hiding.patience:
@@ -130,16 +137,16 @@ class Surroundings:
         self._waiting = deque(later, maxlen=_WAITING)
         return sorted(due, key=lambda scan: scan.robot_time)
 
-    def _take(self, scan: ScanMessage, state: StateMessage, things: Things) -> None:
+    def _take(self, scan: ScanMessage, state: StateMessage, things: ObstacleTracker) -> None:
         pose = self._odometry.at(scan.robot_time)
         if not self.sources.believes(scan, state) or pose is None:
             return
-        sweep = Sweep(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
+        sweep = ScanRays(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
         things.take(sweep, _own_cells(things.grid, pose, state))
         self._looked = scan.robot_time  # however late it comes: from there on the front is drawn anew
         self.sources.looked(scan, sweep, things.contradicted)
         if len(state.towed) == 3 and len(state.footprint) == 3 and len(things.lost):
-            apart = things.lost - hitch_at(pose, state)
+            apart = things.lost - hitch_position(pose, state)
             if float(np.hypot(*apart.T).min()) < state.towed[2] + _STRIDE:
                 self._at_load = scan.robot_time
 
@@ -152,10 +159,10 @@ class Surroundings:
         if not towing or state.robot_time - self._at_load > self.settings.restless:
             return ()
         x, y, yaw = state.values[:3]
-        x, y = hitch_at((x, y, yaw), state).tolist()
+        x, y = hitch_position((x, y, yaw), state).tolist()
         return ((x, y, state.towed[2]),)
 
-    def _told(self, state: StateMessage, things: Things) -> Seen:
+    def _told(self, state: StateMessage, things: ObstacleTracker) -> SurroundingsSnapshot:
         own, now = self.settings, state.robot_time
         x, y, yaw = state.values[:3]
         here = np.array((x, y))
@@ -167,24 +174,26 @@ class Surroundings:
         if self._closed:
             closed = closed_discs(self._closed, x, y, own.reach)
             places, radii = np.vstack([places, closed[:, :2]]), np.append(radii, closed[:, 2])
-        points = covering(places, radii, here, own.most)
+        points = cover_with_fewer_discs(places, radii, here, own.most)
         moving = self._told_of(things, things.moving_now(now, may_move))
         age = np.maximum(now - things.last[moving], 0.0)
         beside = self._beside_load(state)
         radii = own.point_radius + own.fastest * age
-        movers = covering(things.places(moving), radii, here, own.most - len(beside))
+        movers = cover_with_fewer_discs(things.places(moving), radii, here, own.most - len(beside))
         grid_x, grid_y = things.grid.middles
         ways_out = things.hiding.ways_out
         places = np.column_stack([grid_x[ways_out], grid_y[ways_out]])
         ahead = own.fastest * (now - self._looked)
-        hidden = covering(places, np.full(len(places), own.slimmest + HALF_DIAGONAL + ahead), here, own.most)
-        return Seen(
+        hidden = cover_with_fewer_discs(
+            places, np.full(len(places), own.slimmest + HALF_DIAGONAL + ahead), here, own.most
+        )
+        return SurroundingsSnapshot(
             tuple((x, y, radius) for x, y, radius in points.tolist()),
             tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in (*movers.tolist(), *beside)),
             tuple((x, y, radius, own.coming) for x, y, radius in hidden.tolist()),
         )
 
-    def _told_of(self, things: Things, cells: Flags) -> Flags:
+    def _told_of(self, things: ObstacleTracker, cells: BoolArray) -> BoolArray:
         """``cells`` without those whose content lies in a zone of the map that is ignored.
 
         What came into a zone of the robot's own frame was seen outside of it before, and is told on.
@@ -196,7 +205,7 @@ class Surroundings:
         return cells
 
 
-def _own_cells(grid: Grid, pose: Pose, state: StateMessage) -> Flags:
+def _own_cells(grid: Grid, pose: Pose, state: StateMessage) -> BoolArray:
     """(size, size) cells whose middle lies within the robot or a cell beside it, or where what it tows may be."""
     own = np.zeros((grid.size, grid.size), dtype=bool)
     if len(state.footprint) != 3:
@@ -211,7 +220,7 @@ def _own_cells(grid: Grid, pose: Pose, state: StateMessage) -> Flags:
 
 
 @lru_cache(maxsize=16)
-def _closed_discs(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> Values:
+def _closed_discs(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> FloatArray:
     places, depth = closed_cells(zones, column, row, reach)
     if not len(places):
         return np.empty((0, 3))
@@ -219,7 +228,7 @@ def _closed_discs(zones: tuple[Zone, ...], column: int, row: int, reach: float) 
     return _Blocks.of(places, level).discs(places, np.full(len(places), HALF_DIAGONAL))
 
 
-def closed_discs(zones: tuple[Zone, ...], x: float, y: float, reach: float) -> Values:
+def closed_discs(zones: tuple[Zone, ...], x: float, y: float, reach: float) -> FloatArray:
     """Discs (n, 3) x, y, radius [m] that cover all of the zones within ``reach`` [m] of (x, y).
 
     Along the border one for each cell; the deeper inside, the larger, so that none goes farther beyond the zone. They
@@ -228,7 +237,7 @@ def closed_discs(zones: tuple[Zone, ...], x: float, y: float, reach: float) -> V
     return _closed_discs(zones, floor(x / CELL), floor(y / CELL), reach)
 
 
-def covering(places: Values, radii: Values, here: Values, most: int) -> Values:
+def cover_with_fewer_discs(places: FloatArray, radii: FloatArray, here: FloatArray, most: int) -> FloatArray:
     """Discs (m, 3) x, y, radius [m], m <= ``most``, that cover those of ``radii`` (n,) at ``places`` (n, 2) [m].
 
     The nearest to ``here`` (2,) first.
@@ -257,7 +266,7 @@ class _Blocks(NamedTuple):
     """Where in that order each block begins."""
 
     @classmethod
-    def of(cls, places: Values, level: NDArray[np.int64]) -> _Blocks:
+    def of(cls, places: FloatArray, level: NDArray[np.int64]) -> _Blocks:
         edge = CELL * 2.0**level
         column, row = (np.floor(places[:, axis] / edge).astype(np.int64) for axis in (0, 1))
         key = (level * _SPAN + column % _SPAN) * _SPAN + row % _SPAN
@@ -267,7 +276,7 @@ class _Blocks(NamedTuple):
         begins[0], begins[1:] = True, sorted_keys[1:] != sorted_keys[:-1]
         return cls(order, np.flatnonzero(begins))
 
-    def discs(self, places: Values, radii: Values) -> Values:
+    def discs(self, places: FloatArray, radii: FloatArray) -> FloatArray:
         """One disc (blocks, 3) x, y, radius [m] for all places in each."""
         there = places[self.order]
         low, high = np.minimum.reduceat(there, self.starts), np.maximum.reduceat(there, self.starts)

@@ -2,7 +2,7 @@
 
 A place is a polygon, or the occupied cells of a map.
 
-What a robot drives with is its file's, changed by orders: ``InForce``.
+What a robot drives with is its file's, changed by orders: ``ActiveZones``.
 """
 
 from __future__ import annotations
@@ -13,29 +13,26 @@ from math import ceil, cos, isfinite, sin
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import BoolArray, FloatArray, IndexArray
 from safedpa.errors import InputError, did_you_mean
-from safedpa.perception.grid import CELL, Grid, grown
-from safedpa.perception.maps import Cells
+from safedpa.perception.occupancy_grid import CELL, Grid, dilate
 from safedpa.perception.odometry import Pose
+from safedpa.perception.ros_map import PackedCells
 
 __all__ = [
-    "AS_EVER",
+    "CONFIGURED_ZONES",
     "HALF_DIAGONAL",
-    "InForce",
+    "ActiveZones",
     "Zone",
     "closed_cells",
-    "entered",
-    "inside",
-    "nobody_in",
-    "to_border",
+    "distance_to_border",
+    "polygon_contains",
+    "unoccupied_cells",
     "within_any",
+    "zone_entry_distance",
 ]
 
-Values = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Whole = NDArray[np.int64]
 Corners = tuple[tuple[float, float], ...]
 
 KINDS, FRAMES = ("ignored", "closed"), ("map", "robot")
@@ -74,7 +71,7 @@ class Zone:
     """For which it counts; empty: for all."""
     use: bool = True
     """Whether it counts unless an order says otherwise."""
-    cells: Cells | None = None
+    cells: PackedCells | None = None
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -130,7 +127,7 @@ class Zone:
             return self.kind == "closed"
         return self.speed[0] <= abs(speed) <= self.speed[1]
 
-    def corners(self, pose: Pose) -> Values:
+    def corners(self, pose: Pose) -> FloatArray:
         """(vertices, 2) m in the frame of the states' positions, of a robot at ``pose``."""
         corners = np.array(self.polygon)
         if self.frame == "map":
@@ -142,7 +139,7 @@ class Zone:
 
 @final
 @dataclass(frozen=True)
-class InForce:
+class ActiveZones:
     """What counts for one robot now."""
 
     off: frozenset[str] = frozenset()
@@ -168,7 +165,7 @@ class InForce:
             rows += [(float(number), x, y) for x, y in zone.corners(pose).tolist()]
         return tuple(rows)
 
-    def at(self, speed: float | None) -> InForce:
+    def at(self, speed: float | None) -> ActiveZones:
         """With the zones alone that count at a speed [m/s]."""
         return replace(self, zones=tuple(zone for zone in self.zones if zone.counts_at(speed)))
 
@@ -177,25 +174,25 @@ class InForce:
         return tuple(zone for zone in self.zones if zone.kind == kind and zone.counts_at(speed))
 
 
-AS_EVER = InForce()
+CONFIGURED_ZONES = ActiveZones()
 
 
-def _edges(corners: Values) -> tuple[Values, Values]:
+def _edges(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return corners, np.roll(corners, -1, axis=0)
 
 
-def _area(corners: Values) -> float:
+def _area(corners: FloatArray) -> float:
     start, end = _edges(corners)
     return float(abs(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])) / 2.0)
 
 
-def _turn(one: Values, other: Values, third: Values) -> float:
+def _turn(one: FloatArray, other: FloatArray, third: FloatArray) -> float:
     """Above 0 where ``third`` lies to the left of the way from ``one`` to ``other``."""
     way, apart = other - one, third - one
     return float(way[0] * apart[1] - way[1] * apart[0])
 
 
-def _crossing(corners: Values) -> tuple[int, int] | None:
+def _crossing(corners: FloatArray) -> tuple[int, int] | None:
     """Two edges that have a point in common but for the vertex between neighbours; None: there are none."""
     start, end = _edges(corners)
     count = len(corners)
@@ -207,7 +204,7 @@ def _crossing(corners: Values) -> tuple[int, int] | None:
     return None
 
 
-def _folded(start: Values, end: Values, i: int, j: int, count: int) -> bool:
+def _folded(start: FloatArray, end: FloatArray, i: int, j: int, count: int) -> bool:
     """Whether the later of two neighbours goes back on the former one."""
     first, second = (i, j) if j == i + 1 else (j, i)
     if count == 3:
@@ -216,7 +213,7 @@ def _folded(start: Values, end: Values, i: int, j: int, count: int) -> bool:
     return bool(_turn(end[first], start[first], end[second]) == 0.0 and before @ after > 0.0)
 
 
-def _meet(a: Values, b: Values, c: Values, d: Values) -> bool:
+def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
     sides = _turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b)
     if sides[0] * sides[1] < 0.0 and sides[2] * sides[3] < 0.0:
         return True
@@ -224,12 +221,12 @@ def _meet(a: Values, b: Values, c: Values, d: Values) -> bool:
     return any(side == 0.0 and _between(one, other, point) for side, one, other, point in rows)
 
 
-def _between(one: Values, other: Values, point: Values) -> bool:
+def _between(one: FloatArray, other: FloatArray, point: FloatArray) -> bool:
     low, high = np.minimum(one, other), np.maximum(one, other)
     return bool(np.all(low <= point) and np.all(point <= high))
 
 
-def inside(corners: Values, places: Values) -> Flags:
+def polygon_contains(corners: FloatArray, places: FloatArray) -> BoolArray:
     """Which of ``places`` (n, 2) lie within the polygon (vertices, 2): a line to the right meets its border oddly."""
     within = np.zeros(len(places), dtype=bool)
     x, y = places.T.copy()
@@ -241,7 +238,7 @@ def inside(corners: Values, places: Values) -> Flags:
     return within
 
 
-def to_border(corners: Values, places: Values) -> Values:
+def distance_to_border(corners: FloatArray, places: FloatArray) -> FloatArray:
     """m (n,) from ``places`` (n, 2) to the nearest edge."""
     nearest = np.full(len(places), np.inf)
     x, y = places.T.copy()
@@ -249,11 +246,11 @@ def to_border(corners: Values, places: Values) -> Values:
         way_x, way_y, apart_x, apart_y = to_x - from_x, to_y - from_y, x - from_x, y - from_y
         along = np.clip((apart_x * way_x + apart_y * way_y) / (way_x**2 + way_y**2), 0.0, 1.0)
         np.minimum(nearest, (apart_x - along * way_x) ** 2 + (apart_y - along * way_y) ** 2, out=nearest)
-    distance: Values = np.sqrt(nearest)
+    distance: FloatArray = np.sqrt(nearest)
     return distance
 
 
-def _cells(corners: Values, margin: float, lowest: Whole, highest: Whole) -> Whole:
+def _cells(corners: FloatArray, margin: float, lowest: IndexArray, highest: IndexArray) -> IndexArray:
     """(n, 2) column and row of all cells, between the two given ones, of the box around the polygon and ``margin``
     [m]."""
     low = np.maximum(np.floor((corners.min(axis=0) - margin) / CELL).astype(np.int64), lowest)
@@ -262,20 +259,22 @@ def _cells(corners: Values, margin: float, lowest: Whole, highest: Whole) -> Who
     return np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _middles(cells: Whole) -> Values:
+def _middles(cells: IndexArray) -> FloatArray:
     """(n, 2) m"""
     return np.asarray((cells + 0.5) * CELL, dtype=np.float64)
 
 
-def within_any(zones: tuple[Zone, ...], places: Values, pose: Pose) -> Flags:
+def within_any(zones: tuple[Zone, ...], places: FloatArray, pose: Pose) -> BoolArray:
     """Which of ``places`` (n, 2) m lie in one of the zones of a robot at ``pose``."""
     found = np.zeros(len(places), dtype=bool)
     for zone in zones:
-        found |= inside(zone.corners(pose), places)
+        found |= polygon_contains(zone.corners(pose), places)
     return found
 
 
-def entered(zones: tuple[Zone, ...], pose: Pose, sensor: tuple[float, float], ends: Values) -> Values:
+def zone_entry_distance(
+    zones: tuple[Zone, ...], pose: Pose, sensor: tuple[float, float], ends: FloatArray
+) -> FloatArray:
     """m (n,) from the ``sensor`` at which rays to ``ends`` (n, 2) m first come into a zone in which they end.
 
     Infinity for those that end in none; 0 where the sensor itself is in it.
@@ -284,14 +283,14 @@ def entered(zones: tuple[Zone, ...], pose: Pose, sensor: tuple[float, float], en
     here = np.array(sensor)
     for zone in zones:
         corners = zone.corners(pose)
-        there = inside(corners, ends)
+        there = polygon_contains(corners, ends)
         if there.any():
-            first = 0.0 if inside(corners, here[np.newaxis])[0] else _first_edge(corners, here, ends[there])
+            first = 0.0 if polygon_contains(corners, here[np.newaxis])[0] else _first_edge(corners, here, ends[there])
             found[there] = np.minimum(found[there], first)
     return found
 
 
-def _first_edge(corners: Values, here: Values, ends: Values) -> Values:
+def _first_edge(corners: FloatArray, here: FloatArray, ends: FloatArray) -> FloatArray:
     """m (n,) from ``here`` to the first edge on the way to each of ``ends`` (n, 2); 0 where none is met."""
     way = ends - here
     share = np.full(len(ends), np.inf)
@@ -303,11 +302,11 @@ def _first_edge(corners: Values, here: Values, ends: Values) -> Values:
             on_edge = (apart[0] * way[:, 1] - apart[1] * way[:, 0]) / across
         met = (on_way >= 0.0) & (on_edge >= -1e-9) & (on_edge <= 1.0 + 1e-9)
         np.minimum(share, np.where(met, on_way, np.inf), out=share)
-    first: Values = np.where(share <= 1.0, share, 0.0) * np.hypot(*way.T)
+    first: FloatArray = np.where(share <= 1.0, share, 0.0) * np.hypot(*way.T)
     return first
 
 
-def nobody_in(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> Flags:
+def unoccupied_cells(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> BoolArray:
     """(size, size) cells in which nobody is taken to hide: of the zones, and beside them as far as he would overlap."""
     found = np.zeros((grid.size, grid.size), dtype=bool)
     if not zones:
@@ -317,12 +316,12 @@ def nobody_in(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> Flags:
         corners = zone.corners(pose)
         cells = _cells(corners, 0.0, lowest, lowest + grid.size - 1)
         middles = _middles(cells)
-        taken = cells[inside(corners, middles)] - lowest
+        taken = cells[polygon_contains(corners, middles)] - lowest
         found[taken[:, 0], taken[:, 1]] = True
-    return grown(found, CELL, beyond=False)
+    return dilate(found, CELL, beyond=False)
 
 
-def closed_cells(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> tuple[Values, Values]:
+def closed_cells(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> tuple[FloatArray, FloatArray]:
     """Middles (n, 2) m of all cells that the zones have any part of within ``reach`` [m] of any place in one cell.
 
     And their depth (n,): how far [m] a disc around the cell's corners may go beyond it without leaving the zone.
@@ -341,7 +340,7 @@ def closed_cells(zones: tuple[Zone, ...], column: int, row: int, reach: float) -
         cells = _cells(corners, CELL, here - around, here + around)
         cells = cells[np.sum((cells - here) ** 2, axis=1) * CELL**2 <= far**2]
         middles = _middles(cells)
-        away, within = to_border(corners, middles), inside(corners, middles)
+        away, within = distance_to_border(corners, middles), polygon_contains(corners, middles)
         taken = within | (away <= HALF_DIAGONAL + 1e-9)
         places.append(middles[taken])
         depths.append(np.where(within, np.maximum(away - HALF_DIAGONAL, 0.0), 0.0)[taken])

@@ -20,11 +20,11 @@ from safedpa.errors import InputError
 if TYPE_CHECKING:
     from safedpa.policy.controller import Controller
 
-__all__ = ["BackingOff", "BackingOffSettings"]
+__all__ = ["BackOffController", "BackOffSettings"]
 
 
 @dataclass(frozen=True)
-class BackingOffSettings:
+class BackOffSettings:
     """When and how a car backs off: SI units, radians."""
 
     patience_seconds: float = 1.0
@@ -42,16 +42,16 @@ class BackingOffSettings:
 
 
 @final
-class BackingOff:
+class BackOffController:
     """Hands on the wishes of another controller of a car, and interrupts it where the car makes no headway.
 
     The first time the heading turns towards the goal while the car reverses, then away from it, and so on in turn; a
     new goal begins anew.
     """
 
-    def __init__(self, controller: Controller, settings: BackingOffSettings | None = None) -> None:
+    def __init__(self, controller: Controller, settings: BackOffSettings | None = None) -> None:
         self._controller = controller
-        self._settings = settings or BackingOffSettings()
+        self._settings = settings or BackOffSettings()
         self._trail: deque[tuple[float, float, float]] = deque()
         self._until = -math.inf
         self._steer = 0.0

@@ -16,11 +16,11 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.robot import AbstractRobot, robot_like
 
-__all__ = ["Controller", "LooksAround", "NetworkLatent", "RandomWishes", "controller_for"]
+__all__ = ["Controller", "NetworkLatent", "RandomActions", "UsesSurroundings", "controller_for"]
 
 
 @final
-class RandomWishes:
+class RandomActions:
     """Uniform over the actuators' bounds, drawn anew in each tick; of robots that declare none over the system's.
 
     The generator's seed is the tick with the state's bytes: so a drive in lockstep repeats, also where this process was
@@ -73,7 +73,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class LooksAround(Protocol):
+class UsesSurroundings(Protocol):
     """A controller that is told what perception makes of the sensors, before each wish of a robot that names any."""
 
     def look(self, seen: SurroundingsMessage | None) -> None:
@@ -99,7 +99,7 @@ def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[],
         policy = NetworkLatent(LearnedPolicy(base.weights), model)
         return lambda: policy if robot is None else robot.learned(policy)
     if name == "random":
-        return lambda: RandomWishes(model)
+        return lambda: RandomActions(model)
     if name not in own:
         known = (*own, "learned", "random")
         raise InputError(f"controller '{name}' of a {model.system.name}: {did_you_mean(name, known)}")

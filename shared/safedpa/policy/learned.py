@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import isfinite
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
 from safedpa.networks import Weights, dense_stack
 from safedpa.networks.layers import layers_of
-from safedpa.policy.perception import perception_of
+from safedpa.policy.perception import observation_model_of
 
 __all__ = ["LearnedPolicy"]
 
-Values = NDArray[np.floating[Any]]
 
 _BODY, _BODY_NUMBERS = "observation_body", 3
 _LARGEST = 10.0
@@ -40,7 +40,7 @@ class LearnedPolicy:
         if not self._layers:
             raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
         latents, actions = weights.description.latents, len(weights.description.actions)
-        self._perception = perception_of(weights.description.robot)
+        self._perception = observation_model_of(weights.description.robot)
         wanted = (self._perception.length(latents), actions)
         got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0])
         if got != wanted:
@@ -54,13 +54,13 @@ class LearnedPolicy:
         self._into = [(np.ascontiguousarray(weight.T), bias) for weight, bias in self._layers]
         self._nominal = weights["latent_nominal"].astype(np.float64) if latents else np.zeros(0)
 
-    def act(self, observation: Values) -> Values:
+    def act(self, observation: AnyFloatArray) -> AnyFloatArray:
         """Actions (..., actions) in SI units for observations (..., observations)."""
         scaled = ((observation - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
         chosen = dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0)
         return np.asarray(self._action_middle + self._action_scale * chosen, dtype=np.float64)
 
-    def _act_once(self, observation: Values) -> list[float]:
+    def _act_once(self, observation: AnyFloatArray) -> list[float]:
         """``act`` for one observation (observations,), with little more than the products of its layers."""
         scaled = (observation - self._middle) / self._scale
         seen = np.minimum(np.maximum(scaled, -_LARGEST), _LARGEST).astype(np.float32)

@@ -28,17 +28,17 @@ from safedpa.bus import (
     Topic,
     WishMessage,
 )
-from safedpa.bus.loop.apart import AbstractTicket
-from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.service.model_versions import ModelVersions
+from safedpa.bus.service.sandbox import AbstractJobHandle
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.model_offer import offered_model
-from safedpa.policy.controller import Controller, LooksAround, controller_for
+from safedpa.policy.controller import Controller, UsesSurroundings, controller_for
 
 __all__ = ["PolicyNode"]
 
 
 @dataclass(frozen=True)
-class _Held:
+class _PolicyModel:
     """What the policy needs of a model."""
 
     model: PhysicsModel
@@ -46,11 +46,11 @@ class _Held:
     make: Callable[[], Controller]
 
 
-class _Wishes(NamedTuple):
+class _RobotController(NamedTuple):
     """What one robot's wishes come from."""
 
     controller: Controller
-    looks: LooksAround | None
+    looks: UsesSurroundings | None
     """The same, if it looks around; asked once, since asking takes as long as a wish."""
 
 
@@ -77,9 +77,9 @@ class PolicyNode(AbstractNode):
     def __init__(self, model: PhysicsModel, controller: str | None = None) -> None:
         self._controller = controller
         first = self._held(model)
-        self._looks = isinstance(first.make(), LooksAround)
+        self._looks = isinstance(first.make(), UsesSurroundings)
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
-        self._controllers: dict[str, _Wishes] = {}
+        self._controllers: dict[str, _RobotController] = {}
         self._states: dict[str, StateMessage] = {}
 
     def needs(self, state: StateMessage) -> tuple[Topic, ...]:
@@ -94,7 +94,9 @@ class PolicyNode(AbstractNode):
         wishes = self._controllers.get(robot)
         if wishes is None:
             made = held.make()
-            wishes = self._controllers[robot] = _Wishes(made, made if isinstance(made, LooksAround) else None)
+            wishes = self._controllers[robot] = _RobotController(
+                made, made if isinstance(made, UsesSurroundings) else None
+            )
         if wishes.looks is not None:
             seen = inputs.get(SURROUNDINGS)
             wishes.looks.look(seen if isinstance(seen, SurroundingsMessage) else None)
@@ -119,7 +121,7 @@ class PolicyNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
-    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractJobHandle]) -> None:  # noqa: D102
         self._versions.hand_in = hand_in
 
     def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
@@ -148,10 +150,10 @@ class PolicyNode(AbstractNode):
         self.forget(robot)
         self._versions.forget(robot)
 
-    def _held(self, model: PhysicsModel) -> _Held:
-        return _Held(model, fingerprint(model), controller_for(model, self._controller))
+    def _held(self, model: PhysicsModel) -> _PolicyModel:
+        return _PolicyModel(model, fingerprint(model), controller_for(model, self._controller))
 
-    def _load(self, robot: str, offer: ModelMessage) -> _Held:
+    def _load(self, robot: str, offer: ModelMessage) -> _PolicyModel:
         """The offered model, tried at the robot's newest state. Raises InputError when it cannot be used."""
         held = self._held(offered_model(offer, self._versions.of(robot).model))
         state = self._states.get(robot)
@@ -160,7 +162,7 @@ class PolicyNode(AbstractNode):
         return held
 
 
-def _latent(held: _Held, inputs: Inputs) -> NDArray[np.float64] | None:
+def _latent(held: _PolicyModel, inputs: Inputs) -> NDArray[np.float64] | None:
     """The latent, if there is one and it belongs to the model."""
     latent = inputs[LATENT]
     if not isinstance(latent, LatentMessage) or latent.model != held.fingerprint:

@@ -4,31 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
 from safedpa.robot import robots
 
-__all__ = ["Perception", "checked", "perception_of"]
-
-Values = NDArray[np.floating[Any]]
+__all__ = ["ObservationModel", "checked_state", "observation_model_of"]
 
 
 @final
 @dataclass(frozen=True)
-class Perception:
+class ObservationModel:
     """How many numbers an observation has for so many latents, and the observation of a message with a latent."""
 
     length: Callable[[int], int]
-    observed: Callable[[StateMessage, Values], Values]
+    observed: Callable[[StateMessage, AnyFloatArray], AnyFloatArray]
     """Raises MessageError when something in the message has another length than the robot's."""
 
 
-def perception_of(robot: str) -> Perception:
+def observation_model_of(robot: str) -> ObservationModel:
     """The perception of a kind of robot. Raises InputError when learned policies of it are not known."""
     known = robots()
     found = known[robot].perception() if robot in known else None
@@ -38,7 +34,7 @@ def perception_of(robot: str) -> Perception:
     return found
 
 
-def checked(state: StateMessage, **lengths: int) -> None:
+def checked_state(state: StateMessage, **lengths: int) -> None:
     """Raises MessageError when an entry of the message has another length than the robot's."""
     for name, length in lengths.items():
         if len(getattr(state, name)) != length:

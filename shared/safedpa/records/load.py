@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from safedpa.errors import ColumnMapError, RunError
-from safedpa.records.apply_map import check_map, mapped_rows
-from safedpa.records.bags import kind_of, read_log_table, topic_log
-from safedpa.records.column_map import ColumnMap, native_map
-from safedpa.records.quality import run_of_rows
+from safedpa.records.column_map.apply import check_map, mapped_rows
+from safedpa.records.column_map.column_map import ColumnMap, native_map
+from safedpa.records.quality.quality import run_of_rows
+from safedpa.records.readers.bags import kind_of, read_log_table, topic_log
+from safedpa.records.readers.table import Table
 from safedpa.records.run import Run
-from safedpa.records.table import Table
 from safedpa.systems import System
 
 __all__ = ["load_run"]
@@ -33,7 +33,7 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
     if kind == "mcap":
         if columns is not None:
             raise ColumnMapError(f"{columns.name}: {path} is a recording of the bus; leave the column map out")
-        from safedpa.records.mcap_run import read_run_from_mcap
+        from safedpa.records.readers.mcap import read_run_from_mcap
 
         return read_run_from_mcap(path, system)
     if kind == "topics" and columns is None:
@@ -60,9 +60,9 @@ def _read(path: Path, kind: str, mapping: ColumnMap, system: System) -> Table:
     if kind == "topics":
         return read_log_table(topic_log(path), mapping, system)
     if kind == "parquet":
-        from safedpa.records.parquet_table import read_parquet_table
+        from safedpa.records.readers.parquet import read_parquet_table
 
         return read_parquet_table(path, mapping.sources)
-    from safedpa.records.csv_table import read_csv_table
+    from safedpa.records.readers.csv import read_csv_table
 
     return read_csv_table(path, mapping.sources)

@@ -34,10 +34,10 @@ from safedpa.bus import (
 )
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode
-from safedpa.replay.tape import Entry, RobotTape, Stamp
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.replay.tape import RecordedMessage, RobotTape, Stamp
+from safedpa.runtime.node import SafetyFilterNode
 
-__all__ = ["Driven", "Driver", "ModelChange", "Overrule"]
+__all__ = ["Driver", "InputOverride", "ModelChange", "ReplayedStep"]
 
 _SETUP_DELAY_NS = 6_000_000_000
 """A process tells its setup every five seconds: one that was recorded so soon after an output may be its sender's."""
@@ -45,7 +45,7 @@ _LOOK_BACK_TICKS = 200
 
 
 @dataclass(frozen=True)
-class Driven:
+class ReplayedStep:
     """One step: as it was recorded, and as it came out again."""
 
     state: StateMessage
@@ -59,7 +59,7 @@ class Driven:
     """Whether the service's memory of the robot began with this step: what was unknown before matters no more."""
 
 
-class Overrule:
+class InputOverride:
     """What the node shall see in place of what was recorded. This one changes nothing."""
 
     def state(self, state: StateMessage) -> StateMessage:
@@ -88,13 +88,13 @@ class Driver:
         tape: RobotTape,
         service: str,
         build: Callable[[SetupMessage], AbstractNode],
-        overrule: Overrule | None = None,
+        overrule: InputOverride | None = None,
         *,
         follow_models: bool = True,
         made_up: dict[tuple[Topic, int, int], Message] | None = None,
     ) -> None:
         self._tape, self._service, self._build = tape, service, build
-        self._overrule = overrule or Overrule()
+        self._overrule = overrule or InputOverride()
         self._changes = ModelChange(tape, service) if follow_models else None
         self._setups = tape.setups.get(service, [])
         self._setup = -1
@@ -102,7 +102,7 @@ class Driver:
         self._node: AbstractNode | None = None
         self._previous: ComputedMessage | None = None
 
-    def run(self) -> Iterator[Driven]:
+    def run(self) -> Iterator[ReplayedStep]:
         """Every step, in the order of the recording."""
         for entry in self._tape.computed[self._service]:
             message = entry.message
@@ -144,7 +144,7 @@ class Driver:
             return True
         return 0 < message.step <= previous.step
 
-    def _begin(self, entry: Entry) -> str:
+    def _begin(self, entry: RecordedMessage) -> str:
         """A new node, or a memory made empty, as in the recorded service; returns what is not known."""
         message = entry.message
         if self._node is None or self._is_new_process(entry):
@@ -173,7 +173,7 @@ class Driver:
             found += [] if float(tick) in passed_over else [state]
         return found[::-1]
 
-    def _is_new_process(self, entry: Entry) -> bool:
+    def _is_new_process(self, entry: RecordedMessage) -> bool:
         """Whether another instance of the service had begun; its setup is in force then."""
         begun = [number for number, (at, _) in enumerate(self._setups) if at <= entry.at]
         newest = max(begun, default=0)
@@ -205,7 +205,7 @@ class Driver:
         missing = message.step - previous.step - 1 - made_up if previous is not None and message.step else 0
         return f"{_outputs(missing)} before it not recorded" if missing > 0 else ""
 
-    def _step(self, state: StateMessage, message: ComputedMessage | None, unknown: str) -> Driven:
+    def _step(self, state: StateMessage, message: ComputedMessage | None, unknown: str) -> ReplayedStep:
         node, robot = self._node, self._tape.robot
         assert node is not None
         for tick in () if message is None else message.skipped:
@@ -223,7 +223,7 @@ class Driver:
         self._overrule.done(state, outputs)
         if message is None:
             self._made_up |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
-        return Driven(state, message, outputs, unknown or missing)
+        return ReplayedStep(state, message, outputs, unknown or missing)
 
     def _sense(self, node: PerceptionNode, state: StateMessage, message: ComputedMessage | None) -> str:
         """Lets perception hear the scans that it had heard, with what counted then; what is missing of that."""

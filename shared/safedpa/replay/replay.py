@@ -21,11 +21,11 @@ from safedpa.bus import (
 )
 from safedpa.perception import PerceptionNode
 from safedpa.replay.comparison import TOLERANCE, Difference, differences
-from safedpa.replay.driver import Driven, Driver
+from safedpa.replay.driver import Driver, ReplayedStep
 from safedpa.replay.setups import REPLAYED, node_of
 from safedpa.replay.tape import RobotTape
 
-__all__ = ["Replay", "ServiceReplay", "Span", "replay"]
+__all__ = ["Replay", "ServiceReplay", "UnknownStateSpan", "replay"]
 
 _AGREED = 20
 """Outputs in a row that agree, after which a memory that was not known counts as known again."""
@@ -37,7 +37,7 @@ _TOPICS = {PerceptionNode.name: SURROUNDINGS, "adaptation": LATENT, "policy": WI
 
 
 @dataclass
-class Span:
+class UnknownStateSpan:
     """Steps whose memory was not known, because something was not recorded.
 
     It reaches to the last output that came out otherwise before the memory began anew: what differs behind a gap may
@@ -69,7 +69,7 @@ class ServiceReplay:
     """Beyond the tolerance."""
     rounded: int = 0
     """Fields that differ within the tolerance."""
-    spans: list[Span] = field(default_factory=list)
+    spans: list[UnknownStateSpan] = field(default_factory=list)
     lost: int = 0
     """Outputs that are not in the recording, and were made up to know the memory."""
 
@@ -86,7 +86,7 @@ class Replay:
         return self.unsettled is None and not any(part.differing for part in self.services)
 
     @property
-    def unsettled(self) -> Span | None:
+    def unsettled(self) -> UnknownStateSpan | None:
         """A span that reaches to the end of the recording; None: there is none."""
         last = [part.spans[-1] for part in self.services if part.spans]
         return next((span for span in last if span.agrees_from is None and span.anew_from is None), None)
@@ -102,7 +102,7 @@ def replay(
     window: tuple[float, float] = (float("-inf"), float("inf")),
     tolerance: float = TOLERANCE,
     folders: tuple[Path, ...] = (),
-    tell: Callable[[Driven], None] = lambda _: None,
+    tell: Callable[[ReplayedStep], None] = lambda _: None,
 ) -> Replay:
     """Replays every service with a setup and outputs; compares what has a robot time in ``window`` [s].
 
@@ -114,7 +114,7 @@ def replay(
     for service in (*((PerceptionNode.name,) if _told_of_scans(tape) else ()), *REPLAYED):
         if tape.computed[service] and tape.setups.get(service):
             steps = Driver(tape, service, lambda setup: node_of(setup, folders), made_up=made_up).run()
-            found.append(_Judge(tape, service, window, tolerance).judged(steps, tell))
+            found.append(_OutputComparison(tape, service, window, tolerance).judged(steps, tell))
     return Replay(found)
 
 
@@ -127,24 +127,24 @@ _Judged = list[tuple[Topic, list[Difference]]]
 """The differences of one step's messages, within the tolerance or not."""
 
 
-class _Judge:
+class _OutputComparison:
     """Holds the steps of one service against the recording."""
 
     def __init__(self, tape: RobotTape, service: str, window: tuple[float, float], tolerance: float) -> None:
         self._tape, self._window, self._tolerance = tape, window, tolerance
         self._found = ServiceReplay(service)
-        self._span: Span | None = None
+        self._span: UnknownStateSpan | None = None
         self._agreeing: list[tuple[StateMessage, _Judged]] = []
         """Within a span: since the last output that came out otherwise."""
 
-    def judged(self, steps: Iterator[Driven], tell: Callable[[Driven], None]) -> ServiceReplay:
+    def judged(self, steps: Iterator[ReplayedStep], tell: Callable[[ReplayedStep], None]) -> ServiceReplay:
         for step in steps:
             tell(step)
             if step.anew or step.unknown:
                 self._close(step.state.tick if step.anew else None)
             if step.unknown:
                 state = step.state
-                self._span = Span(step.unknown, state.epoch, state.tick, state.robot_time)
+                self._span = UnknownStateSpan(step.unknown, state.epoch, state.tick, state.robot_time)
                 self._found.spans.append(self._span)
             if step.recorded is None:
                 self._found.lost += 1
@@ -153,7 +153,7 @@ class _Judge:
         self._close()
         return self._found
 
-    def _judge(self, step: Driven) -> None:
+    def _judge(self, step: ReplayedStep) -> None:
         found = [(topic, self._differences(topic, one, other)) for topic, one, other in self._pairs(step)]
         if self._span is None:
             self._count(step.state, found)
@@ -194,7 +194,7 @@ class _Judge:
         told = self._tape.fields[topic.message] - (_STATISTICS if self._found.spans else frozenset())
         return list(differences(topic.name, recorded, replayed, told, self._tolerance))
 
-    def _pairs(self, step: Driven) -> Iterator[tuple[Topic, Message, Message | None]]:
+    def _pairs(self, step: ReplayedStep) -> Iterator[tuple[Topic, Message, Message | None]]:
         """Topic, recorded and replayed message of a step; the action belongs to its verdict."""
         recorded = step.recorded
         topic = _TOPICS[self._found.service]

@@ -25,13 +25,21 @@ from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode
 from safedpa.records import McapRecorder
 from safedpa.replay.comparison import Difference
-from safedpa.replay.driver import Driven
+from safedpa.replay.driver import ReplayedStep
 from safedpa.replay.gaps import TickGap
-from safedpa.replay.replay import Replay, ServiceReplay, Span
+from safedpa.replay.replay import Replay, ServiceReplay, UnknownStateSpan
 from safedpa.replay.tape import RobotTape
-from safedpa.replay.what_if import DecisionTwice, Summary
+from safedpa.replay.what_if import DecisionPair, WhatIfSummary
 
-__all__ = ["Saved", "document_of", "lines_of", "told_lines", "what_if_document", "what_if_lines", "write_decisions"]
+__all__ = [
+    "ReplayOutputs",
+    "document_of",
+    "lines_of",
+    "note_lines",
+    "what_if_document",
+    "what_if_lines",
+    "write_decisions",
+]
 
 _SHOWN = 10
 
@@ -40,7 +48,7 @@ def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[
     """The agreement, or the first differences."""
     begin, end = tape.seconds()
     yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_named(tape)}"
-    yield from told_lines(tape, assumed)
+    yield from note_lines(tape, assumed)
     yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
     for part in found.services:
         yield from _service_lines(part)
@@ -55,7 +63,7 @@ def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[
     yield _verdict(found)
 
 
-def told_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
+def note_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
     """What was noticed about the recording, and what was assumed in place of what it lacks."""
     yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
     yield from (f"  assumed: {sentence}" for sentence in assumed)
@@ -73,7 +81,7 @@ def _service_lines(part: ServiceReplay) -> Iterator[str]:
     yield from (f"    {_span_sentence(span)}" for span in part.spans)
 
 
-def _span_sentence(span: Span) -> str:
+def _span_sentence(span: UnknownStateSpan) -> str:
     began = f"memory not known from tick {span.tick} on ({span.reason}): {span.steps} outputs not compared"
     if span.agrees_from is not None:
         return f"{began}, agrees again from tick {span.agrees_from} on"
@@ -124,7 +132,7 @@ def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: li
     }
 
 
-def what_if_lines(summary: Summary, decisions: list[DecisionTwice], changed: str) -> Iterator[str]:
+def what_if_lines(summary: WhatIfSummary, decisions: list[DecisionPair], changed: str) -> Iterator[str]:
     """How the other filter's decisions differ, and where first."""
     yield f"  what if {changed}: {summary.ticks} decisions on the RECORDED states (open loop: what the other actions"
     yield "  would have brought about is not in them; --closed-loop drives again where the robot was simulated)"
@@ -152,7 +160,7 @@ def _numbers(action: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:.3f}" for value in action) + ")"
 
 
-def what_if_document(summary: Summary, decisions: list[DecisionTwice], changed: str) -> dict[str, Any]:
+def what_if_document(summary: WhatIfSummary, decisions: list[DecisionPair], changed: str) -> dict[str, Any]:
     """The same for programs, with every tick that is decided differently."""
     return {
         "changed": changed,
@@ -172,7 +180,7 @@ def what_if_document(summary: Summary, decisions: list[DecisionTwice], changed: 
     }
 
 
-def _side(decision: DecisionTwice, *, now: bool) -> dict[str, Any]:
+def _side(decision: DecisionPair, *, now: bool) -> dict[str, Any]:
     verdict = decision.now if now else decision.then
     return {
         "status": verdict.status,
@@ -187,17 +195,17 @@ def _side(decision: DecisionTwice, *, now: bool) -> dict[str, Any]:
 _COLUMNS = ("status", "h_now", "h_next", "margin", "slack")
 
 
-class Saved:
+class ReplayOutputs:
     """Collects what came out, and writes it."""
 
     def __init__(self) -> None:
-        self._steps: list[Driven] = []
+        self._steps: list[ReplayedStep] = []
 
-    def take(self, step: Driven) -> None:
+    def take(self, step: ReplayedStep) -> None:
         """Hears of one step."""
         self._steps.append(step)
 
-    def leave(self, step: Driven) -> None:
+    def leave(self, step: ReplayedStep) -> None:
         """Hears of one step that nobody wants to keep."""
 
     def write(self, tape: RobotTape, path: Path) -> None:
@@ -241,7 +249,7 @@ def _nanoseconds(message: Message) -> int:
     return round(1e9 * message.publish_time)
 
 
-def write_decisions(decisions: Sequence[DecisionTwice], path: Path) -> None:
+def write_decisions(decisions: Sequence[DecisionPair], path: Path) -> None:
     """One row a tick: what was decided then, and what would have been now. Raises InputError unless it is a .csv."""
     if path.suffix != ".csv":
         raise InputError(f"--out {path}: got no .csv; decisions under another model or margin are a table")

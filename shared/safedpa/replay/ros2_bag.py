@@ -9,12 +9,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus.wire.messages import ComputedMessage, Message, SetupMessage, StateMessage, VerdictMessage, WishMessage
-from safedpa.bus.wire.topics import SETUP, STATE, VERDICT, WISH, topic_of
+from safedpa.bus.messages.messages import (
+    ComputedMessage,
+    Message,
+    SetupMessage,
+    StateMessage,
+    VerdictMessage,
+    WishMessage,
+)
+from safedpa.bus.messages.topics import SETUP, STATE, VERDICT, WISH, topic_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.model_file import parse_model
 from safedpa.errors import InputError, RecordingError, RunError, did_you_mean
-from safedpa.records.mcap_messages import read_messages
+from safedpa.records.readers.mcap import read_messages
 from safedpa.records.run import Finding
 from safedpa.robot import AbstractRobot, robot_like, robots
 from safedpa.ros.encoding import encode, stamp_of, type_store
@@ -56,7 +63,7 @@ def export_bag(recording: Path, out: Path, robot: str | None = None) -> Exported
         raise InputError(f"{out}: is there already; name a new folder for the bag")
     findings: list[Finding] = []
     name, first = _robot_in(recording, robot)
-    speaks = _Speaker(name, *(_told_by_setup(recording, name) or (_kind_of(recording, first), None)))
+    speaks = _RosMessages(name, *(_told_by_setup(recording, name) or (_kind_of(recording, first), None)))
     exported = ExportedBag(name)
     writer = _writer(out)
     try:
@@ -123,7 +130,7 @@ def _kind_of(recording: Path, state: StateMessage) -> AbstractRobot:
 Told = tuple[str, str, int, Mapping[str, Any]]
 
 
-def _told(recording: Path, name: str, speaks: _Speaker, findings: list[Finding]) -> Iterator[Told]:
+def _told(recording: Path, name: str, speaks: _RosMessages, findings: list[Finding]) -> Iterator[Told]:
     """(topic, type, ns, fields) of everything that is written, in the recording's order."""
     clock = _Clock()
     for key, _, message in read_messages(recording, findings, (STATE, VERDICT, WISH)):
@@ -161,7 +168,7 @@ def _plain(name: str) -> str:
     return plain if plain[:1].isalpha() else f"robot_{plain}"
 
 
-class _Speaker:
+class _RosMessages:
     """Messages of ROS out of those of the bus, for one robot."""
 
     def __init__(self, name: str, robot: AbstractRobot, model: PhysicsModel | None = None) -> None:

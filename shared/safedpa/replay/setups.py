@@ -11,7 +11,7 @@ from pathlib import Path
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode, LatentMessage, SetupMessage
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model, parse_model, shipped_models
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import InputError
@@ -19,10 +19,10 @@ from safedpa.limits import parse_toml
 from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.policy import PolicyNode
 from safedpa.replay.tape import RobotTape, options_of
-from safedpa.safety.margin_text import margin_from_text, margin_text
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings, write_settings
-from safedpa.safety.shipped import margin_for, settings_named
 
 __all__ = ["REPLAYED", "complete_setups", "model_of_document", "node_of"]
 

@@ -43,11 +43,11 @@ from safedpa.limits import parse_json
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.records import Finding
-from safedpa.records.mcap_messages import read_payloads
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.records.readers.mcap import read_payloads
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.settings import without_former_keys
 
-__all__ = ["Entry", "RobotTape", "Stamp", "files_of", "options_of", "read_tape"]
+__all__ = ["RecordedMessage", "RobotTape", "Stamp", "files_of", "options_of", "read_tape"]
 
 Stamp = tuple[int, int]
 """Epoch and tick."""
@@ -72,7 +72,7 @@ _MOST_ANSWERS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class RecordedMessage:
     """One message of a service, and when it was recorded [ns since 1970]."""
 
     at: int
@@ -86,7 +86,9 @@ class RobotTape:
     robot: str
     files: tuple[Path, ...]
     states: dict[Stamp, StateMessage] = field(default_factory=dict)
-    computed: dict[str, list[Entry]] = field(default_factory=lambda: {name: [] for name, _ in _SENDERS.values()})
+    computed: dict[str, list[RecordedMessage]] = field(
+        default_factory=lambda: {name: [] for name, _ in _SENDERS.values()}
+    )
     """By service, each step once, in the order of the steps."""
     actions: dict[Stamp, list[ActionMessage]] = field(default_factory=dict)
     named: dict[tuple[Topic, int, int, float], ComputedMessage] = field(default_factory=dict)
@@ -137,7 +139,7 @@ class RobotTape:
         entries = self.computed[sender]
         if entries and entries[-1].message.publish_time == message.publish_time and entries[-1].message == message:
             return
-        entries.append(Entry(at, message))
+        entries.append(RecordedMessage(at, message))
         self.named[topic, message.epoch, message.tick, message.publish_time] = message
         self.newest[topic, message.epoch, message.tick] = message
 

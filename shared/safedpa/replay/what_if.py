@@ -31,22 +31,21 @@ from safedpa.bus import (
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import InputError, RunError
-from safedpa.replay.driver import Driver, Overrule
+from safedpa.replay.driver import Driver, InputOverride
 from safedpa.replay.setups import node_of
 from safedpa.replay.tape import RobotTape
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.margin_text import margin_text
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import MarginCalibration, margin_text
 from safedpa.safety.settings import parse_settings, write_settings
-from safedpa.safety.shipped import margin_for
 
-__all__ = ["Change", "DecisionTwice", "Summary", "summary_of", "what_if"]
+__all__ = ["DecisionPair", "WhatIfChange", "WhatIfSummary", "summary_of", "what_if"]
 
 _SAME = 1e-6
 """Actions that differ by less are the same."""
 
 
 @dataclass(frozen=True)
-class Change:
+class WhatIfChange:
     """What is to be different."""
 
     model: PhysicsModel | None = None
@@ -81,7 +80,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class DecisionTwice:
+class DecisionPair:
     """One tick: what was decided, and what the other filter would have decided."""
 
     state: StateMessage
@@ -105,7 +104,7 @@ class DecisionTwice:
 
 
 @dataclass(frozen=True)
-class Summary:
+class WhatIfSummary:
     """All ticks together."""
 
     ticks: int
@@ -124,8 +123,8 @@ class Summary:
 
 
 def what_if(
-    tape: RobotTape, change: Change, window: tuple[float, float] = (-inf, inf), folders: tuple[Path, ...] = ()
-) -> list[DecisionTwice]:
+    tape: RobotTape, change: WhatIfChange, window: tuple[float, float] = (-inf, inf), folders: tuple[Path, ...] = ()
+) -> list[DecisionPair]:
     """The decisions with robot time in ``window`` [s]. Raises InputError when the change does not fit the recording."""
     if not tape.computed["safety_filter"]:
         raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided anew")
@@ -141,20 +140,20 @@ def what_if(
     return [decision for decision in _decisions(driver) if window[0] <= decision.state.robot_time <= window[1]]
 
 
-def _decisions(driver: Driver) -> Iterator[DecisionTwice]:
+def _decisions(driver: Driver) -> Iterator[DecisionPair]:
     for step in driver.run():
         now = step.outputs.get(VERDICT)
         if isinstance(step.recorded, VerdictMessage) and isinstance(now, VerdictMessage):
-            yield DecisionTwice(step.state, step.recorded, now)
+            yield DecisionPair(step.state, step.recorded, now)
 
 
-def summary_of(decisions: list[DecisionTwice]) -> Summary:
+def summary_of(decisions: list[DecisionPair]) -> WhatIfSummary:
     """The figures of all decisions. Raises InputError when there are none."""
     if not decisions:
         raise InputError("--from, --to: got a stretch without any verdict, wanted one within the recording")
     known = [decision for decision in decisions if decision.knows_h] or decisions
     farthest = max(decisions, key=lambda decision: decision.distance)
-    return Summary(
+    return WhatIfSummary(
         ticks=len(decisions),
         differing=sum(decision.differs for decision in decisions),
         status_then=dict(Counter(decision.then.status for decision in decisions)),
@@ -167,7 +166,7 @@ def summary_of(decisions: list[DecisionTwice]) -> Summary:
     )
 
 
-def _check(tape: RobotTape, change: Change) -> None:
+def _check(tape: RobotTape, change: WhatIfChange) -> None:
     if change.model is None:
         return
     state, system = next(iter(tape.states.values())), change.model.system
@@ -183,7 +182,7 @@ def _check(tape: RobotTape, change: Change) -> None:
 
 
 def _estimates(
-    tape: RobotTape, change: Change, folders: tuple[Path, ...]
+    tape: RobotTape, change: WhatIfChange, folders: tuple[Path, ...]
 ) -> dict[tuple[int, int, float], LatentMessage]:
     """The other model's latent in place of each recorded one, by epoch, tick and publish time of that."""
     found: dict[tuple[int, int, float], LatentMessage] = {}
@@ -198,7 +197,7 @@ def _estimates(
 
 
 @final
-class _Hypothetical(Overrule):
+class _Hypothetical(InputOverride):
     """Shows the other filter its own latents, and that the robot did not do what it had said."""
 
     def __init__(self, estimates: dict[tuple[int, int, float], LatentMessage]) -> None:

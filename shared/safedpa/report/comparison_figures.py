@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.comparison import Comparison
-from safedpa.compare.where import PLACE, Bin
+from safedpa.comparison.comparison import Comparison
+from safedpa.comparison.where import PLACE, Bin
 from safedpa.report.panels import Panels, label, rounded
 
 __all__ = [

@@ -7,9 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from safedpa.compare.comparison import PREDICTORS, Comparison
-from safedpa.compare.summary import as_json, bin_text, worst_bins
-from safedpa.records.atomic import atomic_path
+from safedpa.comparison.comparison import PREDICTORS, Comparison
+from safedpa.comparison.summary import as_json, bin_text, worst_bins
+from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_figures import (
     MOST_RUNS,
     horizon_figure,

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.comparison import EVERY, Comparison, compare_model
-from safedpa.compare.excerpt import excerpt
-from safedpa.compare.rollout import rollout
-from safedpa.compare.where import PLACE, window_squares
-from safedpa.compare.windows import Floats
+from safedpa.arrays import FloatArray
+from safedpa.comparison.comparison import EVERY, Comparison, compare_model
+from safedpa.comparison.excerpt import subsample_runs
+from safedpa.comparison.rollout import rollout
+from safedpa.comparison.where import PLACE, window_squares
 from safedpa.dynamics import PhysicsModel
-from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run
+from safedpa.records.writers.tables import atomic_path
 from safedpa.report.comparison_figures import COLOURS, LEGEND, residual_figure
 from safedpa.report.comparison_page import embedded, rendered
-from safedpa.report.diagnosis_story import number, step_text, story_of
+from safedpa.report.diagnosis_story import number, report_text, step_text
 from safedpa.report.overlays import chosen_windows, window_figure
 from safedpa.report.panels import Panels, label, rounded
 from safedpa.report.undecided_story import closest_rows, detectable_rows
@@ -119,7 +119,7 @@ def report_page(
     """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
     horizon = float(document.get("horizon", horizon))
     seconds = sum(run.duration for run in runs)
-    shown = excerpt(runs, _MOST_ROWS, horizon)
+    shown = subsample_runs(runs, _MOST_ROWS, horizon)
     every = max(EVERY, sum(run.duration for run in shown) / _MOST_WINDOWS)
     before = compare_model(models[0], shown, horizon, every=every)
     after = before if len(models) == 1 else compare_model(models[-1], shown, horizon, every=every)
@@ -133,7 +133,7 @@ def report_page(
         "diagnosis_page.html",
         title=title,
         document=document,
-        story=story_of(document),
+        story=report_text(document),
         before=before,
         after=after,
         closest=closest_rows(document),
@@ -309,7 +309,7 @@ def _units(comparison: Comparison) -> dict[str, str]:
     return {item.name: item.unit for item in (*system.state, *system.action)}
 
 
-def _values(comparison: Comparison, name: str) -> Floats:
+def _values(comparison: Comparison, name: str) -> FloatArray:
     """A state or action at the middle of each window, shape (windows,)."""
     windows = comparison.windows
     middle, system = windows.start + windows.steps // 2, windows.system
@@ -320,7 +320,7 @@ def _values(comparison: Comparison, name: str) -> Floats:
     return np.asarray((values + np.pi) % (2 * np.pi) - np.pi if system.state[index].angle else values)
 
 
-def _cell_errors(comparison: Comparison, across: str, up: str) -> tuple[Floats, Floats, Floats, Floats]:
+def _cell_errors(comparison: Comparison, across: str, up: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Middles (cells,), middles (cells,), root mean square error and windows (cells up, cells across)."""
     squares = window_squares(comparison.errors, comparison.error.scale)
     edges, at = [], []

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.excerpt import heads
-from safedpa.compare.rollout import rollout
-from safedpa.compare.where import PLACE
-from safedpa.compare.windows import Floats, Windows, windows_of
+from safedpa.arrays import FloatArray
+from safedpa.comparison.excerpt import first_seconds
+from safedpa.comparison.rollout import rollout
+from safedpa.comparison.where import PLACE
+from safedpa.comparison.windows import Windows, windows_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, RecordingError
 from safedpa.records.run import Run
-from safedpa.report.diagnosis_story import number, step_text, story_of
+from safedpa.report.diagnosis_story import number, report_text, step_text
 
 __all__ = ["write_recording"]
 
@@ -64,7 +65,7 @@ def write_recording(
 def _back_to_back(runs: Sequence[Run], horizon: float) -> Windows:
     """Windows of one horizon, each beginning where the last one ended, over the first minute of the first runs."""
     try:
-        every = windows_of(heads(runs[:_MOST_RUNS], _MOST_SECONDS), horizon, stride=1)
+        every = windows_of(first_seconds(runs[:_MOST_RUNS], _MOST_SECONDS), horizon, stride=1)
     except InputError:  # no stretch of a whole horizon so early: then from wherever there is one
         every = windows_of(runs, horizon, stride=1)
     kept, free = [], -1
@@ -82,7 +83,7 @@ class _Stage:
     """s on the time line."""
     entry: Mapping[str, Any]
     windows: Windows
-    predicted: Floats
+    predicted: FloatArray
     """(steps + 1, windows, states)"""
 
     def log(self, stream: Any) -> float:
@@ -129,13 +130,13 @@ class _Stage:
         return float(seconds[-1])
 
 
-def _flat(points: Floats) -> Floats:
+def _flat(points: FloatArray) -> FloatArray:
     """The viewer counts y downwards."""
     return np.asarray(points * np.array([1.0, -1.0]))
 
 
 def _text(document: Mapping[str, Any], index: int) -> str:
-    stage, story = document["stages"][index], story_of(document)
+    stage, story = document["stages"][index], report_text(document)
     title = step_text(document["stages"][index - 1] if index else None, stage)
     lines = [f"# {title}", f"held-out error **{number(stage['heldout_error']):.3g}**", ""]
     for found in [item for item in story.found if item.effect in stage["effects"]]:

@@ -10,11 +10,20 @@ from typing import Any
 
 from safedpa.report.undecided_story import naive_sentence, nothing_sentence, undecided_sentence, unsure_sentence
 
-__all__ = ["Found", "Stage", "Story", "gaps_clause", "number", "parameters_text", "step_text", "story_of"]
+__all__ = [
+    "AcceptedEffect",
+    "ReportText",
+    "StageTable",
+    "gaps_clause",
+    "number",
+    "parameters_text",
+    "report_text",
+    "step_text",
+]
 
 
 @dataclass(frozen=True)
-class Found:
+class AcceptedEffect:
     """One accepted effect: its parameters as text, and what it cannot be told from."""
 
     effect: str
@@ -24,7 +33,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Stage:
+class StageTable:
     """The candidates of one stage, best first, beside the error that they were to lower."""
 
     number: int
@@ -34,15 +43,15 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Story:
+class ReportText:
     """Sentences and tables of a page."""
 
     lead: str
     remains: str
-    found: list[Found]
+    found: list[AcceptedEffect]
     groups: list[tuple[str, list[str], str]]
     """(effect, those that this data cannot tell from it, decision)"""
-    stages: list[Stage]
+    stages: list[StageTable]
     improved: list[tuple[str, str]]
     """(what a stage changed, in how many runs the error fell)"""
     formula_title: str
@@ -104,7 +113,7 @@ def _formula_rows(rest: Mapping[str, Any]) -> list[tuple[str, str, str, str, str
     ]
 
 
-def story_of(document: Mapping[str, Any]) -> Story:
+def report_text(document: Mapping[str, Any]) -> ReportText:
     """Everything that a page says in words."""
     found = [_found(document, stage, name) for stage, name in enumerate(document["added"])]
     groups = [
@@ -121,7 +130,7 @@ def story_of(document: Mapping[str, Any]) -> Story:
     if rest.get("alternatives"):
         note += f" As good as its first term on unseen data: {', '.join(rest['alternatives'])}."
     dependence = [item for item in rest.get("dependence", ()) if number(item["share"]) > _TELLS]
-    return Story(
+    return ReportText(
         _lead(document),
         _remains(document),
         found,
@@ -209,17 +218,17 @@ def _remains(document: Mapping[str, Any]) -> str:
     return f"{size} depends on {variables} in a way that no effect of the library has."
 
 
-def _found(document: Mapping[str, Any], stage: int, name: str) -> Found:
+def _found(document: Mapping[str, Any], stage: int, name: str) -> AcceptedEffect:
     """The accepted candidate of a stage; where several stages name it, the last one's numbers."""
     own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
     own = [item for item in own if item["stage"] == stage] or own
     if not own:
-        return Found(name, [], [])
+        return AcceptedEffect(name, [], [])
     rows = [
         (key, f"{number(entry['value']):.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
         for key, entry in _parameters(document, name, own[-1]["parameters"]).items()
     ]
-    return Found(name, rows, list(own[-1]["indistinguishable_from"]))
+    return AcceptedEffect(name, rows, list(own[-1]["indistinguishable_from"]))
 
 
 def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -228,7 +237,7 @@ def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]
     return {path.split(".")[1]: entry for path, entry in final.items() if path.split(".")[0] == name} or trial
 
 
-def _stage(document: Mapping[str, Any], index: int) -> Stage:
+def _stage(document: Mapping[str, Any], index: int) -> StageTable:
     stage = document["stages"][min(index, len(document["stages"]) - 1)]
     have = stage["effects"]
     question = "What does the given model lack?" if not have else f"What is missing beside {_joined(have)}?"
@@ -237,7 +246,7 @@ def _stage(document: Mapping[str, Any], index: int) -> Stage:
         for item in document["candidates"]
         if item["stage"] == index
     ]
-    return Stage(index, question, number(stage["heldout_error"]), candidates)
+    return StageTable(index, question, number(stage["heldout_error"]), candidates)
 
 
 def _width(error: float | None, stage: Mapping[str, Any]) -> float:

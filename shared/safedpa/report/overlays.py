@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.comparison import Comparison
-from safedpa.compare.naive import measured_rates
-from safedpa.compare.rollout import rollout
-from safedpa.compare.where import PLACE
-from safedpa.compare.windows import Floats, Rows, Windows
+from safedpa.arrays import FloatArray, IndexArray
+from safedpa.comparison.comparison import Comparison
+from safedpa.comparison.naive import measured_rates
+from safedpa.comparison.rollout import rollout
+from safedpa.comparison.where import PLACE
+from safedpa.comparison.windows import Windows
 from safedpa.report.comparison_figures import COLOURS, LEGEND
 from safedpa.report.panels import Panels, label
 
@@ -71,7 +72,7 @@ def chosen_windows(comparison: Comparison) -> list[tuple[str, int]]:
     return chosen
 
 
-def _apart(windows: Windows, order: Rows, count: int) -> list[int]:
+def _apart(windows: Windows, order: IndexArray, count: int) -> list[int]:
     kept: list[int] = []
     for index in order.tolist():
         middle = windows.clock[windows.start[index]]
@@ -82,14 +83,14 @@ def _apart(windows: Windows, order: Rows, count: int) -> list[int]:
     return kept
 
 
-def _figure(windows: Windows, number: int, predicted: Floats, rates: Floats) -> dict[str, Any]:
+def _figure(windows: Windows, number: int, predicted: FloatArray, rates: FloatArray) -> dict[str, Any]:
     rows = np.arange(windows.start[number], windows.end[number] + 1)
     elapsed = (windows.clock[rows] - windows.clock[rows[0]])[:, None]
     lines = {"model": predicted, "constant_velocity": windows.states[rows[0]] + rates * elapsed}
     return window_figure(windows, number, lines)
 
 
-def window_figure(windows: Windows, number: int, predicted: Mapping[str, Floats]) -> dict[str, Any]:
+def window_figure(windows: Windows, number: int, predicted: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Path, states and actions of one window, measured from half a horizon before it.
 
     ``predicted``: by style, the states (steps + 1, states) of one predictor from the window's start to its end.
@@ -141,7 +142,7 @@ def _layout(count: int, flat: bool) -> tuple[Panels, list[tuple[tuple[float, flo
     return Panels(rows=rows, columns=1, height=210), places
 
 
-def _wide(values: Floats, least: float) -> list[float]:
+def _wide(values: FloatArray, least: float) -> list[float]:
     """A range around the values of at least that width: the last digit of a command should not look like a jump."""
     middle, width = 0.5 * (values.min() + values.max()), max(1.1 * float(np.ptp(values)), least)
     half = 0.5 * width or 1.0
@@ -154,7 +155,7 @@ def _style(name: str) -> dict[str, Any]:
     return {"mode": "lines", "name": name.replace("_", " "), "line": line}
 
 
-def _thinned(rows: Rows) -> Rows:
+def _thinned(rows: IndexArray) -> IndexArray:
     if len(rows) <= MOST_ROWS:
         return rows
     return rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(np.int64))]

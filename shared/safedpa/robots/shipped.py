@@ -25,6 +25,6 @@ class ShippedRobot(AbstractRobot):
         return effects_in_package(f"safedpa.robots.{self.name}.effects")
 
     def settings(self) -> FilterSettings:  # noqa: D102
-        from safedpa.safety.shipped import settings_named
+        from safedpa.safety.defaults import settings_named
 
         return settings_named(self.settings_name)

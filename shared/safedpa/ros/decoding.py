@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, Field, numeric_fields
+from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, MessageField, numeric_fields
 
 __all__ = ["Decoder", "DecodingError"]
 
@@ -33,7 +33,7 @@ class DecodingError(ValueError):
 
 
 @dataclass
-class _Numbers:
+class _FixedLayout:
     """A stretch of fixed layout: (letter, bytes, slot) each; slot -1: not wanted."""
 
     items: list[tuple[str, int, int]] = field(default_factory=list)
@@ -47,7 +47,7 @@ class _Text:
 
 
 @dataclass(frozen=True)
-class _Many:
+class _Sequence:
     """A sequence; ``elements`` are programs of those that are wanted, by index, ``other`` that of the rest."""
 
     size: int
@@ -142,7 +142,11 @@ class Decoder:
         return program
 
     def _add(
-        self, program: list[Any], item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
+        self,
+        program: list[Any],
+        item: MessageField,
+        at: tuple[str | int, ...],
+        wanted: dict[tuple[str | int, ...], int],
     ) -> None:
         if item.times < 0:
             program.append(self._sequence(item, at, wanted))
@@ -166,7 +170,9 @@ class Decoder:
                 for part in self._flat(item.type, place, wanted):
                     _append(program, part)
 
-    def _sequence(self, item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> _Many:
+    def _sequence(
+        self, item: MessageField, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
+    ) -> _Sequence:
         indexes = {
             key[len(at)]
             for key in wanted
@@ -176,9 +182,11 @@ class Decoder:
             index: self._element(item, (*at, index), wanted) for index in sorted(indexes) if isinstance(index, int)
         }
         letter, size = NUMBERS.get(item.type, ("", 0))
-        return _Many(size, letter, self._element(item, (*at, -1), {}), elements)
+        return _Sequence(size, letter, self._element(item, (*at, -1), {}), elements)
 
-    def _element(self, item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> list[Any]:
+    def _element(
+        self, item: MessageField, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
+    ) -> list[Any]:
         program: list[Any] = []
         self._step()
         if item.type in NUMBERS:
@@ -221,14 +229,14 @@ class Decoder:
 
 
 def _add_number(program: list[Any], letter: str, size: int, slot: int) -> None:
-    if not program or not isinstance(program[-1], _Numbers):
-        program.append(_Numbers())
+    if not program or not isinstance(program[-1], _FixedLayout):
+        program.append(_FixedLayout())
     program[-1].items.append((letter, size, slot))
 
 
 def _append(program: list[Any], part: Any) -> None:
     """Stretches that meet become one."""
-    if isinstance(part, _Numbers) and program and isinstance(program[-1], _Numbers):
+    if isinstance(part, _FixedLayout) and program and isinstance(program[-1], _FixedLayout):
         program[-1].items.extend(part.items)
     else:
         program.append(part)
@@ -238,14 +246,14 @@ def _cut(program: list[Any]) -> None:
     """Takes away what stands behind the last wanted number."""
     while program and not _wants(program[-1]):
         program.pop()
-    if program and isinstance(program[-1], _Numbers):
+    if program and isinstance(program[-1], _FixedLayout):
         items = program[-1].items
         while items[-1][2] < 0:
             items.pop()
 
 
 def _wants(part: Any) -> bool:
-    if isinstance(part, _Numbers):
+    if isinstance(part, _FixedLayout):
         return any(slot >= 0 for _, _, slot in part.items)
     return part.slot >= 0 if isinstance(part, _Text) else bool(part.elements)
 
@@ -253,7 +261,7 @@ def _wants(part: Any) -> bool:
 def _run(program: list[Any], data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
     """Where the program ends; ``base``: from where CDR aligns, 0 where nothing is aligned."""
     for part in program:
-        if isinstance(part, _Numbers):
+        if isinstance(part, _FixedLayout):
             phase = (at - base) % 8 if base else -1
             compiled = part.compiled.get((order, phase))
             if compiled is None:
@@ -304,7 +312,7 @@ def _text(part: _Text, data: bytes, at: int, order: str, base: int, values: list
     return end
 
 
-def _many(part: _Many, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+def _many(part: _Sequence, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
     length, at = _length(data, at, order, base)
     if length > len(data) - at:
         raise DecodingError("a sequence is longer than the message")

@@ -22,12 +22,12 @@ __all__ = [
     "QUATERNION",
     "TIMES",
     "Definitions",
-    "Field",
+    "MessageField",
     "known_fields",
     "numeric_fields",
     "parsed",
     "plain_type",
-    "what_it_says",
+    "summarize_definition",
 ]
 
 NUMBERS: Final[Mapping[str, tuple[str, int]]] = {
@@ -49,7 +49,7 @@ _MOST_STEPS = 20_000
 
 
 @dataclass(frozen=True)
-class Field:
+class MessageField:
     """One field of a type: a primitive's or a type's name, and how often: 0 once, n an array, -1 a sequence."""
 
     name: str
@@ -57,7 +57,7 @@ class Field:
     times: int = 0
 
 
-Fields = tuple[Field, ...]
+Fields = tuple[MessageField, ...]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def known_fields(ros1: bool = False) -> dict[str, Fields]:
     return found
 
 
-def what_it_says(text: str, form: str) -> tuple[str, int]:
+def summarize_definition(text: str, form: str) -> tuple[str, int]:
     """A definition without lines that are blank or a comment alone, and how many lines and commas are left in it.
 
     Cheap, whatever it is, while the library's grammar takes 15 to 100 us for each line, and 15 for each comma.
@@ -165,7 +165,7 @@ def parsed(name: str, text: str, form: str) -> Mapping[str, Fields]:
 
     if len(text) > _SAYS_NOTHING * limit("definition_letters"):
         raise too_much("definition_letters", len(text), f"type '{readable(name)}'")
-    text, lines = what_it_says(text, form)
+    text, lines = summarize_definition(text, form)
     if len(text) > limit("definition_letters"):
         raise too_much("definition_letters", len(text), f"type '{readable(name)}'")
     if lines > limit("definition_lines"):
@@ -190,5 +190,5 @@ def _fields(described: Any) -> Fields:
         inner, times = (what[0], what[1] if kind == 3 else -1) if kind in (3, 4) else ((kind, what), 0)
         if kind == 3 and times < 1:
             raise ValueError(f"an array of {times}")
-        found.append(Field(name, inner[1][0] if inner[0] == 1 else plain_type(inner[1]), times))
+        found.append(MessageField(name, inner[1][0] if inner[0] == 1 else plain_type(inner[1]), times))
     return tuple(found)

@@ -14,7 +14,7 @@ from itertools import count
 from types import TracebackType
 from typing import Any, Literal, final
 
-from safedpa.bus.transport.session import close_in_peace, configuration_of, open_session
+from safedpa.bus.transport.zenoh import close_session, open_session, zenoh_session_configuration
 from safedpa.errors import BusError, InputError
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import PUBLISHER, QOS, Attachment, Endpoint, data_key, node_token
@@ -50,7 +50,7 @@ class RosLink:
             "transport/shared_memory/enabled": False,
         }
         try:
-            configuration = configuration_of(settings)
+            configuration = zenoh_session_configuration(settings)
         except zenoh.ZError as error:
             raise InputError(f"{endpoint}: is no endpoint; wanted one such as tcp/robot:7447") from error
         try:
@@ -149,7 +149,7 @@ class RosLink:
 
     def close(self) -> None:
         """Leaves; tokens go with it."""
-        close_in_peace(self._session)
+        close_session(self._session)
 
     def __enter__(self) -> RosLink:
         """Itself."""

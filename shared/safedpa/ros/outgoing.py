@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from safedpa.bus.wire.messages import VerdictMessage
+    from safedpa.bus.messages.messages import VerdictMessage
 
 __all__ = [
     "diagnostics_of",

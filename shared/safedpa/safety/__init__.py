@@ -1,31 +1,33 @@
-"""The safety filter: barriers, the quadratic program, the margin and the verdict.
+"""The safety filter: barriers, the program that chooses an action, margins and the verdict.
 
-What is named here is imported when it is asked for: a process that needs the settings alone loads no search.
+Reading order: ``verdict`` (what the filter answers), ``filter`` (the entry point), ``decision`` (one decision),
+``solver.constraints`` (the CBF constraints), ``solver.sqp`` (the nearest feasible action), ``solver.least_violation``
+(no action is feasible), ``barriers.base`` (h and its derivatives), ``margins.conformal`` (the margin).
+
+A name is imported when it is first used: a process that needs only the settings loads no solver.
 """
 
 import importlib
-import warnings
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from safedpa.safety.barrier import AbstractBarrier, Barriers
-    from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
-    from safedpa.safety.check_report import FilterIssue, FilterReport
-    from safedpa.safety.corridor_barrier import CorridorBarrier
-    from safedpa.safety.equation_barrier import AbstractEquationBarrier
-    from safedpa.safety.filter_check import check_filter
-    from safedpa.safety.function_barrier import FunctionBarrier
-    from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter, GymnasiumVectorSafetyFilter
-    from safedpa.safety.higher_order_barrier import HigherOrderBarrier
-    from safedpa.safety.inputs import Plausible
-    from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
-    from safedpa.safety.pending_actions import PendingActions
-    from safedpa.safety.prediction import Prediction
-    from safedpa.safety.quadratic_program import QuadraticProgram, Solution
-    from safedpa.safety.rollout_barrier import RolloutBarrier
-    from safedpa.safety.safety_filter import SafetyFilter
+    from safedpa.safety.barriers.base import AbstractBarrier, Barriers
+    from safedpa.safety.barriers.equation import AbstractEquationBarrier
+    from safedpa.safety.barriers.function import FunctionBarrier
+    from safedpa.safety.barriers.higher_order import HigherOrderBarrier
+    from safedpa.safety.barriers.limits import CorridorBarrier, SpeedBarrier
+    from safedpa.safety.barriers.rollout import RolloutBarrier
+    from safedpa.safety.checks.check_filter import check_filter
+    from safedpa.safety.checks.report import FilterIssue, FilterReport
+    from safedpa.safety.filter import SafetyFilter
+    from safedpa.safety.gymnasium import GymnasiumSafetyFilter, GymnasiumVectorSafetyFilter
+    from safedpa.safety.margins.calibration import MarginCalibration, calibrate_margin, one_step_errors
+    from safedpa.safety.margins.conformal import OnlineMargin, smallest_sample, split_conformal_margin
+    from safedpa.safety.prediction.delayed_model import PendingActions
+    from safedpa.safety.prediction.predictor import Prediction
     from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
-    from safedpa.safety.speed_barrier import SpeedBarrier
+    from safedpa.safety.solver.qp import QuadraticProgram, Solution
+    from safedpa.safety.validation import Plausible
     from safedpa.safety.verdict import Status, Verdict
 
 __all__ = [
@@ -65,43 +67,31 @@ __all__ = [
 
 
 _HOMES = {
-    "barrier": "AbstractBarrier Barriers",
-    "calibration": "MarginCalibration calibrate_margin one_step_errors",
-    "check_report": "FilterIssue FilterReport",
-    "corridor_barrier": "CorridorBarrier",
-    "equation_barrier": "AbstractEquationBarrier",
-    "filter_check": "check_filter",
-    "function_barrier": "FunctionBarrier",
-    "gymnasium_wrapper": "GymnasiumSafetyFilter GymnasiumVectorSafetyFilter",
-    "higher_order_barrier": "HigherOrderBarrier",
-    "inputs": "Plausible",
-    "margin": "OnlineMargin smallest_sample split_conformal_margin",
-    "pending_actions": "PendingActions",
-    "prediction": "Prediction",
-    "quadratic_program": "QuadraticProgram Solution",
-    "rollout_barrier": "RolloutBarrier",
-    "safety_filter": "SafetyFilter",
+    "barriers.base": "AbstractBarrier Barriers",
+    "barriers.equation": "AbstractEquationBarrier",
+    "barriers.function": "FunctionBarrier",
+    "barriers.higher_order": "HigherOrderBarrier",
+    "barriers.limits": "CorridorBarrier SpeedBarrier",
+    "barriers.rollout": "RolloutBarrier",
+    "checks.check_filter": "check_filter",
+    "checks.report": "FilterIssue FilterReport",
+    "filter": "SafetyFilter",
+    "gymnasium": "GymnasiumSafetyFilter GymnasiumVectorSafetyFilter",
+    "margins.calibration": "MarginCalibration calibrate_margin one_step_errors",
+    "margins.conformal": "OnlineMargin smallest_sample split_conformal_margin",
+    "prediction.delayed_model": "PendingActions",
+    "prediction.predictor": "Prediction",
     "settings": "FilterSettings load_settings parse_settings save_settings write_settings",
-    "speed_barrier": "SpeedBarrier",
+    "solver.qp": "QuadraticProgram Solution",
+    "validation": "Plausible",
     "verdict": "Status Verdict",
 }
 """By module of this package, what of it is named here."""
 _HOME = {name: f"safedpa.safety.{module}" for module, names in _HOMES.items() for name in names.split()}
-_MOVED = {
-    "Braking": "safedpa.safety.braking",
-    "FieldBarrier": "safedpa.robots.car.barriers",
-    "Footprint": "safedpa.robots.car.barriers",
-    "ObstacleBarrier": "safedpa.robots.car.barriers",
-    "car_barriers": "safedpa.robots.car.barriers",
-}
-"""Where what was once asked for here is now."""
 
 
 def __getattr__(name: str) -> Any:
-    """Imports what is asked for the first time; what has moved is told of."""
-    if name in _MOVED:
-        warnings.warn(f"safedpa.safety.{name} is now {_MOVED[name]}.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(importlib.import_module(_MOVED[name]), name)
+    """Imports a name when it is first used."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = globals()[name] = getattr(importlib.import_module(_HOME[name]), name)

@@ -8,35 +8,31 @@ from math import inf, nan
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.highest import HighestProgram
-from safedpa.safety.inputs import Plausible, Unusable, checked_input, checked_names
-from safedpa.safety.lattice import NEARBY, around, lattice
-from safedpa.safety.least_unsafe import least_unsafe
-from safedpa.safety.margins_in_force import Margins
-from safedpa.safety.numbers_returned import numbers_returned
-from safedpa.safety.prediction import Prediction
-from safedpa.safety.program_rows import within
-from safedpa.safety.quadratic_program import QuadraticProgram
-from safedpa.safety.retreat import retreated
-from safedpa.safety.search import DecisionError, towards
-from safedpa.safety.search import search as _search
-from safedpa.safety.searched import Searched
+from safedpa.arrays import FloatArray
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.stack import BarrierSetCache
+from safedpa.safety.margins.active import ActiveMargins
+from safedpa.safety.prediction.predictor import Prediction
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stacks import Stacks
+from safedpa.safety.solver.candidates import NEARBY, HeldSolution, action_grid, grid_around
+from safedpa.safety.solver.constraints import ActionCandidate, Constraints
+from safedpa.safety.solver.least_violation import least_violation
+from safedpa.safety.solver.maximin_lp import MaxMinProgram
+from safedpa.safety.solver.qp import QuadraticProgram
+from safedpa.safety.solver.qp_scaling import within
+from safedpa.safety.solver.sqp import DecisionError, backtrack_towards, line_search
+from safedpa.safety.solver.sqp import search as _search
+from safedpa.safety.validation import InvalidInput, Plausible, checked_input, checked_names, checked_output
 from safedpa.safety.verdict import Status, Verdict
 
-__all__ = ["Backup", "Decision", "Request", "Tools"]
+__all__ = ["Backup", "Decision", "FilterContext", "FilterInput"]
 
-Values: TypeAlias = NDArray[np.float64]
 Action: TypeAlias = tuple[float, ...]
-Backup = Callable[[Values | None], Any]
+Backup = Callable[[FloatArray | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
-search: Callable[..., tuple[Outcome, str]] = _search
+search: Callable[..., tuple[ActionCandidate, str]] = _search
 """Looked up at every call, compiled or not: tests put others in its place."""
 
 _BINDING: Final = 0.02
@@ -52,15 +48,15 @@ _STARTS: Final = 3
 
 @final
 @dataclass(frozen=True, eq=False)
-class Tools:
+class FilterContext:
     """What does not change from tick to tick."""
 
     settings: FilterSettings
     prediction: Prediction
     program: QuadraticProgram
-    highest: HighestProgram
-    stacks: Stacks
-    margins: Margins
+    highest: MaxMinProgram
+    stacks: BarrierSetCache
+    margins: ActiveMargins
     backup: Backup | None
     resting_action: Action
     state_range: Plausible | None
@@ -70,7 +66,7 @@ class Tools:
 
 
 @final
-class Request:
+class FilterInput:
     """What one tick brings; nothing of it is trusted."""
 
     def __init__(
@@ -87,14 +83,14 @@ class Request:
     ) -> None:
         self.state, self.wish, self.latent, self.memory = state, wish, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
-        self.searched = searched if isinstance(searched, Searched) else Searched()
+        self.searched = searched if isinstance(searched, HeldSolution) else HeldSolution()
 
 
 @final
 class Decision:
     """What is known so far of one decision, so that a failure half way can still report it."""
 
-    def __init__(self, tools: Tools, request: Request) -> None:
+    def __init__(self, tools: FilterContext, request: FilterInput) -> None:
         self._tools, self._request = tools, request
         self._start = tools.clock()
         stale = checked_names(request.stale)
@@ -111,7 +107,7 @@ class Decision:
         """Since the start of the run; NaN: not told."""
         self._tell_time(request.time)
         self._margin = 0.0
-        self._conditions: Conditions | None = None
+        self._conditions: Constraints | None = None
 
     def _tell_time(self, seconds: Any) -> None:
         """A model that depends on the time since the start is asked at that time, and not at all without it."""
@@ -142,7 +138,7 @@ class Decision:
             if unclipped:
                 return self._verdict(Status.passed, asked, "", "not needed")
             return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
-        return self._corrected(conditions, self._wish, asked)
+        return self._correct(conditions, self._wish, asked)
 
     def fallback(self, reason: str, solver: str) -> Verdict:
         """The backup action, and of what it leads to whatever can still be computed; raises nothing."""
@@ -164,12 +160,12 @@ class Decision:
 
     def _checked(self, what: str, value: Any, plausible: Plausible | None) -> Action | None:
         checked = checked_input(what, value, plausible)
-        if isinstance(checked, Unusable):
+        if isinstance(checked, InvalidInput):
             self._problems.append(checked.reason)
             return None
         return checked
 
-    def _posed(self) -> Conditions:
+    def _posed(self) -> Constraints:
         """The conditions at this state; raises DecisionError when an input that they need is missing."""
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
@@ -178,7 +174,7 @@ class Decision:
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
         epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
-        self._conditions = Conditions(
+        self._conditions = Constraints(
             barriers,
             self._tools.prediction,
             self._state,
@@ -190,7 +186,7 @@ class Decision:
         )
         return self._conditions
 
-    def _corrected(self, conditions: Conditions, wish: Action, asked: Outcome) -> Verdict:
+    def _correct(self, conditions: Constraints, wish: Action, asked: ActionCandidate) -> Verdict:
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
         found, solver = search(conditions, program, wish, asked, rounds)
         if found.kept:
@@ -202,33 +198,33 @@ class Decision:
             return self._verdict(Status.relaxed, held, said, solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
-        other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
+        other, solver = self._restart_from(conditions, wish, asked, [backup, *spread])
         if other.kept:
             return self._kept(conditions, wish, other, "Found from another start than the wish.", solver)
-        nearby = self._nearby(conditions, [backup, found, other, *spread])
+        nearby = self._coordinate_search(conditions, [backup, found, other, *spread])
         if nearby.kept:
-            other, solver = self._from_elsewhere(conditions, wish, asked, [nearby])
+            other, solver = self._restart_from(conditions, wish, asked, [nearby])
             return self._kept(conditions, wish, other, "Found beside the least broken of many actions.", solver)
         best, said = self._least_unsafe(conditions, backup, [asked, found, other, nearby, *spread])
         if best.kept:
-            other, solver = self._from_elsewhere(conditions, wish, asked, [best])
+            other, solver = self._restart_from(conditions, wish, asked, [best])
             return self._kept(conditions, wish, other, "Found among the least unsafe actions.", solver)
         searched.note(best, self._seconds, said)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
-    def _kept(self, conditions: Conditions, wish: Action, found: Outcome, reason: str, solver: str) -> Verdict:
+    def _kept(self, conditions: Constraints, wish: Action, found: ActionCandidate, reason: str, solver: str) -> Verdict:
         """Corrected to what was found, with no entry that might be a step nearer by itself; once posed from there."""
         program = self._tools.program
-        back = retreated(conditions, program.sides, wish, found)
+        back = backtrack_towards(conditions, program.sides, wish, found)
         if back is not found:
             again, _ = search(conditions, program, wish, back, 1)
             nearer = again.kept and program.distance(again.action, wish) < program.distance(back.action, wish)
             found = again if nearer else back
         return self._verdict(Status.corrected, found, reason, solver)
 
-    def _from_elsewhere(
-        self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
-    ) -> tuple[Outcome, str]:
+    def _restart_from(
+        self, conditions: Constraints, wish: Action, asked: ActionCandidate, known: Sequence[ActionCandidate]
+    ) -> tuple[ActionCandidate, str]:
         """The best outcome found from the kept ones of ``known`` that are nearest to the wish, or the least broken."""
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
         kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, wish))
@@ -236,14 +232,14 @@ class Decision:
             return search(conditions, program, wish, max(known, key=conditions.tightest), rounds)
         best, status = kept[0], "not needed"
         for start in kept[:_STARTS]:
-            nearer = towards(conditions, asked, start)
+            nearer = line_search(conditions, asked, start)
             found, solver = search(conditions, program, wish, nearer, rounds)
             for one in (nearer, found):
                 if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
                     best, status = one, solver
         return best, status
 
-    def _nearby(self, conditions: Conditions, known: Sequence[Outcome]) -> Outcome:
+    def _coordinate_search(self, conditions: Constraints, known: Sequence[ActionCandidate]) -> ActionCandidate:
         """The least broken that is found by moving the least broken of ``known`` one entry at a time, less and less.
 
         Where h bends, as at a standstill, no tangent tells what the other side is like.
@@ -254,7 +250,7 @@ class Decision:
         for share in NEARBY:
             if best.kept:
                 break
-            for tried in [conditions.outcome(one) for one in around(sides, best.action, share)]:
+            for tried in [conditions.outcome(one) for one in grid_around(sides, best.action, share)]:
                 if tried.usable and conditions.tightest(tried) > most:
                     best, most = tried, conditions.tightest(tried)
         if best.kept:
@@ -262,29 +258,31 @@ class Decision:
         found, _ = search(conditions, self._tools.program, best.action, best, 2)
         return found
 
-    def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
+    def _violated(self, conditions: Constraints, asked: ActionCandidate) -> Verdict:
         backup = conditions.outcome(self._backup_action())
         best, said = self._least_unsafe(conditions, backup, [asked, *self._spread(conditions)])
         names, h_now = conditions.barriers.names, conditions.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
         return self._verdict(Status.violated, best, f"Below 0: {below}.{said}", "solved")
 
-    def _spread(self, conditions: Conditions) -> list[Outcome]:
+    def _spread(self, conditions: Constraints) -> list[ActionCandidate]:
         tools = self._tools
-        return [conditions.outcome(one) for one in lattice(tools.program.sides, affine=tools.prediction.affine)]
+        return [conditions.outcome(one) for one in action_grid(tools.program.sides, affine=tools.prediction.affine)]
 
-    def _least_unsafe(self, conditions: Conditions, backup: Outcome, known: list[Outcome]) -> tuple[Outcome, str]:
+    def _least_unsafe(
+        self, conditions: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
+    ) -> tuple[ActionCandidate, str]:
         """The least unsafe outcome, and what is to be said of barriers that no action moves."""
         assert self._wish is not None
         tools = self._tools
-        best, stuck = least_unsafe(conditions, tools.program, tools.highest, self._wish, backup, known)
+        best, stuck = least_violation(conditions, tools.program, tools.highest, self._wish, backup, known)
         if not stuck:
             return best, ""
         return best, f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the wish."
 
-    def _worst(self, conditions: Conditions, best: Outcome) -> str:
+    def _worst(self, conditions: Constraints, best: ActionCandidate) -> str:
         """Which conditions cannot be kept, in words."""
-        names = conditions.binding(best, 0.0)
+        names = conditions.active_names(best, 0.0)
         return f"Not kept: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
 
     def _backup_action(self) -> Action:
@@ -293,7 +291,7 @@ class Decision:
             return self._tools.resting_action
         try:
             state = None if self._state is None else np.array(self._state)
-            action = numbers_returned("backup", self._tools.backup(state))
+            action = checked_output("backup", self._tools.backup(state))
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
         if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
@@ -303,11 +301,11 @@ class Decision:
     def _within(self, action: Action) -> Action:
         return within(action, self._tools.program.sides)
 
-    def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
+    def _verdict(self, status: Status, outcome: ActionCandidate, reason: str, solver: str) -> Verdict:
         if not outcome.usable:
             return self._answer(status, outcome.action, reason, solver)
         conditions = self._conditions
-        active = () if conditions is None else conditions.binding(outcome, _BINDING)
+        active = () if conditions is None else conditions.active_names(outcome, _BINDING)
         least = outcome.least
         if conditions is not None and conditions.least_pending < least:
             least = conditions.least_pending

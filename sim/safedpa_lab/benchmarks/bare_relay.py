@@ -8,10 +8,10 @@ from __future__ import annotations
 import argparse
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Relays until ``stop``."""
     transport = ZenohTransport(ZenohSettings(connect=(options.connect,)))
     transport.subscribe(options.source, lambda _, payload: transport.put(options.target, payload, never_drop=False))
@@ -25,4 +25,4 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="bare-relay")
     for name in ("--connect", "--source", "--target", "--alive"):
         parser.add_argument(name, required=True)
-    run_process(work, parser, Urgency.ROBOT)
+    run_process(work, parser, RealtimePriority.ROBOT)

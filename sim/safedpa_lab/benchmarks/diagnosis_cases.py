@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
 __all__ = ["CASES", "NAMES", "Hidden", "expression_is_right", "terms_are_right", "told", "written"]
 
-Values = NDArray[np.float64]
 
 NAMES: Final = ("speed", "target", "steer", "sign")
 """What a peer may use: the speed, both commands, and the sign of the speed."""
@@ -91,7 +90,7 @@ def told(log: Any) -> dict[str, Any]:
     }
 
 
-def _left_over(model: PhysicsModel, run: Run) -> tuple[Values, Values, Values]:
+def _left_over(model: PhysicsModel, run: Run) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What one period's steps of yaw and speed have beyond the model's (n, 2), their sums, the variables (n, 4).
 
     The model's rates are averaged over both ends of a period, with the command that was held in between.

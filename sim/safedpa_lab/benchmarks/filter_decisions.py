@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.conditions import Conditions
-from safedpa.safety.decision import Decision, Request
+from safedpa.safety.decision import Decision, FilterInput
+from safedpa.safety.solver.constraints import Constraints
 from safedpa_lab.benchmarks.filter_problem import FilterProblem
 from safedpa_lab.benchmarks.timing import timed
 
@@ -98,7 +98,7 @@ def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     tools = one.tools
 
-    def through(request: Request) -> Any:
+    def through(request: FilterInput) -> Any:
         decision = Decision(tools, request)
         conditions, wish = decision._posed(), tuple(request.wish)
         about = conditions.outcome(wish)
@@ -106,7 +106,7 @@ def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
         came = conditions.outcome(tuple(tools.program.solve(A, b, wish).action))
         return decision._verdict(Status.corrected, came, "", "solved")
 
-    return through, [Request(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
+    return through, [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
 
 
 def first_program(
@@ -122,6 +122,6 @@ def first_program(
     stack = tools.stacks.of(barriers, len(state))
     margins, _ = tools.margins.of(stack, dict(epsilon))
     sides = tools.program.sides
-    conditions = Conditions(stack, tools.prediction, state, latent, None, tools.settings.eta, margins, sides)
+    conditions = Constraints(stack, tools.prediction, state, latent, None, tools.settings.eta, margins, sides)
     about = conditions.outcome(wish)
     return conditions.linearised(about).at(about.residual, wish, 0.0)

@@ -7,21 +7,20 @@ from math import cos, sin
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.robots.car.barriers import car_barriers
-from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.robots.car.scenes.perceived import CarScene
+from safedpa.runtime.scene import MOST_OBSTACLES
 from safedpa.safety import FilterSettings, SafetyFilter, Status
-from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.scene import MOST_OBSTACLES
-from safedpa.safety.shipped import settings_named
-from safedpa.safety.stacks import stacked
+from safedpa.safety.barriers.base import CachingBarrierSet
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.defaults import settings_named
 
 __all__ = ["FilterProblem", "car_message", "problem_with", "wedged"]
 
-Values = NDArray[np.float64]
 
 _FOOTPRINT: Final = (0.08, 0.4, 0.12)
 """m; about the pymunk car's."""
@@ -42,12 +41,12 @@ _EPSILON: Final = 0.01
 class FilterProblem:
     """One scene, states that the shipped physics and the shipped networks both have to correct, and the settings."""
 
-    obstacles: Values
+    obstacles: FloatArray
     """(m, 3) x, y, radius [m]."""
-    states: Values
+    states: FloatArray
     """(n, 4)."""
     settings: FilterSettings
-    passed_by: Values
+    passed_by: FloatArray
     """(n, 4): all states of the same drives, as they came."""
 
     def barriers(self) -> Any:
@@ -57,12 +56,12 @@ class FilterProblem:
         """
         if len(self.obstacles) > MOST_OBSTACLES:
             told = self.obstacles.tolist()
-            return RememberingStack(stacked(car_barriers(self.settings, _FOOTPRINT, told, _FIELD, None)))
+            return CachingBarrierSet(make_barrier_set(car_barriers(self.settings, _FOOTPRINT, told, _FIELD, None)))
         found = CarScene(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
         assert not isinstance(found, str), found
         return found
 
-    def requests(self, model: PhysicsModel, *, every: bool = False) -> list[tuple[Values, Values, Values]]:
+    def requests(self, model: PhysicsModel, *, every: bool = False) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """State, wish and latent of each decision; of ``every`` state of the drives, or of those with a program."""
         return [(state, np.array(_WISH), model.latent) for state in (self.passed_by if every else self.states)]
 
@@ -91,7 +90,9 @@ class FilterProblem:
         }
 
 
-def car_message(tick: int, obstacles: Values, state: tuple[float, ...], goal: tuple[float, float] = (3.0, 0.0)) -> Any:
+def car_message(
+    tick: int, obstacles: FloatArray, state: tuple[float, ...], goal: tuple[float, float] = (3.0, 0.0)
+) -> Any:
     """What a car says of itself in a scene."""
     return StateMessage(
         epoch=1,
@@ -127,8 +128,8 @@ def problem_with(count: int) -> FilterProblem:
     nowhere = np.zeros((0, 4))
     problem = FilterProblem(obstacles, nowhere, settings, nowhere)
     barriers, wish = problem.barriers(), np.array(_WISH)
-    kept: list[Values] = []
-    every: list[Values] = []
+    kept: list[FloatArray] = []
+    every: list[FloatArray] = []
     state, tick = _towards(obstacles[0], random), 0
     while len(kept) < _STATES:
         verdicts = [
@@ -152,7 +153,7 @@ def wedged() -> FilterProblem:
     return FilterProblem(obstacles, np.zeros((1, 4)), settings_named("car"), np.zeros((1, 4)))
 
 
-def _towards(obstacle: Values, random: np.random.Generator) -> Values:
+def _towards(obstacle: FloatArray, random: np.random.Generator) -> FloatArray:
     """A state (4,) far enough before an obstacle that nothing has to be done yet, driving at it."""
     heading, aside = random.uniform(-np.pi, np.pi), random.uniform(-0.3, 0.3)
     distance, speed = random.uniform(1.8, 2.6), random.uniform(0.3, 1.5)

@@ -13,8 +13,8 @@ import time
 
 import msgpack
 
-from safedpa.bus.loop.process import Stop, run_process
-from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.bus.service.process import StopSignal, run_process
+from safedpa.bus.transport.zenoh import ZenohSettings, ZenohTransport
 
 _PAUSE_SECONDS = 0.01
 
@@ -37,7 +37,7 @@ def messages(tick: int) -> list[tuple[str, bytes, bool]]:
     return [chosen, ("model", bytes(20_000), True)] if tick % 10 == 0 else [chosen]
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Floods until ``stop``."""
     transport = ZenohTransport(ZenohSettings(connect=(options.connect,)))
     begin, ticks = time.monotonic(), itertools.count()

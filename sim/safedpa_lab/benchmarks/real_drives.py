@@ -47,7 +47,7 @@ def _found(folder: Path) -> list[Path]:
 
 def _diagnosed(paths: list[Path]) -> Entry:
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.document import as_document
+    from safedpa.diagnosis.report_schema import as_document
     from safedpa.dynamics import load_model
     from safedpa_lab.experiments.real_logs_data import mapped_runs
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from itertools import count
 from pathlib import Path
 
-from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa.bus.service.process import RealtimePriority, StopSignal, run_process
 
 __all__ = ["held_up_seconds", "work"]
 
@@ -30,13 +30,13 @@ def held_up_seconds(gaps: Iterable[Sequence[float]], begin: float, end: float) -
     return sum(max(0.0, min(woke, end) - max(due, begin)) for due, woke in gaps)
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Notes when it woke up too late, until ``stop``; writes the account; returns exit code 0."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setaffinity(0, {options.core})
     if options.realtime:
         with contextlib.suppress(OSError, AttributeError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(Urgency) + 1))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(RealtimePriority) + 1))
     gaps: list[tuple[float, float]] = []
     due = time.monotonic()
     for turns in count():

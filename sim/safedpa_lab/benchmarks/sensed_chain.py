@@ -20,13 +20,13 @@ from safedpa.bus import (
 from safedpa.dynamics import load_model
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import walkers
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 __all__ = ["chain_times"]
 
@@ -41,7 +41,7 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
     simulation and the network are not.
     """
     model, scene = load_model("car"), Scene.random(_SEED)
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(rays=rays), _SEED),), walkers(scene, _PEOPLE)))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(rays=rays), _SEED),), walkers(scene, _PEOPLE)))
     adaptation, perception = AdaptationNode(model), PerceptionNode()
     policy, safety = PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin_for(model))
     nodes = (adaptation, perception, policy, safety)

@@ -14,7 +14,7 @@ from typing import Any, Final
 from safedpa.compiled import compiled_modules
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.fleet.workers import available_cores
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.benchmarks.results import Effort
 from safedpa_lab.benchmarks.rows import ROWS, measured
 from safedpa_lab.benchmarks.usage import load_average

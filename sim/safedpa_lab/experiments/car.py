@@ -13,7 +13,7 @@ from typing import Any
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_advantage import OWN, advantages
 from safedpa_lab.experiments.car_calibration import Calibration, recorded, with_margins_of
 from safedpa_lab.experiments.car_cells import Cell, run_cells

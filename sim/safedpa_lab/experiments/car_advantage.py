@@ -7,10 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from safedpa.arrays import BoolArray
 from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_methods import METHODS
 from safedpa_lab.experiments.car_table import MEASURES
-from safedpa_lab.experiments.paired import Flags, holm, mcnemar_exact
+from safedpa_lab.experiments.paired import holm, mcnemar_exact
 
 __all__ = ["OWN", "SIGNIFICANT", "advantage_entry", "advantages"]
 
@@ -46,7 +47,7 @@ def _rows(place: str, outcomes: Outcomes, measures: Sequence[str]) -> Iterator[d
             yield {**told, "episodes": len(other), "only_safedpa": more, "only_other": fewer, "mcnemar": p}
 
 
-def _flags(outcomes: Sequence[Outcome], measure: str) -> Flags:
+def _flags(outcomes: Sequence[Outcome], measure: str) -> BoolArray:
     """(episodes,) whether each went well."""
     return np.array([_went_well(item, measure) for item in outcomes], dtype=bool)
 

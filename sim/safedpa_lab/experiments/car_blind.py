@@ -8,9 +8,9 @@ from typing import final
 from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.margins.calibration import MarginCalibration
 
 __all__ = ["BlindFilterNode"]
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_drives import Drive, DriveOrder, cut_at_contact, recorded_drive
 from safedpa_lab.experiments.car_errors import increment_scale
 from safedpa_lab.experiments.car_family import Family
@@ -23,7 +21,6 @@ from safedpa_lab.experiments.car_workers import Workers
 
 __all__ = ["Calibration", "recorded", "with_margins_of"]
 
-Values = NDArray[np.float64]
 Margins = dict[str, MarginCalibration]
 """By name of the filter's model."""
 _PURPOSES = ("margin", "fresh")
@@ -97,7 +94,7 @@ def with_margins_of(model: str, margins: Mapping[str, MarginCalibration]) -> Mar
 class _Work:
     name: str
     calibration: Calibration
-    scale: Values
+    scale: FloatArray
     known: list[Drive]
     fresh: list[Drive]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from safedpa.dynamics import fingerprint
 from safedpa.safety import FilterSettings, write_settings
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_conditions import Conditions
 from safedpa_lab.experiments.car_episodes import EpisodeGroup, Outcome, as_rows, run_group
 from safedpa_lab.experiments.car_methods import Method, named_model

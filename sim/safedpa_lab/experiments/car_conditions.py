@@ -19,7 +19,7 @@ from safedpa_lab.experiments.changed_wishes import ChangedWishes
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
-from safedpa_sim.robots.core import CarRobot, LateCommands
+from safedpa_sim.robots.core import CarRobot, DelayedCommands
 
 __all__ = ["PERIOD", "TOWING", "Conditions", "LoadOnTheWay", "NoisyRobot", "QuickerPolicyNode"]
 
@@ -89,7 +89,7 @@ class Conditions:
         scene = car_scene(seed, load, self.passage, row=self.row)
         if self.towing in ("never", "from_a_third"):
             scene = dataclasses.replace(scene, load=None)
-        late = LateCommands(self.delay, self.delay) if self.delay else None
+        late = DelayedCommands(self.delay, self.delay) if self.delay else None
         told = self.delay if self.told else 0.0
         return CarRobot(scene, PERIOD, late=late, until_action=told, parameters=self._parameters())
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from safedpa.errors import InputError
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_advantage import advantages
 from safedpa_lab.experiments.car_calibration import Calibration
 from safedpa_lab.experiments.car_cells import Cell, run_cells

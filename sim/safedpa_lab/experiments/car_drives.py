@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.arrays import FloatArray
 from safedpa.bus import AbstractNode, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.car_methods import METHODS, nodes_of
 from safedpa_lab.experiments.car_scenes import car_scene
 from safedpa_lab.experiments.changed_wishes import ChangedWishes
@@ -34,7 +34,6 @@ from safedpa_sim.robots.scene import Scene
 
 __all__ = ["Drive", "DriveOrder", "ExploringPolicyNode", "cut_at_contact", "open_scene", "recorded_drive"]
 
-Values = NDArray[np.float64]
 
 _OPEN = 60.0
 """m from the middle to the walls of the open field, which no drive reaches."""
@@ -56,12 +55,12 @@ class Drive:
     loads: tuple[str, ...]
 
     @property
-    def states(self) -> Values:
+    def states(self) -> FloatArray:
         """Measured states (n + 1, states)."""
         return np.array([message.values for message in self.messages])
 
     @property
-    def actions(self) -> Values:
+    def actions(self) -> FloatArray:
         """Actions in force (n, actions), row k between states k and k + 1."""
         return np.array([message.applied for message in self.messages[1:]])
 
@@ -121,7 +120,7 @@ class ExploringPolicyNode(ChangedWishes):
         self._draw = np.random.default_rng([seed, 13])
         self._ends = -np.inf
         self._replace = False
-        self._change: Values = np.zeros(2)
+        self._change: FloatArray = np.zeros(2)
 
     def changed(self, values: tuple[float, ...], state: StateMessage) -> tuple[float, ...]:  # noqa: D102
         if state.robot_time >= self._ends:
@@ -137,7 +136,7 @@ class ExploringPolicyNode(ChangedWishes):
         self._change = self._draw.uniform(low, high)
 
 
-def _bounds() -> tuple[Values, Values]:
+def _bounds() -> tuple[FloatArray, FloatArray]:
     """Lowest and highest action that the pymunk car takes."""
     car = CAR_PARAMETERS
     return np.array((car.speed_low, -car.steer_limit)), np.array((car.speed_high, car.steer_limit))

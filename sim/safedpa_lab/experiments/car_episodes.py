@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_conditions import Conditions, LoadOnTheWay
 from safedpa_lab.experiments.car_margin import CoverageCount
 from safedpa_lab.experiments.car_methods import Method, nodes_of

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.networks import frame_of
 from safedpa_lab.experiments.car_drives import Drive
@@ -15,7 +15,6 @@ from safedpa_lab.experiments.car_predict import predictor_of
 
 __all__ = ["OWN_STATES", "STEPS", "error_ratios", "errors_of_model", "increment_scale"]
 
-Values = NDArray[np.float64]
 
 STEPS = 20
 """One second at 20 Hz."""
@@ -27,7 +26,7 @@ _EVERY = 5
 """Ticks from one start of an open-loop prediction to the next."""
 
 
-def increment_scale(models: Sequence[PhysicsModel], drives: Sequence[Drive]) -> Values:
+def increment_scale(models: Sequence[PhysicsModel], drives: Sequence[Drive]) -> FloatArray:
     """(states,) what errors are divided by: the scale in which the first learned model was trained, else the root mean
     square of the change of state in one step of the drives, in the car's own frame."""
     for model in models:
@@ -38,7 +37,7 @@ def increment_scale(models: Sequence[PhysicsModel], drives: Sequence[Drive]) -> 
     return np.asarray(np.sqrt(np.mean(changes**2, axis=0)))
 
 
-def errors_of_model(model: PhysicsModel, drives: Sequence[Drive], scale: Values) -> dict[str, Any]:
+def errors_of_model(model: PhysicsModel, drives: Sequence[Drive], scale: FloatArray) -> dict[str, Any]:
     """By load and mixed: errors over one step and one second.
 
     ``number`` = mean over the states of sqrt(mean over the steps (error / scale)^2), errors in the car's own frame.
@@ -66,7 +65,7 @@ def error_ratios(errors: Mapping[str, Any], worse: str, better: str) -> dict[str
     }
 
 
-def _errors(model: PhysicsModel, drive: Drive) -> tuple[Values, Values]:
+def _errors(model: PhysicsModel, drive: Drive) -> tuple[FloatArray, FloatArray]:
     """Own-frame errors (steps, states) over one step, and at the end of one second (starts, states)."""
     frame, predictor, states = frame_of("car"), predictor_of(model, drive), drive.states
     one_step = frame.own_increment(states[1:], predictor.one_step())[_FIRST:]
@@ -75,7 +74,7 @@ def _errors(model: PhysicsModel, drive: Drive) -> tuple[Values, Values]:
     return one_step, frame.own_increment(states[[start + STEPS for start in starts]], ends)
 
 
-def _summary(errors: Values, scale: Values) -> dict[str, Any]:
+def _summary(errors: FloatArray, scale: FloatArray) -> dict[str, Any]:
     per_state = np.sqrt(np.mean((errors / scale) ** 2, axis=0))
     physical = np.sqrt(np.mean(errors**2, axis=0))
     return {

@@ -14,7 +14,7 @@ from typing import Any, Final, final
 from safedpa.dynamics import LearnedBase
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 
 __all__ = ["FAMILIES", "Family", "family_named"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.car_paths import FIRST_STEPS
 from safedpa_lab.experiments.car_report import MODEL_TITLES
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["paths_figure"]
-
-Values = NDArray[np.float64]
 
 
 def paths_figure(result: dict[str, Any], path: Path) -> None:
@@ -51,11 +49,11 @@ def _panel(axes: Axes, row: dict[str, Any]) -> None:
     axes.set_title(CONFIGURATIONS[row["load"]], fontsize=10, fontweight="bold")
 
 
-def _turned(points: Values, driven: Values) -> Values:
+def _turned(points: FloatArray, driven: FloatArray) -> FloatArray:
     """About the last known place, so that the car's way there leads up."""
     origin = driven[FIRST_STEPS]
     way = origin - driven[0]
     angle = pi / 2 - atan2(way[1], way[0])
     turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]])
-    turned: Values = (points - origin) @ turn.T
+    turned: FloatArray = (points - origin) @ turn.T
     return turned

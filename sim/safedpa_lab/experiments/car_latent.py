@@ -10,6 +10,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import frame_of
 from safedpa_lab.experiments.car_drives import Drive
@@ -19,7 +20,6 @@ from safedpa_lab.experiments.statistics import wilson_interval
 
 __all__ = ["WITHIN", "LinearDiscriminant", "latent_result", "principal_plane"]
 
-Values = NDArray[np.float64]
 
 _FULL = 60
 """Tick from which a history is as long as it ever will be."""
@@ -39,13 +39,13 @@ class LinearDiscriminant:
     """
 
     classes: tuple[str, ...]
-    means: Values
+    means: FloatArray
     """(classes, latents)."""
-    weights: Values
+    weights: FloatArray
     """(classes, latents): S^-1 m_c."""
 
     @staticmethod
-    def fit(latents: Values, labels: Sequence[str]) -> LinearDiscriminant:
+    def fit(latents: FloatArray, labels: Sequence[str]) -> LinearDiscriminant:
         """From latents (n, latents) and their labels (n,)."""
         classes = tuple(dict.fromkeys(labels))
         names = np.array(labels)
@@ -55,13 +55,13 @@ class LinearDiscriminant:
         covariance += 1e-6 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))  # z may have idle entries
         return LinearDiscriminant(classes, means, np.linalg.solve(covariance, means.T).T)
 
-    def classify(self, latents: Values) -> list[str]:
+    def classify(self, latents: FloatArray) -> list[str]:
         """The class of each latent (n, latents)."""
         scores = latents @ self.weights.T - 0.5 * np.sum(self.means * self.weights, axis=1)
         return [self.classes[index] for index in scores.argmax(axis=1)]
 
 
-def principal_plane(latents: Values) -> tuple[Values, Values, Values]:
+def principal_plane(latents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean (latents,), the two directions (2, latents) of largest variance, and their shares of the variance (2,)."""
     middle = latents.mean(axis=0)
     _, sizes, directions = np.linalg.svd(latents - middle, full_matrices=False)
@@ -70,7 +70,11 @@ def principal_plane(latents: Values) -> tuple[Values, Values, Values]:
 
 
 def latent_result(
-    model: PhysicsModel, fitting: Sequence[Drive], heldout: Sequence[Drive], hitching: Sequence[Drive], scale: Values
+    model: PhysicsModel,
+    fitting: Sequence[Drive],
+    heldout: Sequence[Drive],
+    hitching: Sequence[Drive],
+    scale: FloatArray,
 ) -> dict[str, Any]:
     """Held-out accuracy, confusion, ticks until a change of load is noticed, and points for a plot."""
     known, labels = _labelled(model, fitting)
@@ -93,7 +97,7 @@ def latent_result(
     }
 
 
-def _labelled(model: PhysicsModel, drives: Sequence[Drive]) -> tuple[Values, list[str]]:
+def _labelled(model: PhysicsModel, drives: Sequence[Drive]) -> tuple[FloatArray, list[str]]:
     parts = [(latents_along(model, drive)[_FULL:], drive.loads[_FULL:]) for drive in drives]
     return np.concatenate([latents for latents, _ in parts]), [load for _, loads in parts for load in loads]
 
@@ -103,22 +107,22 @@ def _accuracy(said: Sequence[object], truth: Sequence[object]) -> dict[str, Any]
     return {"right": right, "of": len(truth), "share": right / len(truth)}
 
 
-def _error_sizes(model: PhysicsModel, drive: Drive, scale: Values) -> Values:
+def _error_sizes(model: PhysicsModel, drive: Drive, scale: FloatArray) -> FloatArray:
     """(n,) root mean square over the states of the scaled one-step error of each transition."""
     errors = frame_of("car").own_increment(drive.states[1:], predictor_of(model, drive).one_step()) / scale
     return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
 
 
-def _bands(model: PhysicsModel, drives: Sequence[Drive], scale: Values) -> dict[str, float]:
+def _bands(model: PhysicsModel, drives: Sequence[Drive], scale: FloatArray) -> dict[str, float]:
     """By load: the one-step error that nine tenths of the steps stay below once the history is full."""
-    sizes: dict[str, list[Values]] = {}
+    sizes: dict[str, list[FloatArray]] = {}
     for drive in drives:
         sizes.setdefault(drive.loads[0], []).append(_error_sizes(model, drive, scale)[_FULL:])
     return {load: float(np.quantile(np.concatenate(parts), _BAND)) for load, parts in sizes.items()}
 
 
 def _changes(
-    model: PhysicsModel, drive: Drive, discriminant: LinearDiscriminant, band: dict[str, float], scale: Values
+    model: PhysicsModel, drive: Drive, discriminant: LinearDiscriminant, band: dict[str, float], scale: FloatArray
 ) -> list[dict[str, Any]]:
     """One row for each change of load: ticks until the latent is classified right, and until the error is in band."""
     said = discriminant.classify(latents_along(model, drive))
@@ -168,7 +172,7 @@ def _adaptation(changes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return summary
 
 
-def _points(latents: Values, labels: Sequence[str], most: int = 400) -> dict[str, Any]:
+def _points(latents: FloatArray, labels: Sequence[str], most: int = 400) -> dict[str, Any]:
     """Latents in their principal plane, at most so many of each load, evenly taken."""
     middle, directions, shares = principal_plane(latents)
     flat, names = (latents - middle) @ directions.T, np.array(labels)

@@ -17,19 +17,19 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.arrays import FloatArray
 from safedpa.bus import LATENT, LatentMessage, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
-from safedpa.robots.car.car_scene import CarScene
-from safedpa.robots.car.theory_gradient import largest_gradients
+from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
+from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.safety import FilterSettings
-from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.margin import smallest_sample, split_conformal_margin
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa.safety.margins.conformal import smallest_sample, split_conformal_margin
 from safedpa_lab.experiments.car_drives import Drive
 from safedpa_lab.experiments.statistics import wilson_interval
 
@@ -44,13 +44,12 @@ __all__ = [
     "worst_errors",
 ]
 
-Values = NDArray[np.float64]
 
 COVERAGE = 0.99
 """Share of steps that a margin covers, for each kind of barrier."""
 
 
-def latents_along(model: PhysicsModel, drive: Drive) -> Values:
+def latents_along(model: PhysicsModel, drive: Drive) -> FloatArray:
     """z[k] (n + 1, latents) as the real adaptation node says it in every tick of a recorded drive."""
     if not model.latent_names:
         return np.zeros((len(drive.messages), 0))
@@ -68,13 +67,15 @@ def latents_along(model: PhysicsModel, drive: Drive) -> Values:
 class StepErrors:
     """Errors of a model's one-step predictions along recorded drives, by kind of barrier, each (steps,)."""
 
-    h: dict[str, Values]
+    h: dict[str, FloatArray]
     """The worst h(predicted next state) - h(measured next state) over the kind's barriers."""
-    bound: dict[str, Values]
+    bound: dict[str, FloatArray]
     """What the theory's bound makes of the error of the state in the same steps; never below ``h``."""
 
 
-def step_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSettings, scale: Values) -> StepErrors:
+def step_errors(
+    model: PhysicsModel, drives: Sequence[Drive], settings: FilterSettings, scale: FloatArray
+) -> StepErrors:
     """Along the drives, with the adaptation's latent at each tick and the actuators' memory carried along.
 
     ``scale`` (states,) of the state's change in the car's own frame.
@@ -92,7 +93,7 @@ def step_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSe
     return StepErrors(*({kind: np.array(values) for kind, values in found.items()} for found in (h, bound)))
 
 
-def _steps(model: PhysicsModel, drive: Drive) -> Iterator[tuple[StateMessage, Values, Values]]:
+def _steps(model: PhysicsModel, drive: Drive) -> Iterator[tuple[StateMessage, FloatArray, FloatArray]]:
     """State message, predicted and measured next state (states,) of every step."""
     latents = latents_along(model, drive)
     memory: Any = model.initial_memory(np.array(drive.messages[0].applied))
@@ -102,14 +103,14 @@ def _steps(model: PhysicsModel, drive: Drive) -> Iterator[tuple[StateMessage, Va
         yield before, expected, np.array(after.values)
 
 
-def _largest_entry(state: Values, expected: Values, measured: Values, scale: Values) -> float:
+def _largest_entry(state: FloatArray, expected: FloatArray, measured: FloatArray, scale: FloatArray) -> float:
     """|v - v^|_sup."""
     frame = frame_of("car")
     difference = frame.own_increment(state, measured) - frame.own_increment(state, expected)
     return float(np.abs(difference / scale).max())
 
 
-def worst_errors(barriers: Sequence[AbstractBarrier], expected: Values, measured: Values) -> dict[str, float]:
+def worst_errors(barriers: Sequence[AbstractBarrier], expected: FloatArray, measured: FloatArray) -> dict[str, float]:
     """By kind: max over its barriers of h(expected) - h(measured); positive where the model hoped too much."""
     errors: dict[str, float] = {}
     for part in barriers:
@@ -151,7 +152,7 @@ class CoverageCount:
     def __init__(self, settings: FilterSettings, margin: MarginCalibration | None) -> None:
         self._scene = CarScene(settings)
         self._margin = None if margin is None else margin.chosen(settings.margin)
-        self._expected: Values | None = None
+        self._expected: FloatArray | None = None
         self._barriers: Sequence[AbstractBarrier] = ()
         self.counts: dict[str, list[int]] = {}
         """By kind: steps covered, and all steps; empty without a margin."""

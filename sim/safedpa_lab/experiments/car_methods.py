@@ -14,9 +14,9 @@ from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, St
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint, load_model, shipped_models
 from safedpa.errors import InputError, did_you_mean
 from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_blind import BlindFilterNode
 from safedpa_lab.experiments.car_family import FAMILIES, Family
 

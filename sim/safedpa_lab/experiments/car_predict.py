@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.networks import HistoryEncoder
 from safedpa_lab.experiments.car_drives import Drive
@@ -20,16 +20,14 @@ from safedpa_lab.experiments.car_margin import latents_along
 
 __all__ = ["Predictor", "predictor_of"]
 
-Values = NDArray[np.float64]
-
 
 class Predictor(Protocol):
     """Predictions of one model along one recorded drive of n transitions."""
 
-    def one_step(self) -> Values:
+    def one_step(self) -> FloatArray:
         """The predicted next states (n, states), from each measured state."""
 
-    def rollouts(self, starts: Sequence[int], steps: int) -> Values:
+    def rollouts(self, starts: Sequence[int], steps: int) -> FloatArray:
         """Open-loop states (starts, steps, states) under the actions driven, from the measured states ``starts``."""
 
 
@@ -49,19 +47,19 @@ class _WithEstimate:
         self._states, self._actions = drive.states, drive.actions
         self._latents = latents_along(model, drive)
         self._memories: list[Any] = [model.initial_memory(self._actions[0])]
-        self._next: list[Values] = []
+        self._next: list[FloatArray] = []
         for state, action, latent in zip(self._states, self._actions, self._latents, strict=False):
             following, memory = model.advance(state, action, self._memories[-1], latent)
             self._next.append(following)
             self._memories.append(memory)
 
-    def one_step(self) -> Values:
+    def one_step(self) -> FloatArray:
         return np.array(self._next)
 
-    def rollouts(self, starts: Sequence[int], steps: int) -> Values:
+    def rollouts(self, starts: Sequence[int], steps: int) -> FloatArray:
         return np.array([self._rollout(start, steps) for start in starts])
 
-    def _rollout(self, start: int, steps: int) -> list[Values]:
+    def _rollout(self, start: int, steps: int) -> list[FloatArray]:
         state, memory, rows = self._states[start], self._memories[start], []
         for action in self._actions[start : start + steps]:
             state, memory = self._model.advance(state, action, memory, self._latents[start])
@@ -78,11 +76,11 @@ class _WithHistory:
         self._rows = encoder.padded(encoder.rows(self._states, self._actions)[:0])  # zeros: before the first transition
         self._rows = np.concatenate([self._rows, encoder.rows(self._states, self._actions)])
 
-    def one_step(self) -> Values:
+    def one_step(self) -> FloatArray:
         starts = range(len(self._actions))
         return self.rollouts(starts, 1)[:, 0]
 
-    def rollouts(self, starts: Sequence[int], steps: int) -> Values:
+    def rollouts(self, starts: Sequence[int], steps: int) -> FloatArray:
         encoder = self._encoder
         histories = np.stack([self._rows[start : start + encoder.length] for start in starts])
         states, found = self._states[list(starts)], []
@@ -95,6 +93,6 @@ class _WithHistory:
             found.append(states)
         return np.stack(found, axis=1)
 
-    def _advanced(self, states: Values, actions: Values, latents: Values) -> Values:
+    def _advanced(self, states: FloatArray, actions: FloatArray, latents: FloatArray) -> FloatArray:
         memory = self._model.initial_memory(actions)
         return np.asarray(self._model.advance(states, actions, memory, latents)[0])

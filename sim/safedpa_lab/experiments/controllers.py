@@ -13,9 +13,9 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import Inputs, Outputs, StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for
+from safedpa.safety.defaults import margin_for
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import LATENT, LatentMessage, Received
+from safedpa.bus import LATENT, LatentMessage, ReceivedMessage
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
-from safedpa.safety.ceiling import Ceiling
-from safedpa.safety.drive_heights import DrivenTick, drive_heights
-from safedpa.safety.margin import smallest_sample
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.error_clipping import ErrorClip
 from safedpa_sim.closed_loop import Tick, drive
-from safedpa_sim.robots.core import CarRobot, LateCommands
+from safedpa_sim.robots.core import CarRobot, DelayedCommands
 from safedpa_sim.robots.scene import Scene
 
 __all__ = ["CHANNELS", "DelayedDrives", "Lateness", "delayed_drives", "margin_with_delay", "model_with_delay"]
@@ -64,7 +64,7 @@ class Lateness:
         """The car, its commands late."""
         drive_seconds, steer_seconds = (self.seconds if self.channel in ("both", one) else 0.0 for one in CHANNELS[1:])
         told = self.seconds if self.told == "clock" else 0.0
-        late = LateCommands(drive_seconds, steer_seconds)
+        late = DelayedCommands(drive_seconds, steer_seconds)
         return CarRobot(Scene.random(seed, load), _PERIOD, late=late, until_action=told)
 
     def model(self, name: str) -> PhysicsModel:
@@ -107,9 +107,9 @@ def margin_with_delay(
         heard: dict[int, LatentMessage] = {}
         robot = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)])
         states = [tick.state for tick in _driven(known, None, robot, seconds, heard)]
-        ticks = [DrivenTick(state, heard.get(state.tick)) for state in states]
-        for kind, heights in drive_heights(known, settings, ticks).items():
-            found.setdefault(kind, []).append(Ceiling.of_settings(settings).errors(kind, heights))
+        ticks = [DriveTick(state, heard.get(state.tick)) for state in states]
+        for kind, heights in barrier_residuals(known, settings, ticks).items():
+            found.setdefault(kind, []).append(ErrorClip.of_settings(settings).errors(kind, heights))
     joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
     near = {kind: errors for kind, errors in joined.items() if len(errors) >= smallest_sample(_COVERAGE)}
     made = calibration_from_errors(near, _COVERAGE, "simulated", fingerprint(known))
@@ -154,7 +154,7 @@ def _driven(
     seconds: float,
     heard: dict[int, LatentMessage],
 ) -> Iterator[Tick]:
-    def hear(item: Received) -> None:
+    def hear(item: ReceivedMessage) -> None:
         if item.topic is LATENT and isinstance(item.message, LatentMessage):
             heard[item.message.tick] = item.message
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import Report, as_document
-from safedpa.diagnosis.fit.heldout import error_with, heldout_of
+from safedpa.diagnosis.fit.cross_validation import error_with, heldout_of
 from safedpa.diagnosis.fit.least_squares import fit
-from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.fit.trial import trial_of, tried, with_start
+from safedpa.diagnosis.fit.multiple_shooting import shooting_of
+from safedpa.diagnosis.fit.trial import fit_trial, trial_of, with_effect_at
+from safedpa.diagnosis.report_schema import Report, as_document
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.effects import AbstractEffect, Where, conditioned, effect
 from safedpa.effects.law import law_of
@@ -51,7 +51,7 @@ def oracle_error(
     scale = np.maximum(shooting.residuals([given])[0].std(axis=(0, 1)), 1e-6)
     base = trial_of(fit(given, free, shooting, scale), shooting, (), None)
     items = [_with_law(given, name, laws.get(name)) for name in effects]
-    trial = tried(base, items, shooting, [_begun(base.fit.model, items, effects)] if laws else None)
+    trial = fit_trial(base, items, shooting, [_begun(base.fit.model, items, effects)] if laws else None)
     again = shooting.around(trial.fit.model)
     best = fit(trial.fit.model, trial.fit.paths, again, trial.fit.scale)
     return error_with(best, again, heldout).value
@@ -69,7 +69,7 @@ def _begun(
     model: PhysicsModel, items: Sequence[AbstractEffect], effects: Mapping[str, Mapping[str, float]]
 ) -> PhysicsModel:
     for item in items:
-        model = with_start(model, item, dict(effects[item.name]))
+        model = with_effect_at(model, item, dict(effects[item.name]))
     return model
 
 

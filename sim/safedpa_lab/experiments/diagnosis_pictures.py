@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safedpa.diagnosis.check import Check, checked
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import Report
-from safedpa.diagnosis.rehearsal import Rehearsed, rehearsal_of
+from safedpa.diagnosis.identifiability.check import IdentifiabilityCheck, check_identifiability
+from safedpa.diagnosis.identifiability.rehearsal import RehearsalResult, rehearse_diagnosis
+from safedpa.diagnosis.report_schema import Report
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.records import load_run
@@ -103,8 +103,10 @@ def _undecided(data: Path, path: Path) -> None:
     short = replace(first, stretches=(Stretch(begin, stop),))
     with figure(path, 3.8) as drawn:
         axes = drawn.subplots()
-        shown = _sizes(axes, checked(model, [short]), ORANGE, "o", f"{_SHORT:.0f} s of one drive: undecided")
-        _sizes(axes, checked(model, runs), BLUE, "s", "four whole drives", shown)
+        shown = _sizes(
+            axes, check_identifiability(model, [short]), ORANGE, "o", f"{_SHORT:.0f} s of one drive: undecided"
+        )
+        _sizes(axes, check_identifiability(model, runs), BLUE, "s", "four whole drives", shown)
         axes.axvline(1.0, color=GREY, linewidth=1.0)
         axes.set_xscale("log")
         axes.set_xlabel("smallest size that would be found, as a share of an ordinary one; at the right edge: none")
@@ -116,7 +118,7 @@ def _undecided(data: Path, path: Path) -> None:
 
 
 def _sizes(
-    axes: Axes, check: Check, colour: str, marker: str, label: str, order: Sequence[str] | None = None
+    axes: Axes, check: IdentifiabilityCheck, colour: str, marker: str, label: str, order: Sequence[str] | None = None
 ) -> list[str]:
     """One point for each number, at its smallest size; the names in the order drawn."""
     most = 30.0
@@ -136,7 +138,7 @@ def _sizes(
 def _rehearse(data: Path, path: Path) -> None:
     """What a rehearsal promised of the pendulum's own commands, and what a diagnosis of the simulated logs found."""
     model, runs = _runs(data, PENDULUM, "dfki_pendulum")
-    found: Rehearsed = rehearsal_of(model, runs, _SIZES, _REHEARSED)
+    found: RehearsalResult = rehearse_diagnosis(model, runs, _SIZES, _REHEARSED)
     with figure(path, 2.2) as drawn:
         axes = drawn.subplots()
         rows = list(dict.fromkeys(f"{item.effect.replace('_', ' ')}: {item.parameter}" for item in found.trials))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.experiments.car_family import FAMILIES
 from safedpa_lab.provenance.check import Standing, standings
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.diagnosis.fit.heldout import heldout_of
-from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.search.beginning import begun
+from safedpa.diagnosis.fit.cross_validation import heldout_of
+from safedpa.diagnosis.fit.multiple_shooting import shooting_of
+from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.dynamics import load_model
 from safedpa.records import load_run
 from safedpa_lab.experiments.diagnosing import HORIZON
@@ -81,4 +81,4 @@ def _errors(cases: Sequence[Case], tell: Callable[[int, int], None]) -> list[flo
 def _error(log: Log) -> float:
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
-    return begun(model, shooting_of(runs, HORIZON), heldout_of(runs, HORIZON)).error.value
+    return initial_search(model, shooting_of(runs, HORIZON), heldout_of(runs, HORIZON)).error.value

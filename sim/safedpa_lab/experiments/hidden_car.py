@@ -11,7 +11,7 @@ import numpy as np
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa_lab.hidden.towing import drive_in
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import Load, load_named

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from safedpa.adaptation import AdaptationNode, LatentEstimator
-from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, Received, Request, StateMessage
+from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, ReceivedMessage, Request, StateMessage
+from safedpa.calibration.from_runs import live_margin
 from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.live.finding import RobotDiagnosis
 from safedpa.live.named_candidate import named_candidate
@@ -18,10 +19,9 @@ from safedpa.live.node import DiagnosisNode
 from safedpa.live.work import AbstractWorker, Calibrate, InlineWorker, WorkOutcome
 from safedpa.policy import PolicyNode
 from safedpa.records.run import Run
-from safedpa.safety.live_margin import live_margin
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import margin_text
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.core import CarRobot
@@ -90,7 +90,7 @@ def drive_live(
     after: float = 30.0,
     *,
     model: str = MODEL_NAME,
-    hear: Callable[[Received], None] | None = None,
+    hear: Callable[[ReceivedMessage], None] | None = None,
     reading: float = 0.0,
     period: float = _PERIOD,
 ) -> LiveDrive:
@@ -106,7 +106,7 @@ def drive_live(
     found = LiveDrive(case, seed)
     notes = _Notes(found, diagnosis, reading, period)
 
-    def listen(item: Received) -> None:
+    def listen(item: ReceivedMessage) -> None:
         notes.hear(item)
         if hear is not None:
             hear(item)
@@ -152,7 +152,7 @@ class _Notes:
         """The newest outcome, and the robot's time when it was first there."""
         self._searches = 0
 
-    def hear(self, item: Received) -> None:
+    def hear(self, item: ReceivedMessage) -> None:
         message = item.message
         if item.topic is FINDING and isinstance(message, FindingMessage):
             self._finding(message)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safedpa.bus import Received
-from safedpa.records.mcap_recorder import McapRecorder
+from safedpa.bus import ReceivedMessage
+from safedpa.records.writers.mcap import McapRecorder
 from safedpa_lab.experiments.live_drive import LiveDrive, drive_live
 
 __all__ = ["record_drive"]
@@ -23,7 +23,7 @@ def record_drive(case: str, seed: int, seconds: float, after: float, path: Path)
     """
     with McapRecorder(path) as recorder:
 
-        def write(item: Received) -> None:
+        def write(item: ReceivedMessage) -> None:
             at = _BEGIN + round(1e9 * item.message.robot_time)
             recorder.write(item.key, item.payload, at, at)
 

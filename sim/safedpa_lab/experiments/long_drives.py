@@ -16,9 +16,9 @@ from typing import Any
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
-from safedpa.safety.standstill import Stand, note_standstill
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.deadlock.detector import Stand, record_deadlock
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.margin_drives import DRIVERS
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
@@ -81,7 +81,7 @@ def run_long_drive(long: LongDrive) -> LongOutcome:
     longest, since, place = 0.0, 0.0, robot.values[:2]
     for tick in drive(robot, nodes, round(long.seconds / model.period)):
         statuses[tick.verdict.status] += 1
-        note_standstill(told, tick.verdict)
+        record_deadlock(told, tick.verdict)
         x, y = tick.state.values[:2]
         places.append((x, y))
         if math.hypot(x - place[0], y - place[1]) > _STILL:

@@ -9,16 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from safedpa.bus.wire.codec import encode
-from safedpa.bus.wire.messages import StateMessage
-from safedpa.bus.wire.topics import STATE, key_of
+from safedpa.arrays import FloatArray
+from safedpa.bus.messages.codec import encode
+from safedpa.bus.messages.messages import StateMessage
+from safedpa.bus.messages.topics import STATE, key_of
 from safedpa.records import McapRecorder
-from safedpa.records.write import write_columns
+from safedpa.records.writers.tables import write_columns
 from safedpa.robots.car.system import CAR
 from safedpa_lab.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_lab.hidden.case import Effects
 from safedpa_lab.hidden.excitation import car_commands
-from safedpa_lab.hidden.lanes import Floats, Lane
+from safedpa_lab.hidden.lanes import Lane
 from safedpa_lab.hidden.sensor import measured
 from safedpa_lab.hidden.strengths import LARGEST_STEER
 
@@ -80,7 +81,7 @@ def _lane(logs: LongLogs, run: int, sitting: int, seconds: float) -> Lane:
     return Lane(logs.effects, commands, tuple(float(value) for value in start), _GAIN)
 
 
-def _write(path: Path, kind: str, t: Floats, states: Floats, actions: Floats) -> None:
+def _write(path: Path, kind: str, t: FloatArray, states: FloatArray, actions: FloatArray) -> None:
     if kind == "mcap":
         _write_recording(path, t, states, actions)
         return
@@ -88,7 +89,7 @@ def _write(path: Path, kind: str, t: Floats, states: Floats, actions: Floats) ->
     write_columns({**columns, **dict(zip(CAR.action_names, actions.T, strict=True))}, path, kind)
 
 
-def _write_recording(path: Path, t: Floats, states: Floats, actions: Floats) -> None:
+def _write_recording(path: Path, t: FloatArray, states: FloatArray, actions: FloatArray) -> None:
     """The states as the robot publishes them, each with the action of the period before it."""
     path.unlink(missing_ok=True)  # a recorder overwrites nothing
     key = key_of("fleet", "car1", STATE)

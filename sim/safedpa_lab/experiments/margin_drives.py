@@ -13,17 +13,17 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import LATENT, LatentMessage, Received, StateMessage
+from safedpa.arrays import FloatArray
+from safedpa.bus import LATENT, LatentMessage, ReceivedMessage, StateMessage
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.robot import robot_named
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.drive_heights import DrivenTick, drive_heights
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_sim.closed_loop import Robot, drive
 from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.core import CarRobot
@@ -36,7 +36,6 @@ from safedpa_sim.robots.stand_in_robot import StandInRobot
 
 __all__ = ["DRIVERS", "DriveOrder", "DriveResult", "Driver", "driven"]
 
-Values = NDArray[np.float64]
 
 LOADS: Final = ("none", "box", "chair", "large_chair")
 _MOST_WIND: Final = 5.0
@@ -141,7 +140,7 @@ class DriveResult:
     """What became of a drive."""
 
     seed: int
-    heights: dict[str, Values]
+    heights: dict[str, FloatArray]
     """By kind of barrier (steps, 4): the least h as it was predicted, and as it was measured."""
     goals: int
     collisions: int
@@ -163,7 +162,7 @@ def driven(order: DriveOrder) -> DriveResult:
     statuses: Counter[str] = Counter()
     now: list[float] = []
 
-    def hear(item: Received) -> None:
+    def hear(item: ReceivedMessage) -> None:
         if item.topic is LATENT and isinstance(item.message, LatentMessage):
             latents[item.message.tick] = item.message
 
@@ -172,8 +171,8 @@ def driven(order: DriveOrder) -> DriveResult:
         states.append(tick.state)
         statuses[tick.verdict.status] += 1
         now.append(tick.verdict.h_now)
-    along = [DrivenTick(state, latents.get(state.tick)) for state in states]
-    heights = drive_heights(model, settings, along)
+    along = [DriveTick(state, latents.get(state.tick)) for state in states]
+    heights = barrier_residuals(model, settings, along)
     return DriveResult(
         order.seed,
         heights,

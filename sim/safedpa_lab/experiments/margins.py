@@ -20,19 +20,19 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from safedpa.calibration.from_drives import calibration_from_drives, covered_shares
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import check_archive
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.ceiling import Ceiling
-from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
-from safedpa.safety.margin import smallest_sample
-from safedpa.safety.shipped import margin_for, settings_named
-from safedpa.safety.theory_layer import Stay, stays_in_layer
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.error_clipping import ErrorClip
 from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import coverage_row, mean_interval
+from safedpa_lab.theory.boundary_layer import Stay, stays_in_layer
 
 __all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment"]
 
@@ -229,8 +229,8 @@ def _calibrated(
     return replace(found, period=DRIVERS[name].period or model.period)
 
 
-def _ceiling(name: str) -> Ceiling:
-    return Ceiling.of_settings(settings_named(DRIVERS[name].settings))
+def _ceiling(name: str) -> ErrorClip:
+    return ErrorClip.of_settings(settings_named(DRIVERS[name].settings))
 
 
 def _driven(
@@ -293,7 +293,7 @@ def _kept(path: Path) -> DriveResult:
 
 
 def _counted(
-    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: Ceiling
+    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: ErrorClip
 ) -> dict[str, Any]:
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     drives = [item.heights for item in results]

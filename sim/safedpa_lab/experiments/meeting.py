@@ -16,16 +16,16 @@ from math import atan2, cos, hypot
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.arrays import FloatArray
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.counter_braking import STANDS
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.meeting_scenes import meeting_field, pieces_of
 from safedpa_lab.experiments.sensing_peers import NoFilter
 from safedpa_lab.experiments.sensing_told import TellsEverything
@@ -45,8 +45,6 @@ _STUCK_WAY: Final = 0.2
 """m, and both are no farther from each other than ..."""
 _STUCK_NEAR: Final = 1.5
 """m. They face each other where each is within the half in front of the other."""
-
-Values = NDArray[np.float64]
 
 
 @final
@@ -105,7 +103,7 @@ def run_meeting(wanted: Meeting) -> dict[str, Any]:
     }
 
 
-def stuck_pairs(path: Values) -> list[dict[str, Any]]:
+def stuck_pairs(path: FloatArray) -> list[dict[str, Any]]:
     """Who stood near each other to the end, from states (ticks, robots, 4): x, y [m], yaw [rad], speed [m/s].
 
     Of each pair: which two, and whether they face each other.

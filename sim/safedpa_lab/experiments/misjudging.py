@@ -8,15 +8,13 @@ from math import cos, sin
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import ActionMessage, ScanMessage, StateMessage
 from safedpa.perception.odometry import Pose
 from safedpa_sim.robots.core import CarRobot
 
 __all__ = ["Misjudges", "placed"]
-
-Values = NDArray[np.float64]
 
 
 @final
@@ -56,10 +54,10 @@ class Misjudges:
             self._true = now
         return self._told
 
-    def in_told_frame(self, places: Values) -> Values:
+    def in_told_frame(self, places: FloatArray) -> FloatArray:
         """(n, 2) m; where true ``places`` (n, 2) [m] lie in the frame that it believes in, as seen from it now."""
         told, true = self.told_pose, self.true_pose
-        believed: Values = placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
+        believed: FloatArray = placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
         return believed
 
     def state_message(self) -> StateMessage:
@@ -82,8 +80,8 @@ class Misjudges:
         self.car.advance()
 
 
-def placed(places: Values, angle: float) -> Values:
+def placed(places: FloatArray, angle: float) -> FloatArray:
     """(n, 2) ``places`` turned by ``angle`` [rad] around the origin."""
     cosine, sine = cos(angle), sin(angle)
-    turned: Values = places @ np.array([[cosine, sine], [-sine, cosine]])
+    turned: FloatArray = places @ np.array([[cosine, sine], [-sine, cosine]])
     return turned

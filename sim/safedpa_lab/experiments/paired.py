@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["Flags", "holm", "mcnemar_exact", "sign_flip_exact"]
+from safedpa.arrays import BoolArray
 
-Flags = NDArray[np.bool_]
+__all__ = ["holm", "mcnemar_exact", "sign_flip_exact"]
 
 
-def mcnemar_exact(one: Flags, other: Flags) -> tuple[int, int, float]:
+def mcnemar_exact(one: BoolArray, other: BoolArray) -> tuple[int, int, float]:
     """Episodes (n,) in which only ``one`` was good, only the ``other``, and the two-sided p of their being as many.
 
     Under the hypothesis each episode in which they differ is a fair coin. Source: McNemar, Psychometrika 12 (1947) 153,
@@ -26,7 +25,7 @@ def mcnemar_exact(one: Flags, other: Flags) -> tuple[int, int, float]:
     return only_one, only_other, min(1.0, float(2 * below / 2**differing))
 
 
-def sign_flip_exact(one: Flags, other: Flags, groups: int) -> float:
+def sign_flip_exact(one: BoolArray, other: BoolArray, groups: int) -> float:
     """The two-sided p of the same hypothesis where whole groups of episodes go well or badly together.
 
     The episodes (n,) stand group by group, as many in each. Under the hypothesis the two methods may be exchanged in
@@ -61,7 +60,7 @@ def holm(p: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def _pairs(one: Flags, other: Flags) -> tuple[Flags, Flags]:
+def _pairs(one: BoolArray, other: BoolArray) -> tuple[BoolArray, BoolArray]:
     found = np.asarray(one, dtype=bool), np.asarray(other, dtype=bool)
     if found[0].ndim != 1 or found[0].shape != found[1].shape or not len(found[0]):
         raise ValueError(f"got flags of shape {found[0].shape} and {found[1].shape}, wanted one each of every episode")

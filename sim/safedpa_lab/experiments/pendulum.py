@@ -15,7 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa.safety.margin import smallest_sample
+from safedpa.safety.margins.conformal import smallest_sample
 from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.experiments.pendulum_episodes import QUESTIONS, Choice, Work, accounts, best_penalty

@@ -16,15 +16,15 @@ from typing import Any, final
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode, HistoryEstimator, LatentEstimator
+from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, parse_model, write_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records.run import Run
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.experiments.diagnosing import beside_the_truth
 from safedpa_lab.experiments.statistics import wilson_interval

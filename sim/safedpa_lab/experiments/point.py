@@ -15,7 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa.safety.margin import smallest_sample
+from safedpa.safety.margins.conformal import smallest_sample
 from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds

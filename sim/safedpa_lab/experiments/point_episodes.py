@@ -10,6 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, seeds_interval, wilson_interval
 from safedpa_lab.point.driven import Driven, driven, windy_task
@@ -18,7 +19,6 @@ from safedpa_lab.point.methods import METHODS, Method
 
 __all__ = ["DEVELOPMENT", "Work", "account_of", "best_penalty", "over_seeds"]
 
-Floats = NDArray[np.float64]
 
 DEVELOPMENT: Final = seeds_for("development", 1, 60_000)[0]
 """The seed on which RMA-P's penalty is chosen."""
@@ -91,7 +91,7 @@ def _account(found: Driven, directions: int, steps: int) -> dict[str, Any]:
     count = len(found.goals)
     safe, reached = int((found.cost == 0.0).sum()), int((found.goals > 0.0).sum())
 
-    def by_direction(values: Floats) -> list[float]:
+    def by_direction(values: FloatArray) -> list[float]:
         means: list[float] = np.round(values.reshape(directions, -1).mean(axis=1), 5).tolist()
         return means
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.car_style import BLACK, BLUE, GREY, RED, bare, figure, heading
 from safedpa_lab.experiments.point_learning import BEHIND
 from safedpa_lab.point.online_learning import STARTS, WARMING
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["driven_table", "judged_table", "learning_markdown", "per_thousand", "smoothed", "write_learning"]
 
-Floats = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]
 
 _COLOURS: Final = {"filter": BLUE, "none": RED}
@@ -86,14 +85,14 @@ def judged_table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def per_thousand(rows: Rows, name: str) -> tuple[Floats, Floats]:
+def per_thousand(rows: Rows, name: str) -> tuple[FloatArray, FloatArray]:
     """Steps at the middle of each row, and the row's count of ``name`` in 1000 steps."""
     ends = np.array([0, *(row["steps"] for row in rows)], dtype=np.float64)
     counts = np.array([row[name] for row in rows], dtype=np.float64)
     return 0.5 * (ends[:-1] + ends[1:]), 1e3 * counts / np.diff(ends)
 
 
-def smoothed(values: Floats, over: int = _SMOOTHED) -> Floats:
+def smoothed(values: FloatArray, over: int = _SMOOTHED) -> FloatArray:
     """The mean of each value and its neighbours, ``over`` of them where there are as many on both sides."""
     half = over // 2
     means = [values[max(0, place - half) : place + half + 1].mean() for place in range(len(values))]

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
-from safedpa.safety.margin import margins_over_drives, smallest_sample
+from safedpa.safety.margins.conformal import margins_over_drives, smallest_sample
 from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.paired import holm, mcnemar_exact
 from safedpa_lab.experiments.seeds import seeds_for
@@ -30,7 +30,6 @@ from safedpa_sim.point.task import EPISODE_STEPS
 __all__ = ["FILTERS", "PLACES", "Relinearised", "Row", "point_relinearised", "row_of"]
 
 Tell = Callable[[int, int], None]
-Floats = NDArray[np.float64]
 
 PLACES: Final = (("clean", "policy"), ("stock", "disturbed"))
 """Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range; the policy
@@ -135,7 +134,7 @@ def row_of(row: Row) -> dict[str, Any]:
     }
 
 
-def _calibrated(row: Row) -> list[Floats]:
+def _calibrated(row: Row) -> list[FloatArray]:
     """The errors [m] along each drive."""
     towards = np.random.default_rng([row.calibration, 61]).uniform(0.0, 2.0 * np.pi, row.drives)
     driver = _driver(row, towards, row.calibration, _FIRST_GUESS)
@@ -144,7 +143,7 @@ def _calibrated(row: Row) -> list[Floats]:
     return driver.errors()
 
 
-def _driver(row: Row, towards: Floats, seed: int, epsilon: float) -> FilteredDriver:
+def _driver(row: Row, towards: FloatArray, seed: int, epsilon: float) -> FilteredDriver:
     kind, about = FILTERS[row.filter]
     models = Path(row.models)
     task = windy(row.thrust, towards, LARGEST_FORCE, seed)

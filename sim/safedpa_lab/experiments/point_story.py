@@ -20,7 +20,7 @@ from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_lab.point.beliefs import ModelBelief
 from safedpa_lab.point.hidden import HIDDEN, HiddenPoint, hide, point_logs
 from safedpa_lab.point.shield import EPSILON, Shield
-from safedpa_sim.point.belief import TrueBelief
+from safedpa_sim.point.belief import SimulatedPointModel
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["PointStory", "point_story", "point_story_markdown"]
@@ -78,7 +78,7 @@ def _row(hidden: HiddenPoint, model: PhysicsModel | None, story: PointStory) -> 
     """One episode of each robot; the same layouts and wishes for every model, nothing: the truth."""
     task, random = PointTask(story.robots, story.seed), np.random.default_rng([story.seed, 53])
     hide(hidden, task.simulation)
-    shield = Shield(story.robots, TrueBelief(task.simulation) if model is None else ModelBelief(model), None)
+    shield = Shield(story.robots, SimulatedPointModel(task.simulation) if model is None else ModelBelief(model), None)
     cost, room, corrected = np.zeros(story.robots), task.hazard_distance(), 0.0
     steps = round(story.seconds / 0.02)
     for step in range(steps):

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.rollout_error import rollout_error
-from safedpa.compare.windows import windows_of
+from safedpa.comparison.rollout_error import rollout_error
+from safedpa.comparison.windows import windows_of
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import Report, as_document
+from safedpa.diagnosis.report_schema import Report, as_document
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.records.run import Run
-from safedpa.report.diagnosis_story import story_of
+from safedpa.report.diagnosis_story import report_text
 from safedpa_lab.experiments.real_logs_cover import told_windows, uncovered
 from safedpa_lab.experiments.real_logs_data import BALLS, CAR, OTHER_DAY, PENDULUM, ball_runs, mapped_runs, paths_of
 from safedpa_lab.experiments.real_logs_targets import folds_target, targets_of
@@ -199,7 +199,7 @@ def _summary(report: Report) -> dict[str, Any]:
     }
     return {
         "verdict": report.verdict,
-        "lead": story_of(as_document(report)).lead,
+        "lead": report_text(as_document(report)).lead,
         "added": list(report.added),
         "errors": errors,
         "change": round(errors[-1] / errors[0] - 1.0, 4) if errors[0] > 0 else 0.0,

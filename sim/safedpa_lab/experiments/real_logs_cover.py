@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.compare.windows import Windows
-from safedpa.diagnosis.coverage import inside
-from safedpa.diagnosis.document import Covered
+from safedpa.comparison.windows import Windows
+from safedpa.diagnosis.coverage import within_coverage
+from safedpa.diagnosis.report_schema import CoveredRange
 from safedpa.records.run import Run
 
 __all__ = ["VARIABLES", "told_windows", "uncovered"]
@@ -35,9 +35,9 @@ def uncovered(seen: Sequence[Run], unseen: Run) -> float:
     return float((found * period < _LEAST).mean())
 
 
-def told_windows(coverage: Sequence[Covered], windows: Windows) -> NDArray[np.bool_]:
+def told_windows(coverage: Sequence[CoveredRange], windows: Windows) -> NDArray[np.bool_]:
     """Windows (windows,) that begin, end and for nine tenths of their rows stay where a report says that it holds."""
-    good = inside(coverage, windows.system, windows.states, windows.actions)
+    good = within_coverage(coverage, windows.system, windows.states, windows.actions)
     spans = zip(windows.start.tolist(), windows.end.tolist(), strict=True)
     return np.array([good[begin] and good[end] and good[begin : end + 1].mean() >= _STAYS for begin, end in spans])
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from safedpa.compare.comparison import with_distinct_names
+from safedpa.comparison.comparison import with_distinct_names
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import RunError
 from safedpa.records import load_column_map, load_run
-from safedpa.records.apply_map import Rows
-from safedpa.records.column_map import native_map
-from safedpa.records.quality import run_of_rows
+from safedpa.records.column_map.apply import Rows
+from safedpa.records.column_map.column_map import native_map
+from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.run import Run
 
 __all__ = ["BALLS", "CAR", "OTHER_DAY", "PENDULUM", "ball_runs", "mapped_runs", "paths_of"]

@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.networks import LearnedNetworks, frame_of, save_weights
 from safedpa_lab.point.action_models import COMMANDS
 from safedpa_lab.point.free_model import save_free
@@ -24,7 +24,6 @@ from safedpa_sim.training.transitions import draw_transitions
 
 __all__ = ["CarWork", "car_errors", "point_errors", "thrust_configuration", "train_networks"]
 
-Floats = NDArray[np.float64]
 _DRAWN: Final = 20_000
 _HELD_OUT, _FLOOR = 2401, 2402
 """Seeds of what is counted; training and its own held-out pairs have seeds below 10."""
@@ -113,5 +112,5 @@ def car_errors(work: CarWork) -> dict[str, Any]:
     }
 
 
-def _explained(predicted: Floats, measured: Floats) -> float:
+def _explained(predicted: FloatArray, measured: FloatArray) -> float:
     return 1.0 - float(np.square(predicted - measured).mean() / measured.var(axis=0).mean())

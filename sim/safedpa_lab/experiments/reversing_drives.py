@@ -18,9 +18,9 @@ import numpy as np
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
 from safedpa.dynamics import load_model
-from safedpa.robots.car.goal_seeker import GoalSeeker
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.controllers.goal_seeker import GoalSeeker
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene

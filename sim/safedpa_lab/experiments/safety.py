@@ -17,9 +17,9 @@ from typing import Any
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot

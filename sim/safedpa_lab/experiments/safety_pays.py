@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.calibration.from_runs import calibration_from_runs
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import PhysicsModel, parse_model, write_model
 from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings
-from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
+from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.hidden_car import (
     HIDDEN,
     PERIOD,

@@ -18,9 +18,9 @@ from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.counter_braking import STANDS
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
@@ -31,7 +31,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS as TOWED
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 __all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "row_of", "run_drive", "sensing_experiment"]
 
@@ -97,7 +97,7 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     model = load_model("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking)
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
-    robot = CarRobot(scene, senses=Senses((Laser(laser, wanted.seed),), people))
+    robot = CarRobot(scene, senses=SimulatedSensors((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
     way, microseconds, wished, kept = 0.0, [], 0.0, 0.0
     for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):

@@ -15,19 +15,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.arrays import FloatArray
+from safedpa.calibration.from_drives import calibration_from_drives, covered_shares
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.counter_braking import STANDS
-from safedpa.safety.ceiling import NO_CEILING, Seen
-from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
-from safedpa.safety.margin import smallest_sample
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
+from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.error_clipping import NO_CLIP, HSample
 from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.misjudging import Misjudges
 from safedpa_lab.experiments.seeds import seeds_for
@@ -38,11 +38,10 @@ from safedpa_lab.experiments.statistics import coverage_row
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 __all__ = ["SCENES", "SensedDrive", "margins_of_sensing", "order", "run_sensed"]
 
-Values = NDArray[np.float64]
 
 SCENES: Final = ("people", "rooms", "steps-out")
 """Six pillars among three people; two rooms with a door, boxes and up to six people; somebody behind a box."""
@@ -78,7 +77,7 @@ def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
     """Drives it behind the filter as it ships; the same drive gives the same numbers."""
     model, settings = load_model("car"), settings_named("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
-    car = CarRobot(scene, senses=Senses((Laser(LaserSettings(), wanted.seed),), people))
+    car = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), wanted.seed),), people))
     robot = Misjudges(car, wanted.stretch, wanted.turning)
     sensing = PerceptionSettings()
     scores = Scores(robot, people, settings, sensing)
@@ -124,7 +123,7 @@ def margins_of_sensing(
     heights = [_heights(one) for one in before]
     if not any(heights):
         raise InputError(f"{drives} drives of {seconds:g} s: in none the car came near anything; wanted longer ones")
-    margin = calibration_from_drives(heights, coverage, time.strftime("%Y-%m-%d"), fingerprint(model), NO_CEILING)
+    margin = calibration_from_drives(heights, coverage, time.strftime("%Y-%m-%d"), fingerprint(model), NO_CLIP)
     tables = {"step": margin.epsilon, "drive": margin.drive, "in force": _in_force(model)}
     rows = [_row(kind, before, after, tables) for kind in NEAR]
     return {
@@ -173,10 +172,10 @@ def _out(score: Score) -> float:
     return min(points, movers) if score.kind == "obstacle" else min(movers, hidden) + score.grown
 
 
-def _heights(one: Mapping[str, Any]) -> dict[str, Values]:
+def _heights(one: Mapping[str, Any]) -> dict[str, FloatArray]:
     """By kind (steps, 4), as ``calibration_from_drives`` takes them."""
     found = {
-        kind: [Seen(min(s.hoped, NEAR[kind]), s.true) for s in _scores(one, kind)] for kind in NEAR if kind != _STOOD
+        kind: [HSample(min(s.hoped, NEAR[kind]), s.true) for s in _scores(one, kind)] for kind in NEAR if kind != _STOOD
     }
     return {kind: np.array(rows) for kind, rows in found.items() if rows}
 

@@ -11,8 +11,8 @@ from math import cos, inf, isfinite, sin, tan
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import (
     ACTION,
     SCAN,
@@ -28,12 +28,11 @@ from safedpa.bus import (
     VerdictMessage,
     WishMessage,
 )
-from safedpa.perception.odometry import Odometry
-from safedpa.perception.sweep import Sweep
+from safedpa.perception.odometry import OdometryBuffer
+from safedpa.perception.scan import ScanRays
 
 __all__ = ["CollisionMonitor", "NoFilter", "TimeToCollision"]
 
-Values = NDArray[np.float64]
 
 _WHEELBASE = 0.32
 """m; from the wheels' angle to the turning rate that the monitor knows."""
@@ -49,7 +48,7 @@ class _Brake(AbstractNode):
     share = 0.5
 
     def __init__(self) -> None:
-        self._odometry, self._scan = Odometry(), None
+        self._odometry, self._scan = OdometryBuffer(), None
 
     _scan: ScanMessage | None
 
@@ -72,15 +71,15 @@ class _Brake(AbstractNode):
         return {ACTION: sent, VERDICT: _verdict(state, status, action, values)}
 
     @abstractmethod
-    def share_of(self, points: Values, state: StateMessage, wish: tuple[float, ...]) -> float:
+    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:
         """The share of the wished speed that is let through, 0 to 1, of ``points`` (n, 2) [m] in the car's frame."""
 
-    def _points(self, state: StateMessage) -> Values | None:
+    def _points(self, state: StateMessage) -> FloatArray | None:
         """None without a scan that can be placed: then it stops, as a source that times out does."""
         pose = None if self._scan is None else self._odometry.at(self._scan.robot_time)
         if self._scan is None or pose is None or state.robot_time - self._scan.robot_time > 1.0:
             return None
-        ends = Sweep(self._scan, pose, state, open_air=False).ends
+        ends = ScanRays(self._scan, pose, state, open_air=False).ends
         x, y, yaw = state.values[:3]
         apart = ends - (x, y)
         return np.column_stack(
@@ -92,7 +91,7 @@ class _Brake(AbstractNode):
 class NoFilter(_Brake):
     """Hands every wish on."""
 
-    def share_of(self, points: Values, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
+    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
         del points, state, wish
         return 1.0
 
@@ -111,7 +110,7 @@ class CollisionMonitor(_Brake):
         super().__init__()
         self._patience, self._least = patience, min_points
 
-    def share_of(self, points: Values, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
+    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
         rear, front, radius = state.footprint
         speed, turning = wish[0], wish[0] * tan(wish[1]) / _WHEELBASE
         for step in range(round(self._patience / 0.1) + 1):
@@ -141,7 +140,7 @@ class TimeToCollision(_Brake):
         super().__init__()
         self._least = least
 
-    def share_of(self, points: Values, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
+    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
         rear, front, radius = state.footprint
         length = np.hypot(points[:, 0], points[:, 1])
         ahead = points[:, 0] / np.maximum(length, 1e-9)

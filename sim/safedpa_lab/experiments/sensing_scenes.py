@@ -14,7 +14,7 @@ from safedpa_sim.robots.loads import Load, load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Person, StepsOut
 from safedpa_sim.sensing.people import walkers
-from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box, room_to
+from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box, clearance_at
 
 __all__ = ["SCENES", "scene_and_people"]
 
@@ -102,7 +102,7 @@ def _boxes(
     things, made = walls, 0
     for x, y in _free(Outline((), walls, (field,)), field, 0.55 + gap, draw):
         length, width, yaw = draw.uniform((0.4, 0.3, 0.0), (0.9, 0.6, pi)).tolist()
-        if room_to(Outline((), things, (field,)), x, y) > 0.55 + gap:
+        if clearance_at(Outline((), things, (field,)), x, y) > 0.55 + gap:
             things, made = (*things, box(x, y, length, width, yaw)), made + 1
             yield things[-1]
         if made == _BOXES:
@@ -115,7 +115,7 @@ def _free(
     """Places that keep ``room`` [m] to everything, drawn one after the other."""
     for _ in range(_TRIES):
         x, y = draw.uniform((field[0], field[2]), (field[1], field[3])).tolist()
-        if _outside(outline, x, y) and room_to(outline, x, y) > room:
+        if _outside(outline, x, y) and clearance_at(outline, x, y) > room:
             yield x, y
 
 

@@ -36,20 +36,20 @@ from math import inf
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa.bus import Received, ScanMessage, StateMessage, SurroundingsMessage
+from safedpa.arrays import BoolArray, FloatArray
+from safedpa.bus import ReceivedMessage, ScanMessage, StateMessage, SurroundingsMessage
 from safedpa.equations import Given
 from safedpa.operations import NUMPY
 from safedpa.perception import PerceptionSettings
 from safedpa.perception.odometry import Pose
-from safedpa.perception.sweep import within_body
-from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
-from safedpa.robots.car.counter_braking import STANDS
-from safedpa.robots.car.reversed_way import ReversedWay
-from safedpa.robots.car.sensed_barrier import MoverBarrier
-from safedpa.robots.car.sensed_scene import counter_braking_of
-from safedpa.robots.car.towed_reach import TowedReach
+from safedpa.perception.scan import within_body
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
+from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.robots.car.scenes.sensed import reversal_braking
 from safedpa.safety.settings import FilterSettings
 from safedpa_lab.experiments.misjudging import Misjudges, placed
 from safedpa_lab.experiments.ways_around import WaysAround
@@ -59,8 +59,6 @@ from safedpa_sim.sensing.shapes import Outline, cast
 
 __all__ = ["NEAR", "Score", "Scores"]
 
-Values = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NEAR: Final = {"obstacle": 0.5, "mover": 1.0, "hidden": 1.0, "model": 0.5, "stood": 1.0}
 """By kind, m of h: farther from the boundary no margin has to cover anything."""
@@ -106,7 +104,7 @@ class _Then:
 
     time: float
     pose: Pose
-    people: Values
+    people: FloatArray
     """(people, 2) m"""
 
 
@@ -127,7 +125,7 @@ class Scores:
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
         self._rest = np.vstack([outline.discs, *map(_along, outline.edges)])
         self._ways = WaysAround(scene, min(self._radii)) if len(people) else None
-        self._way = ReversedWay()
+        self._way = ReverseOdometer()
         self._past: deque[_Then] = deque(maxlen=_KEPT)
         self._scans: dict[float, ScanMessage] = {}
         self._told: SurroundingsMessage | None = None
@@ -142,7 +140,7 @@ class Scores:
         self.found: list[Score] = []
         self._remember(robot.state_message())
 
-    def hear(self, item: Received) -> None:
+    def hear(self, item: ReceivedMessage) -> None:
         """Takes up what the laser and perception tell."""
         if isinstance(item.message, ScanMessage):
             self._scans[item.message.robot_time] = item.message
@@ -221,7 +219,7 @@ class Scores:
                 self._add(kind, told_h, float(h[one]), came, one, apart, float(grown[one] - self._radii[one]))
 
     def _around(
-        self, bodies: _Bodies, person: Values, place: Values, values: tuple[float, ...], straight: float
+        self, bodies: _Bodies, person: FloatArray, place: FloatArray, values: tuple[float, ...], straight: float
     ) -> float:
         """h of somebody who walks around what is at rest: his disc is smaller by as much as his way is longer."""
         assert self._ways is not None
@@ -255,25 +253,25 @@ class Scores:
 class _Bodies:
     """The filter's barriers of one tick over arrays of discs, without picking those that matter."""
 
-    def __init__(self, settings: FilterSettings, state: StateMessage, towed: TowedReach | None) -> None:
+    def __init__(self, settings: FilterSettings, state: StateMessage, towed: TrailerEnvelope | None) -> None:
         rear, front, radius = state.footprint
         body, braking, self._clearance = (rear, front, radius), braking_of(settings), settings.barrier("clearance")
-        own, counter = settings.barrier("own_radius"), counter_braking_of(settings)
+        own, counter = settings.barrier("own_radius"), reversal_braking(settings)
         known: dict[str, Any] = {"towed": towed, "creeps": settings.barrier("creeping"), "own_radius": own}
-        moving = MoverBarrier((), (), body, braking, counter, self._clearance, state.period, **known)
+        moving = MovingObstacleBarrier((), (), body, braking, counter, self._clearance, state.period, **known)
         self._moving = moving.shared
         self._resting = ObstacleBarrier((), body, braking, self._clearance, towed=towed).shared
         self._radius, self._period = radius, state.period
         self._thick = radius if towed is None else min(own or radius, radius)
 
-    def moving(self, discs: Values, unseen: Flags, state: Sequence[float]) -> Values:
+    def moving(self, discs: FloatArray, unseen: BoolArray, state: Sequence[float]) -> FloatArray:
         """h (n,) of discs x, y, R, w (n, 4) that may move, of which some are ``unseen`` (n,)."""
         x, y, radius, fastest = discs.T
         each = (x, y, radius + self._thick + self._clearance + fastest * self._period, fastest)
         given = Given(tuple(state), self._moving, (*each, np.where(unseen, 0.0, fastest)))
-        return np.asarray(MoverBarrier.h(given, NUMPY)[0])
+        return np.asarray(MovingObstacleBarrier.h(given, NUMPY)[0])
 
-    def resting(self, discs: Values, state: Sequence[float]) -> Values:
+    def resting(self, discs: FloatArray, state: Sequence[float]) -> FloatArray:
         """h (n,) of discs x, y, R (n, 3) at rest."""
         x, y, radius = discs.T
         given = Given(tuple(state), self._resting, (x, y, radius + self._radius + self._clearance))
@@ -284,28 +282,28 @@ def _rows(told: SurroundingsMessage) -> tuple[tuple[Any, int], ...]:
     return (told.points, 3), (told.movers, 6), (told.hidden, 4)
 
 
-def _table(rows: Any, width: int) -> Values:
+def _table(rows: Any, width: int) -> FloatArray:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _least(h: Values) -> float:
+def _least(h: FloatArray) -> float:
     return float(h.min()) if len(h) else _FAR
 
 
-def _nearest(h: Values, wanted: Flags) -> int | None:
+def _nearest(h: FloatArray, wanted: BoolArray) -> int | None:
     """Who of those ``wanted`` (n,) has the least h (n,); None where nobody is."""
     return int(np.argmin(np.where(wanted, h, inf))) if wanted.any() else None
 
 
-def _facing(disc: Sequence[float], state: Sequence[float]) -> Values:
+def _facing(disc: Sequence[float], state: Sequence[float]) -> FloatArray:
     """(2,) m; the place of a disc x, y, R that is nearest to the car's middle."""
     middle = np.array((disc[0], disc[1]))
     way = np.array(state[:2]) - middle
-    found: Values = middle + disc[2] * way / max(float(np.hypot(*way)), 1e-9)
+    found: FloatArray = middle + disc[2] * way / max(float(np.hypot(*way)), 1e-9)
     return found
 
 
-def _to(discs: Values, place: Values) -> float:
+def _to(discs: FloatArray, place: FloatArray) -> float:
     """m from a place to the nearest of discs x, y, R, ...; below 0 within one."""
     return _least(np.hypot(*(discs[:, :2] - place).T) - discs[:, 2])
 
@@ -323,7 +321,7 @@ def _hit(scan: ScanMessage, pose: Pose, state: StateMessage, disc: tuple[float, 
     return bool((~within_body(ends, pose, state)).any())
 
 
-def _along(edge: Values) -> Values:
+def _along(edge: FloatArray) -> FloatArray:
     """Discs (n, 3) of radius 0 from one end of an edge x, y, x, y [m] to the other."""
     start, end = edge[:2], edge[2:]
     count = max(int(np.ceil(float(np.hypot(*(end - start))) / _APART)), 1) + 1

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa.safety.margin import split_conformal_margin
-from safedpa.safety.theory_measure import error_constants, lipschitz_constants, measured_errors
+from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa_lab.experiments.theory_branches import simulated_branches
+from safedpa_lab.theory.measure import error_constants, lipschitz_constants, measured_errors
 from safedpa_sim.training.configuration import Configuration
 
 __all__ = ["theory_experiment"]

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks
-from safedpa.safety.theory_measure import Branches
+from safedpa_lab.theory.measure import Branches
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["simulated_branches"]
 
-Values = NDArray[np.float64]
 
 _LONGER = 30
 """Transitions beyond a full history, at most: drives end at different times of their held actions."""
@@ -62,7 +62,7 @@ def simulated_branches(
     )
 
 
-def _watched(networks: LearnedNetworks, states: Values, actions: Values, ends: NDArray[np.int64]) -> Values:
+def _watched(networks: LearnedNetworks, states: FloatArray, actions: FloatArray, ends: NDArray[np.int64]) -> FloatArray:
     """z^ (n, latents) from the full history before each drive's end."""
     encoder = HistoryEncoder(networks.weights)
     rows = encoder.rows(states, actions)
@@ -70,8 +70,8 @@ def _watched(networks: LearnedNetworks, states: Values, actions: Values, ends: N
 
 
 def _driven(
-    model: Any, state: Values, environment: Values, ranges: Values, steps: int, draw: np.random.Generator
-) -> tuple[Values, Values]:
+    model: Any, state: FloatArray, environment: FloatArray, ranges: FloatArray, steps: int, draw: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """States (n, steps + 1, states) and actions (n, steps, actions) under actions that are held and then drawn anew."""
     low, high = ranges[:, 0], ranges[:, 1]
     action = draw.uniform(low, high, (len(state), len(low)))

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.experiments.car_drives import DriveOrder, cut_at_contact, recorded_drive
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
@@ -26,7 +27,7 @@ from safedpa_lab.experiments.tuning_models import ROWS, TunedModels
 from safedpa_lab.provenance.code import without_words
 from safedpa_sim.training.online_tuning import OnlineTuning, tuned_online
 from safedpa_sim.training.predictors import AbstractPredictor
-from safedpa_sim.training.tuning_data import Drive
+from safedpa_sim.training.tuning_data import TuningDrive
 
 __all__ = ["BASES", "DEVELOPMENT", "LOADS", "CarTuning", "car_tuning"]
 
@@ -44,7 +45,6 @@ _OWN: Final = 2
 """Drives with its load that a robot tunes itself on."""
 _MEASURE: Final = without_words(Path(__file__).with_name("tuning_errors.py").read_text(encoding="utf-8"))
 """What errors are: part of the key under which they are kept."""
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class _Run:
         base = self._base(row)
         for load in LOADS:
             drives = [self._drive(seed, load, self.experiment.ticks) for seed in fresh]
-            learned: list[Drive] = []
+            learned: list[TuningDrive] = []
             if row.startswith("online_"):
                 learned = [self._drive(seed, load, self.experiment.own_ticks) for seed in own]
             key = key_of(__name__, _MEASURE, *_told(base), *_digests([*drives, *learned]), row)
@@ -133,17 +133,17 @@ class _Run:
         begun = {"online_untuned": "at_axle", "online_tuned": "tuned_point"}
         return self.models.predictor(begun.get(row, row.removeprefix("online_")))
 
-    def _drive(self, seed: int, load: str, ticks: int) -> Drive:
-        def make() -> tuple[Values, ...]:
+    def _drive(self, seed: int, load: str, ticks: int) -> TuningDrive:
+        def make() -> tuple[FloatArray, ...]:
             drive = cut_at_contact(recorded_drive(DriveOrder(seed, load, ticks)))
             return drive.states, drive.actions
 
         key = key_of("safedpa_lab.experiments.car_drives", seed, load, ticks)
-        return Drive(*self.kept.arrays(f"drive-{load}-{seed}", key, make))
+        return TuningDrive(*self.kept.arrays(f"drive-{load}-{seed}", key, make))
 
 
 def _measured(
-    base: AbstractPredictor, drives: Sequence[Drive], own: Sequence[Drive], scale: torch.Tensor
+    base: AbstractPredictor, drives: Sequence[TuningDrive], own: Sequence[TuningDrive], scale: torch.Tensor
 ) -> dict[str, Any]:
     """Errors of each drive by the base, or by what it becomes by tuning on the robot's own drives."""
     if not own:
@@ -153,7 +153,7 @@ def _measured(
     return {"drives": errors, "taken": {**asdict(taken), "refused": taken.refused}}
 
 
-def _figures(errors: dict[str, Any], name: str, scale: Values) -> dict[str, Any]:
+def _figures(errors: dict[str, Any], name: str, scale: FloatArray) -> dict[str, Any]:
     """Metrics and ratios by load and horizon; ``loads`` are the three loads together, ``mixed`` all."""
     groups = {**{load: (load,) for load in LOADS}, "loads": LOADS[1:], "mixed": LOADS}
     figures: dict[str, Any] = {"metrics": {}, "ratios": {}}

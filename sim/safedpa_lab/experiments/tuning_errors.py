@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.car_errors import OWN_STATES, STEPS
 from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import AbstractPredictor, open_loop_errors
-from safedpa_sim.training.tuning_data import Drive
+from safedpa_sim.training.tuning_data import TuningDrive
 
 __all__ = ["HORIZONS", "METRICS", "errors_of_drive", "metrics_of", "ratios_of"]
 
-Values = NDArray[np.float64]
 METRICS: Final = ("root_mean_square", "mean_square", "squared_norm")
 HORIZONS: Final = ("one_step", "one_second")
 _FIRST: Final = 60
@@ -26,7 +26,7 @@ _EVERY: Final = 5
 _DRAWS: Final = 2000
 
 
-def errors_of_drive(predictor: AbstractPredictor, drive: Drive) -> dict[str, Any]:
+def errors_of_drive(predictor: AbstractPredictor, drive: TuningDrive) -> dict[str, Any]:
     """Of one drive, by horizon: the sums of squared own-frame errors (states,) in SI units, and how many they are."""
     seen = predictor.seen(lived_of(predictor.networks, [drive]))
     rows = len(drive.actions)
@@ -39,7 +39,7 @@ def errors_of_drive(predictor: AbstractPredictor, drive: Drive) -> dict[str, Any
     return found
 
 
-def metrics_of(drives: Sequence[Mapping[str, Any]], scale: Values) -> dict[str, float]:
+def metrics_of(drives: Sequence[Mapping[str, Any]], scale: FloatArray) -> dict[str, float]:
     """The three metrics of drives together, and the root mean square of each state in SI units.
 
     With m the mean over the steps of the squared error of each state: ``root_mean_square`` = mean over the states of
@@ -55,7 +55,7 @@ def metrics_of(drives: Sequence[Mapping[str, Any]], scale: Values) -> dict[str, 
 def ratios_of(
     base: Sequence[Sequence[Mapping[str, Any]]],
     row: Sequence[Sequence[Mapping[str, Any]]],
-    scale: Values,
+    scale: FloatArray,
     seed: int = 0,
 ) -> dict[str, list[float]]:
     """By metric: base over row, and the ends of its 95 % interval by drawing drives with replacement, in pairs.
@@ -77,15 +77,15 @@ def ratios_of(
     return told
 
 
-def _means(groups: Sequence[Sequence[Mapping[str, Any]]], picked: NDArray[np.int64]) -> Values:
+def _means(groups: Sequence[Sequence[Mapping[str, Any]]], picked: NDArray[np.int64]) -> FloatArray:
     """Mean squared errors (draws, states) of the groups that each draw picks."""
     squares = np.array([np.sum([drive["squares"] for drive in group], axis=0) for group in groups])
     counts = np.array([sum(drive["count"] for drive in group) for group in groups], dtype=np.float64)
-    found: Values = squares[picked].sum(1) / counts[picked].sum(1)[:, np.newaxis]
+    found: FloatArray = squares[picked].sum(1) / counts[picked].sum(1)[:, np.newaxis]
     return found
 
 
-def _metrics(mean: Values, scale: Values) -> dict[str, Any]:
+def _metrics(mean: FloatArray, scale: FloatArray) -> dict[str, Any]:
     """The metrics (...) of mean squared errors (..., states)."""
     scaled = mean / scale**2
     return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.networks import Weights, load_weights, save_weights
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.provenance.code import digests
 
 __all__ = ["Kept", "key_of"]

@@ -28,7 +28,7 @@ from safedpa_sim.training.residual_networks import (
     residual_weights,
     untrained_residual,
 )
-from safedpa_sim.training.tuning_data import Drive, drives_of, record_circles, split
+from safedpa_sim.training.tuning_data import TuningDrive, drives_of, record_circles, split
 
 __all__ = ["AHEAD", "REFUSED", "ROWS", "TunedModels"]
 
@@ -122,7 +122,7 @@ class TunedModels:
         phase = self.configuration.phase_3
         return record_circles(phase.pairs, self.seed * 10 + _STREAM, phase.run_pairs)
 
-    def _drives(self) -> list[Drive]:
+    def _drives(self) -> list[TuningDrive]:
         return drives_of(self._circles, self.untuned)
 
     def _paper(self, row: str, begun: Weights) -> Weights:

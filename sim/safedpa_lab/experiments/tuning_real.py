@@ -15,12 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.safety.margin import split_conformal_margin
+from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa_lab.experiments.car_errors import STEPS
 from safedpa_lab.experiments.real_logs_data import CAR, OTHER_DAY, mapped_runs, paths_of
 from safedpa_lab.experiments.tuning_errors import HORIZONS, errors_of_drive, metrics_of
@@ -32,11 +32,10 @@ from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.phase_2 import train_history_encoder
 from safedpa_sim.training.phase_3 import tune_on_drives
 from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
-from safedpa_sim.training.tuning_data import Drive, drives_of
+from safedpa_sim.training.tuning_data import TuningDrive, drives_of
 
 __all__ = ["REAL_ROWS", "RealTuning", "parts_of", "real_tuning"]
 
-Values = NDArray[np.float64]
 REAL_ROWS: Final = {
     "untuned": "untuned",
     "paper": "L_TUNE as written",
@@ -100,19 +99,19 @@ def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _wh
     return {"coverage": _COVERAGE, "titles": REAL_ROWS, "folds": rows}
 
 
-def parts_of(drives: Sequence[Drive], share: float) -> tuple[list[Drive], list[Drive]]:
+def parts_of(drives: Sequence[TuningDrive], share: float) -> tuple[list[TuningDrive], list[TuningDrive]]:
     """The beginning of each drive, that share of it, and the rest."""
     cuts = [round(share * len(drive.actions)) for drive in drives]
     return (
-        [Drive(drive.states[: cut + 1], drive.actions[:cut]) for drive, cut in zip(drives, cuts, strict=True)],
-        [Drive(drive.states[cut:], drive.actions[cut:]) for drive, cut in zip(drives, cuts, strict=True)],
+        [TuningDrive(drive.states[: cut + 1], drive.actions[:cut]) for drive, cut in zip(drives, cuts, strict=True)],
+        [TuningDrive(drive.states[cut:], drive.actions[cut:]) for drive, cut in zip(drives, cuts, strict=True)],
     )
 
 
 def _fold(
     name: str,
-    left_out: list[Drive],
-    others: list[list[Drive]],
+    left_out: list[TuningDrive],
+    others: list[list[TuningDrive]],
     untuned: Weights,
     configuration: Configuration,
     kept: Kept,
@@ -134,7 +133,11 @@ def _fold(
 
 
 def _models(
-    untuned: Weights, configuration: Configuration, fitted: list[Drive], own: list[Drive], scale: torch.Tensor
+    untuned: Weights,
+    configuration: Configuration,
+    fitted: list[TuningDrive],
+    own: list[TuningDrive],
+    scale: torch.Tensor,
 ) -> tuple[dict[str, AbstractPredictor], dict[str, str]]:
     """The model of each row, and why one was not taken."""
     updates, said = configuration.phase_3.updates, {}
@@ -154,7 +157,7 @@ def _models(
 
 
 def _judged(
-    predictor: AbstractPredictor, calibrated: Sequence[Drive], judged: Sequence[Drive], scale: Values
+    predictor: AbstractPredictor, calibrated: Sequence[TuningDrive], judged: Sequence[TuningDrive], scale: FloatArray
 ) -> dict[str, Any]:
     """Metrics by horizon, and the margin of the position [m] with its coverage."""
     errors = [errors_of_drive(predictor, drive) for drive in judged if _is_long(drive)]
@@ -174,7 +177,7 @@ def _judged(
     return found
 
 
-def _position_errors(predictor: AbstractPredictor, drive: Drive, steps: int) -> Values:
+def _position_errors(predictor: AbstractPredictor, drive: TuningDrive, steps: int) -> FloatArray:
     """m from the measured to the predicted position after so many steps (starts,)."""
     seen = predictor.seen(lived_of(predictor.networks, [drive]))
     starts = torch.arange(_FIRST, len(drive.actions) - steps + 1)
@@ -183,16 +186,16 @@ def _position_errors(predictor: AbstractPredictor, drive: Drive, steps: int) -> 
     return np.asarray(torch.hypot(errors[:, 0], errors[:, 1]).double().numpy())
 
 
-def _is_long(drive: Drive) -> bool:
+def _is_long(drive: TuningDrive) -> bool:
     return len(drive.actions) > _FIRST + STEPS
 
 
-def _logs(paths: Sequence[Path]) -> dict[str, list[Drive]]:
+def _logs(paths: Sequence[Path]) -> dict[str, list[TuningDrive]]:
     """The stretches of each log without a gap, by the time in its name."""
     runs = mapped_runs(paths, load_model("dart_car"), "dart_car_columns")
     parts = {path.stem[-19:]: list(run.parts()) for path, run in zip(paths, runs, strict=True)}
     return {
-        name: [Drive(states, actions[:-1]) for _, states, actions in own if len(actions) > _LONG]
+        name: [TuningDrive(states, actions[:-1]) for _, states, actions in own if len(actions) > _LONG]
         for name, own in parts.items()
     }
 

@@ -6,18 +6,15 @@ from math import ceil, gcd, hypot
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from safedpa.arrays import BoolArray, FloatArray, IndexArray
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.sensing.shapes import Outline, Point, rooms_to
+from safedpa_sim.sensing.shapes import Outline, Point, clearances_at
 
 __all__ = ["WaysAround"]
 
-Values = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Cells = NDArray[np.intp]
 
 _CELL: Final = 0.05
 """m"""
@@ -39,11 +36,13 @@ class WaysAround:
         low_x, high_x, low_y, high_y = scene.field
         columns, rows = ceil((high_x - low_x) / _CELL), ceil((high_y - low_y) / _CELL)
         i, j = np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij")
-        self.places: Values = np.column_stack([low_x + (i.ravel() + 0.5) * _CELL, low_y + (j.ravel() + 0.5) * _CELL])
+        self.places: FloatArray = np.column_stack(
+            [low_x + (i.ravel() + 0.5) * _CELL, low_y + (j.ravel() + 0.5) * _CELL]
+        )
         """(cells, 2) m; the cells' middles."""
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
-        open_cells = (rooms_to(outline, self.places) > radius - _CELL).reshape(columns, rows)
-        starts, ends, lengths = list[Cells](), list[Cells](), list[Values]()
+        open_cells = (clearances_at(outline, self.places) > radius - _CELL).reshape(columns, rows)
+        starts, ends, lengths = list[IndexArray](), list[IndexArray](), list[FloatArray]()
         number = np.arange(columns * rows).reshape(columns, rows)
         for right, up in _STEPS:
             here = np.s_[max(-right, 0) : columns - max(right, 0), max(-up, 0) : rows - max(up, 0)]
@@ -56,7 +55,7 @@ class WaysAround:
         self._graph = csr_array(table, shape=(columns * rows, columns * rows))
         self._open = open_cells.ravel()
 
-    def to(self, place: Point, wanted: Flags, longest: float) -> float:
+    def to(self, place: Point, wanted: BoolArray, longest: float) -> float:
         """m that nobody's way from ``place`` to any of the ``wanted`` (cells,) falls short of; ``longest`` [m] where
         there is none as short as that.
 

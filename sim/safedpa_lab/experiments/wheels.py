@@ -19,8 +19,8 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.robot import robot_named
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.differential_drive.stand_in import WORLDS

@@ -17,7 +17,7 @@ from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.outcome import Campaign, Outcome, joined
 from safedpa_lab.faults.recorded import Recorded, read_recorded
 from safedpa_lab.faults.world import DISK_BYTES, ROBOT, World, WorldSettings
-from safedpa_sim.robots.trace import LivedPeriod, read_trace
+from safedpa_sim.robots.trace import TracedPeriod, read_trace
 
 __all__ = ["DEFAULT_SEED", "run_faults"]
 
@@ -201,7 +201,7 @@ def _outcome(lived: _Lived, evidence: Evidence, recorded: Recorded) -> Outcome:
 def _meanwhile(fault: Fault, episode: Episode, evidence: Evidence) -> str:
     """How what the loop had to do during the fault was missed; empty when it was not."""
     end = episode.ended if fault.meanwhile == "undisturbed" else episode.mended
-    during: list[LivedPeriod] = evidence.within(episode.struck, end)
+    during: list[TracedPeriod] = evidence.within(episode.struck, end)
     if fault.meanwhile == "anything" or not during:
         return ""
     share = sum(evidence.is_driven(one) for one in during) / len(during)

@@ -28,13 +28,13 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
 )
-from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, run_process
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.errors import SafedpaError
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import OfferedEffect, Version, VersionFolder
-from safedpa.safety.margin_text import margin_text
-from safedpa.safety.shipped import margin_for
+from safedpa.live.versions import ModelVersion, OfferedEffect, VersionFolder
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import margin_text
 
 __all__ = ["EFFECT", "FINDING"]
 
@@ -72,7 +72,7 @@ class _Coordinator(AbstractNode):
         return self._changes.answer(request)
 
 
-def _versions() -> tuple[Version, OfferedEffect]:
+def _versions() -> tuple[ModelVersion, OfferedEffect]:
     """The shipped car, and the same with the effect; its margin is the shipped one, measured or not."""
     model = load_model("car")
     changed = parse_model(write_model(model) + _ADDED)
@@ -80,13 +80,13 @@ def _versions() -> tuple[Version, OfferedEffect]:
     if margin is None:
         raise SafedpaError("coordinator: the shipped car has no margin; the package is incomplete")
     own = margin_text(dataclasses.replace(margin, fingerprint=fingerprint(changed)))
-    first = Version(fingerprint(model), write_model(model), margin_text(margin))
+    first = ModelVersion(fingerprint(model), write_model(model), margin_text(margin))
     return first, OfferedEffect(EFFECT, fingerprint(changed), write_model(changed), own)
 
 
-def _work(options: argparse.Namespace, stop: Stop) -> int:
+def _work(options: argparse.Namespace, stop: StopSignal) -> int:
     node = _Coordinator(Path(options.out))
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         bus.answer_requests(node.answer)
         bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
         ServiceLoop(node, bus).run(stop)

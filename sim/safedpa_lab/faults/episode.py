@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from safedpa.bus import VerdictMessage
-from safedpa_sim.robots.trace import LivedPeriod
+from safedpa_sim.robots.trace import TracedPeriod
 
 __all__ = ["LARGEST_AGE_PERIODS", "Episode", "Evidence", "collisions_in", "recovery_of", "stale_in"]
 
@@ -34,26 +34,26 @@ class Episode:
 class Evidence:
     """The robot's trace, what was heard of the filter, and the robot's period [s]."""
 
-    periods: Sequence[LivedPeriod]
+    periods: Sequence[TracedPeriod]
     verdicts: Mapping[Stamp, VerdictMessage]
     actions: Mapping[Stamp, set[tuple[float, ...]]]
     period: float
 
-    def within(self, begin: float, end: float) -> list[LivedPeriod]:
+    def within(self, begin: float, end: float) -> list[TracedPeriod]:
         """Periods that began to be driven in [begin, end)."""
         return [lived for lived in self.periods if begin <= lived.applied_at < end]
 
-    def is_fallback(self, lived: LivedPeriod) -> bool:
+    def is_fallback(self, lived: TracedPeriod) -> bool:
         """Whether the filter braked for want of an input; False where its verdict was not heard."""
         verdict = self.verdicts.get((lived.epoch, lived.tick))
         return verdict is not None and verdict.status == "fallback"
 
-    def is_driven(self, lived: LivedPeriod) -> bool:
+    def is_driven(self, lived: TracedPeriod) -> bool:
         """Whether the filter, with everything that it needs, chose what was done."""
         return lived.applied_by == "filter" and not self.is_fallback(lived)
 
 
-def collisions_in(periods: Iterable[LivedPeriod]) -> int:
+def collisions_in(periods: Iterable[TracedPeriod]) -> int:
     """New contacts during these periods; a robot that starts anew begins with none."""
     count, before = 0, dict[int, int]()
     for lived in periods:
@@ -62,7 +62,7 @@ def collisions_in(periods: Iterable[LivedPeriod]) -> int:
     return count
 
 
-def stale_in(periods: Iterable[LivedPeriod], evidence: Evidence) -> list[str]:
+def stale_in(periods: Iterable[TracedPeriod], evidence: Evidence) -> list[str]:
     """Every action that was applied and must not have been, in words.
 
     Those that are of another state than that of their period, that began to act more than ``LARGEST_AGE_PERIODS`` after
@@ -81,7 +81,7 @@ def stale_in(periods: Iterable[LivedPeriod], evidence: Evidence) -> list[str]:
     return found
 
 
-def _was_sent(lived: LivedPeriod, sent: set[tuple[float, ...]] | None) -> bool:
+def _was_sent(lived: TracedPeriod, sent: set[tuple[float, ...]] | None) -> bool:
     if not sent:
         return True  # the observer's own link was down
     return any(max(abs(a - b) for a, b in zip(lived.applied, one, strict=True)) <= _TOLERANCE for one in sent)

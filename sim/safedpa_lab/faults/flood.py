@@ -7,20 +7,20 @@ import time
 from dataclasses import replace
 
 from safedpa.bus import STATE
-from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, run_process
 from safedpa_sim.robots import CarRobot, Scene
 
 __all__ = ["work"]
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Sends states until ``stop``; returns exit code 0."""
     messages = {
         f"flood{index}": CarRobot(Scene.random(index), lockstep=False, epoch=7).state_message()
         for index in range(options.robots)
     }
     pause = 1.0 / options.rate
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         tick, due = 0, time.monotonic()
         while not stop():
             tick, due = tick + 1, due + pause

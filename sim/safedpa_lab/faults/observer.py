@@ -14,7 +14,7 @@ from safedpa.bus import (
     LatentMessage,
     Message,
     ModelMessage,
-    Received,
+    ReceivedMessage,
     StateMessage,
     TakeoverMessage,
     VerdictMessage,
@@ -54,7 +54,7 @@ class Observer:
     def listen(self, wait: float) -> None:
         """Takes in what arrived within ``wait`` [s]."""
         for item in self._inbox.take(wait):
-            if isinstance(item, Received) and item.robot in (self.robot, NO_ROBOT):
+            if isinstance(item, ReceivedMessage) and item.robot in (self.robot, NO_ROBOT):
                 self._take(item.message, item.at)
 
     def lives(self, robot: str, service: str) -> bool:

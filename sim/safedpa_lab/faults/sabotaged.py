@@ -66,7 +66,7 @@ class _Saboteur:
 
 def _turns() -> list[threading.Lock]:
     """The locks of those who turn the loops of this process; none where it has another kind of loop."""
-    turning = sys.modules.get("safedpa.bus.loop.turning")
+    turning = sys.modules.get("safedpa.bus.service.scheduler")
     kinds = (turning.Turning,) if turning else ()
     return [one._turns for one in gc.get_objects() if isinstance(one, kinds)]
 

@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
-from safedpa_lab.hidden.lanes import Floats
 
 __all__ = ["BAD", "Bad", "write_bad_files"]
 
-Table = dict[str, Floats]
+Table = dict[str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def _same(table: Table) -> Table:
     return table
 
 
-def _changed(**changes: Callable[[Floats], Floats]) -> Callable[[Table], Table]:
+def _changed(**changes: Callable[[FloatArray], FloatArray]) -> Callable[[Table], Table]:
     return lambda table: {name: changes[name](v) if name in changes else v for name, v in table.items()}
 
 
@@ -49,18 +49,18 @@ def _drive(table: Table) -> str:
     return "throttle" if "throttle" in table else "target_speed"
 
 
-def _drive_changed(change: Callable[[Floats], Floats]) -> Callable[[Table], Table]:
+def _drive_changed(change: Callable[[FloatArray], FloatArray]) -> Callable[[Table], Table]:
     return lambda table: {**table, _drive(table): change(table[_drive(table)])}
 
 
-def _frozen(values: Floats) -> Floats:
+def _frozen(values: FloatArray) -> FloatArray:
     """From a third of the log on the value stays, for a quarter of it."""
     found, begin = values.copy(), len(values) // 3
     found[begin : begin + len(values) // 4] = values[begin]
     return found
 
 
-def _dead(values: Floats) -> Floats:
+def _dead(values: FloatArray) -> FloatArray:
     found = values.copy()
     found[len(values) // 2 :] = 0.0
     return found
@@ -78,8 +78,8 @@ def _thinned(table: Table) -> Table:
     return {name: values[kept] for name, values in table.items()}
 
 
-def _every(count: int, value: float) -> Callable[[Floats], Floats]:
-    def change(values: Floats) -> Floats:
+def _every(count: int, value: float) -> Callable[[FloatArray], FloatArray]:
+    def change(values: FloatArray) -> FloatArray:
         found = values.copy()
         found[50::count] = value
         return found
@@ -91,7 +91,7 @@ def _swapped(table: Table) -> Table:
     return {**table, "x": table["y"], "y": table["x"]}
 
 
-def _jumped(values: Floats) -> Floats:
+def _jumped(values: FloatArray) -> FloatArray:
     return values + np.where(np.arange(len(values)) > len(values) // 2, 5.0, 0.0)
 
 

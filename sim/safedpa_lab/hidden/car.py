@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa_lab.hidden.lanes import Floats, Lane, Trajectories, gathered, per_lane
+from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
 from safedpa_lab.hidden.strengths import LARGEST_STEER, STEP
 
 __all__ = ["ACCELERATION_LIMIT", "WHEELBASE", "simulate_cars"]
@@ -127,7 +128,7 @@ class _Cars:
                 self._substep(row, step)
         return Trajectories(states, self.actions)
 
-    def _driver(self, row: int) -> Floats:
+    def _driver(self, row: int) -> FloatArray:
         """Follows the plan, but turns back far from the origin and takes fast curves wider."""
         drive = np.array([lane.commands.drive[row] for lane in self.lanes])
         steer = np.array([lane.commands.steer[row] for lane in self.lanes])
@@ -158,7 +159,7 @@ class _Cars:
         # dry friction takes off as much as it can and never turns a motion round: at rest it holds
         self.speed = np.sign(free) * np.maximum(np.abs(free) - STEP * self._friction(now * STEP), 0.0)
 
-    def _friction(self, seconds: float) -> Floats:
+    def _friction(self, seconds: float) -> FloatArray:
         pull = np.maximum(self.floor + self.floor_per_time * seconds, 0.0)
         if self.bordered:
             inside = np.hypot(self.x - self.floor_at_x, self.y - self.floor_at_y) < self.floor_radius
@@ -168,8 +169,14 @@ class _Cars:
         return np.asarray((pull + self.hitched) / self.train_mass)
 
     def _rates(
-        self, yaw: Floats, speed: Floats, motor: _Motor, wheels: Floats, bend: Floats | None, noise: Floats
-    ) -> tuple[Floats, Floats, Floats, Floats]:
+        self,
+        yaw: FloatArray,
+        speed: FloatArray,
+        motor: _Motor,
+        wheels: FloatArray,
+        bend: FloatArray | None,
+        noise: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """d(x, y, yaw, speed)/dt but for dry friction; ``wheels`` is tan(steer), ``bend`` steer squared."""
         size, cosine, sine = np.abs(speed), np.cos(yaw), np.sin(yaw)
         pull = motor.pull(speed) - (self.quadratic * size + self.viscous + motor.emf) * speed
@@ -185,7 +192,7 @@ class _Cars:
         along_x, along_y = speed * cosine + self.drift_x, speed * sine + self.drift_y
         return along_x, along_y, turn + noise[:, 1], pull / self.train_mass + noise[:, 0]
 
-    def _felt(self, now: int) -> tuple[Floats, Floats]:
+    def _felt(self, now: int) -> tuple[FloatArray, FloatArray]:
         """Drive and steer that the mechanics feel during step ``now``: scale, delay, lag, linkage."""
         drive = self._scaled_drive(self._sent(0, now, self.drive_delay), now * STEP)
         steer = self._steer_scale(now * STEP) * self._sent(1, now, self.steer_delay)
@@ -200,20 +207,20 @@ class _Cars:
             wheel = np.minimum(np.maximum(wheel, -self.stops), self.stops)
         return linked, wheel
 
-    def _sent(self, channel: int, now: int, delay: NDArray[np.int64] | None) -> Floats:
+    def _sent(self, channel: int, now: int, delay: NDArray[np.int64] | None) -> FloatArray:
         if delay is None:
             return np.asarray(self.actions[:, now // self.substeps, channel])
         row = np.maximum(now - delay, 0) // self.substeps
         return np.asarray(self.actions[self.each, row, channel])
 
-    def _scaled_drive(self, drive: Floats, seconds: float) -> Floats:
+    def _scaled_drive(self, drive: FloatArray, seconds: float) -> FloatArray:
         wanted = (self.command_gain + self.command_per_time * seconds) * drive
         if not self.throttle.any():
             return np.asarray(wanted)
         dead = np.sign(drive) * np.maximum(np.abs(drive) - self.dead_zone, 0.0)
         return np.where(self.throttle, dead, wanted)
 
-    def _steer_scale(self, seconds: float) -> Floats:
+    def _steer_scale(self, seconds: float) -> FloatArray:
         if not self.steer_changes:
             return self.steer_gain
         size = np.abs(self.speed)
@@ -224,12 +231,12 @@ class _Cars:
 class _Motor:
     """What pulls during one step, in m/s2: a throttle the same at every speed, a servo less the nearer it is."""
 
-    def __init__(self, drive: Floats, fresh: Floats | None, cars: _Cars) -> None:
+    def __init__(self, drive: FloatArray, fresh: FloatArray | None, cars: _Cars) -> None:
         self.drive, self.fresh, self.cars = drive, fresh, cars
         self.throttled = bool(cars.throttle.any())
         self.emf: Any = cars.emf * np.abs(drive) * cars.throttle if self.throttled else 0.0
 
-    def pull(self, speed: Floats) -> Floats:
+    def pull(self, speed: FloatArray) -> FloatArray:
         """The motor's pull at that speed; ``fresh`` is the battery's share, None where it is full."""
         gain = self.cars.gain
         pull = np.minimum(np.maximum(gain * (self.drive - speed), -ACCELERATION_LIMIT), ACCELERATION_LIMIT)
@@ -238,16 +245,16 @@ class _Motor:
         return pull if self.fresh is None else pull * self.fresh
 
 
-def _steps(seconds: Floats) -> NDArray[np.int64] | None:
+def _steps(seconds: FloatArray) -> NDArray[np.int64] | None:
     """None where nothing is late."""
     return np.rint(seconds / STEP).astype(np.int64) if seconds.any() else None
 
 
-def _halfway(lags: NDArray[np.bool_] | None, before: Floats, after: Floats) -> Floats:
+def _halfway(lags: NDArray[np.bool_] | None, before: FloatArray, after: FloatArray) -> FloatArray:
     """The mean over a step where a lane lags; elsewhere, and with None, what is there at once."""
     return after if lags is None else np.where(lags, 0.5 * (before + after), after)
 
 
-def _follow(time_constant: Floats) -> Floats:
+def _follow(time_constant: FloatArray) -> FloatArray:
     """1 - exp(-step / time_constant); 1 where there is no lag."""
     return np.asarray(1.0 - np.exp(-STEP / np.maximum(time_constant, 1e-6)))

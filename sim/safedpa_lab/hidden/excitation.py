@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Commands", "car_commands", "pendulum_commands", "reference", "wheels_commands"]
+from safedpa.arrays import FloatArray
 
-Floats = NDArray[np.float64]
+__all__ = ["Commands", "car_commands", "pendulum_commands", "reference", "wheels_commands"]
 
 
 @dataclass(frozen=True)
 class Commands:
     """What the driver of one run wants, row by row: (rows,) each."""
 
-    drive: Floats
+    drive: FloatArray
     """m/s for a car, N m for a pendulum."""
-    steer: Floats
+    steer: FloatArray
     """rad"""
     coast: NDArray[np.bool_]
     """Rows in which a driver with a throttle lets it go."""
@@ -53,7 +53,7 @@ def reference(
     limits: tuple[float, float],
     largest_change: float,
     lengths: tuple[float, float],
-) -> Floats:
+) -> FloatArray:
     """Blocks of ``lengths`` seconds, each a step, a ramp or a sum of sines from the last value to a new one."""
     low, high = limits
     values = np.empty(rows)
@@ -74,7 +74,7 @@ def reference(
     return values
 
 
-def _sines(random: np.random.Generator, count: int, period: float, amplitude: float) -> Floats:
+def _sines(random: np.random.Generator, count: int, period: float, amplitude: float) -> FloatArray:
     """Three sines between 0.3 and 2 Hz with random phases; ``amplitude`` is the largest that they reach."""
     time = np.arange(count) * period
     waves = [np.sin(2 * np.pi * random.uniform(0.3, 2.0) * time + random.uniform(0, 2 * np.pi)) for _ in range(3)]

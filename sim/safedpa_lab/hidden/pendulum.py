@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from safedpa_lab.hidden.lanes import Floats, Lane, Trajectories, gathered, per_lane
+from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
 from safedpa_lab.hidden.strengths import STEP
 
 __all__ = ["GRAVITY", "LENGTH", "MASS", "simulate_pendulums"]
@@ -86,7 +87,7 @@ class _Pendulums:
         self.angle = self.angle + 0.5 * STEP * (self.rate + slowed)
         self.rate = slowed
 
-    def _acceleration(self, angle: Floats, rate: Floats, torque: Floats) -> Floats:
+    def _acceleration(self, angle: FloatArray, rate: FloatArray, torque: FloatArray) -> FloatArray:
         sine = np.sin(angle)
         pushed = torque + self.mass * GRAVITY * LENGTH * sine
         if self.blows:  # else nothing is added, to the last bit
@@ -98,7 +99,7 @@ class _Pendulums:
         spring = self.stiffness * (angle - self.rest)
         return np.asarray((pushed - spring - self.viscous * rate) / (self.mass * LENGTH**2))
 
-    def _felt(self, now: int) -> Floats:
+    def _felt(self, now: int) -> FloatArray:
         """The torque at the pivot during step ``now``: gain, delay, lag, offset, play."""
         row = np.maximum(now - self.delay, 0) // self.substeps
         sent = self._scale() * self.torques[self.each, row]
@@ -108,6 +109,6 @@ class _Pendulums:
         self.geared = np.minimum(np.maximum(self.geared, at_motor - self.play), at_motor + self.play)
         return self.geared
 
-    def _scale(self) -> Floats:
+    def _scale(self) -> FloatArray:
         """What the motor makes of a torque; never of the other sign."""
         return np.asarray(np.maximum(self.gain + self.gain_per_rate * np.abs(self.rate), 0.0))

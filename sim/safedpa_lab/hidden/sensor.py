@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa_lab.hidden.lanes import Floats
+from safedpa.arrays import FloatArray
 
 __all__ = ["NOISE", "measured"]
 
@@ -24,7 +24,9 @@ _GLITCHES = 3
 """In each hard run."""
 
 
-def measured(states: Floats, robot: str, random: np.random.Generator, hard: bool) -> tuple[Floats, NDArray[np.int64]]:
+def measured(
+    states: FloatArray, robot: str, random: np.random.Generator, hard: bool
+) -> tuple[FloatArray, NDArray[np.int64]]:
     """Measured states and the rows (kept,) that arrived, of one run (rows, states)."""
     noise = np.array(NOISE[robot]) * (_HARDER if hard else 1.0)
     shown = states + noise * random.standard_normal(states.shape)
@@ -35,7 +37,7 @@ def measured(states: Floats, robot: str, random: np.random.Generator, hard: bool
     return shown, np.flatnonzero(kept)
 
 
-def _glitch(shown: Floats, random: np.random.Generator) -> None:
+def _glitch(shown: FloatArray, random: np.random.Generator) -> None:
     """The track jumps to something else for one to three rows, and back."""
     for _ in range(_GLITCHES):
         row = int(random.integers(5, len(shown) - 8))

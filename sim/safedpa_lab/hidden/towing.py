@@ -6,8 +6,8 @@ from math import atan, atan2, cos, hypot, sin, tan
 
 import numpy as np
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.hidden.excitation import reference
-from safedpa_lab.hidden.lanes import Floats
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.world import CarWorld
 
@@ -22,7 +22,7 @@ _SETTLES, _PERIOD = 200, 0.05
 """Periods until a curve is steady, and as many that are measured; s."""
 
 
-def drive_towing(load: str, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
+def drive_towing(load: str, random: np.random.Generator, rows: int, period: float) -> tuple[FloatArray, FloatArray]:
     """States (rows, 4) and actions (rows, 2) of one run, forwards only: a load that is pushed back folds up."""
     return drive_in(
         CarWorld((0.0, 0.0, float(random.uniform(-3.0, 3.0))), _FIELD, (), load_named(load)), random, rows, period
@@ -55,7 +55,7 @@ def _steady(load: str, speed: float, steer: float, wheelbase: float) -> tuple[fl
     return mean, rate * wheelbase / (mean * tan(steer))
 
 
-def drive_in(world: CarWorld, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
+def drive_in(world: CarWorld, random: np.random.Generator, rows: int, period: float) -> tuple[FloatArray, FloatArray]:
     """The same in a world that there is: states (rows, 4) and actions (rows, 2)."""
     speeds = reference(random, rows, period, (0.0, 2.0), 1.5, (0.8, 3.0))
     steers = reference(random, rows, period, (-_STEER, _STEER), 2 * _STEER, (0.6, 2.0))

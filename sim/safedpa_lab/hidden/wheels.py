@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from safedpa_lab.hidden.lanes import Floats, Lane, Trajectories, gathered, per_lane
+from safedpa.arrays import FloatArray
+from safedpa_lab.hidden.lanes import Lane, Trajectories, gathered, per_lane
 from safedpa_lab.hidden.strengths import STEP
 
 __all__ = ["LIMIT", "SERVO", "TRACK", "simulate_wheels"]
@@ -61,7 +62,7 @@ class _Wheels:
                 lagged = self._substep(row * self.substeps + step, lagged)
         return Trajectories(states, self.actions)
 
-    def _substep(self, now: int, lagged: Floats) -> Floats:
+    def _substep(self, now: int, lagged: FloatArray) -> FloatArray:
         """One step of all lanes; returns what the motors feel at its end."""
         row = np.maximum(now - self.delay, 0) // self.substeps
         sent = self.scale * self.actions[np.arange(len(self.lanes)), row]
@@ -79,18 +80,18 @@ class _Wheels:
         self.place, self.wheels = self.place + 0.5 * STEP * (before + after), wheels
         return np.asarray(following)
 
-    def _accelerations(self, wheels: Floats, target: Floats) -> Floats:
+    def _accelerations(self, wheels: FloatArray, target: FloatArray) -> FloatArray:
         driven = np.clip(SERVO * (target - wheels), -LIMIT, LIMIT) / self.mass
         along = np.tanh(wheels.mean(axis=1, keepdims=True) / _NEAR)
         return np.asarray(driven - self.floor * along)
 
-    def _motion(self, place: Floats, wheels: Floats) -> Floats:
+    def _motion(self, place: FloatArray, wheels: FloatArray) -> FloatArray:
         speed, turn = self._body(wheels)
         cosine, sine = np.cos(place[:, 2]), np.sin(place[:, 2])
         aside = self.slide * speed * turn
         return np.stack([speed * cosine + aside * sine, speed * sine - aside * cosine, turn], axis=1)
 
     @staticmethod
-    def _body(wheels: Floats) -> tuple[Floats, Floats]:
+    def _body(wheels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Speed and turn rate."""
         return wheels.mean(axis=1), (wheels[:, 1] - wheels[:, 0]) / TRACK

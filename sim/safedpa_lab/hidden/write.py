@@ -11,11 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 from safedpa_lab.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_lab.hidden.case import Case, truth_of
 from safedpa_lab.hidden.excitation import car_commands, pendulum_commands, wheels_commands
-from safedpa_lab.hidden.lanes import Floats, Lane, markov
+from safedpa_lab.hidden.lanes import Lane, markov
 from safedpa_lab.hidden.pendulum import GRAVITY, LENGTH, MASS, simulate_pendulums
 from safedpa_lab.hidden.sensor import measured
 from safedpa_lab.hidden.strengths import LARGEST_STEER
@@ -78,9 +79,9 @@ def write_cases(cases: Sequence[Case], folders: Sequence[Path]) -> list[Log]:
     return [_write(case, folder, runs) for case, folder, runs in zip(cases, folders, driven, strict=True)]
 
 
-def _driven(cases: Sequence[Case]) -> list[list[tuple[Floats, Floats]]]:
+def _driven(cases: Sequence[Case]) -> list[list[tuple[FloatArray, FloatArray]]]:
     """True states and actions of each run of each case; cases of one kind and length share one integration."""
-    found: dict[int, list[tuple[Floats, Floats]]] = {}
+    found: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     kinds: dict[tuple[str, float], list[int]] = {}
     for number, case in enumerate(cases):
         if case.load is not None:
@@ -136,7 +137,7 @@ def _random(case: Case, run: int, use: int) -> np.random.Generator:
     return np.random.default_rng([case.seed, run, use])
 
 
-def _write(case: Case, folder: Path, runs: Sequence[tuple[Floats, Floats]]) -> Log:
+def _write(case: Case, folder: Path, runs: Sequence[tuple[FloatArray, FloatArray]]) -> Log:
     log = Log(case, folder)
     log.model.parent.mkdir(parents=True, exist_ok=True)
     log.model.write_text(_model(case), encoding="utf-8")
@@ -157,7 +158,7 @@ def _spoil(log: Log, fault: str) -> None:
     (good.with_name(f"run_{log.case.runs + 1}.csv") if copy else good).write_text(bad, encoding="utf-8")
 
 
-def _write_run(case: Case, path: Path, number: int, states: Floats, actions: Floats) -> None:
+def _write_run(case: Case, path: Path, number: int, states: FloatArray, actions: FloatArray) -> None:
     shown, kept = measured(states, case.robot, _random(case, number, 1), case.hard)
     time = PERIOD[case.robot] * np.arange(len(states))
     table = np.column_stack([time, shown, actions])[kept]

@@ -7,20 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.pendulum.difficulty import Episodes
 from safedpa_lab.pendulum.methods import Method, closed_of
 from safedpa_lab.pendulum.rollouts import Swung, swung
 
 __all__ = ["balanced", "balanced_account", "sensors_of"]
 
-Floats = NDArray[np.float64]
 TICKS = 300
 """3 s."""
 
 
-def sensors_of(episodes: Episodes) -> Callable[[Floats], Floats]:
+def sensors_of(episodes: Episodes) -> Callable[[FloatArray], FloatArray]:
     """What tells states (n, 2) with the noise of the difficulty, the same for every method."""
     deviation, random = episodes.difficulty.noise, episodes.random(27)
     if not deviation:
@@ -32,7 +31,7 @@ def balanced(method: Method, folder: Path, epsilon: float, episodes: Episodes, t
     """Episodes of one method, every torque drawn uniformly over the bounds; the same draws for every method."""
     difficulty, random = episodes.difficulty, episodes.random(22)
 
-    def wish(state: Floats, _latent: Floats) -> Floats:
+    def wish(state: FloatArray, _latent: FloatArray) -> FloatArray:
         return random.uniform(-difficulty.torque, difficulty.torque, (len(state), 1))
 
     closed, sensed = closed_of(method, folder, epsilon, difficulty), sensors_of(episodes)

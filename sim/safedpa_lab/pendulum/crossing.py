@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase
 from safedpa.policy import LearnedPolicy
 from safedpa.robots.pendulum.perception import observe_pendulum
@@ -20,7 +20,6 @@ from safedpa_sim.pendulum.task import HAZARD, HELD_TICKS, TORQUE, UPRIGHT, is_up
 
 __all__ = ["crossed", "crossed_account"]
 
-Floats = NDArray[np.float64]
 _PULL, _DAMPING = 100.0, 9.0
 """N m/rad and N m s/rad of the goal seeker: a wind of 4 m/s moves it by 2 degrees; chosen on development seed 5."""
 
@@ -33,7 +32,7 @@ def crossed(method: Method, folder: Path, epsilon: float, episodes: Episodes) ->
     return swung(closed, wish, episodes.starts_beneath(), winds, edges, EPISODE_TICKS, sensed)
 
 
-def _wish(method: Method, folder: Path, winds: Floats) -> Wish:
+def _wish(method: Method, folder: Path, winds: FloatArray) -> Wish:
     if method.policy == "goal_seeker":
         return _seeking
     base = model_named(method.policy, folder).base
@@ -42,7 +41,7 @@ def _wish(method: Method, folder: Path, winds: Floats) -> Wish:
     sees = base.weights.description.latents
     told = base.networks.encode(winds) if method.told else None
 
-    def wish(state: Floats, latent: Floats) -> Floats:
+    def wish(state: FloatArray, latent: FloatArray) -> FloatArray:
         known = latent if told is None else told
         seen = observe_pendulum(state, np.full(len(state), UPRIGHT), known[:, :sees])
         return np.asarray(policy.act(seen), dtype=np.float64)
@@ -50,7 +49,7 @@ def _wish(method: Method, folder: Path, winds: Floats) -> Wish:
     return wish
 
 
-def _seeking(state: Floats, _latent: Floats) -> Floats:
+def _seeking(state: FloatArray, _latent: FloatArray) -> FloatArray:
     """Torque [N m] (n, 1) of a spring to upright, the long way round, and a damper: no learning, no wind."""
     return np.clip(_PULL * (UPRIGHT - state[:, :1]) - _DAMPING * state[:, 1:], -TORQUE, TORQUE)
 
@@ -75,7 +74,7 @@ def crossed_account(swings: Swung, episodes: Episodes) -> dict[str, Any]:
     }
 
 
-def _room(angle: Floats, difficulty: Difficulty) -> Floats:
+def _room(angle: FloatArray, difficulty: Difficulty) -> FloatArray:
     """Distance [rad] to the hazard's nearer edge, negative inside, for angles of any number of turns."""
     low, high = difficulty.hazard, HAZARD[1]
     off = np.mod(angle - 0.5 * (low + high) + np.pi, 2 * np.pi) - np.pi

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings
 from safedpa_sim.pendulum.policy_task import starts_beneath
@@ -16,7 +17,6 @@ from safedpa_sim.pendulum.task import BALANCING, HAZARD, TORQUE, WIND, filter_se
 
 __all__ = ["AXES", "Axis", "Difficulty", "Episodes"]
 
-Floats = NDArray[np.float64]
 _START = 0.2
 """rad; largest angle at the start of the first question, at rest."""
 
@@ -82,20 +82,20 @@ class Episodes:
         """All of them, direction by direction."""
         return self.directions * self.episodes
 
-    def winds(self) -> Floats:
+    def winds(self) -> FloatArray:
         """(count, 2) as speed and upward [m/s]."""
         angle = np.repeat(2 * np.pi * np.arange(self.directions) / self.directions, self.episodes)
         if self.anywhere:
             angle = self.random(20).uniform(0.0, 2 * np.pi, self.count)
         return self.difficulty.wind * np.stack((np.cos(angle), np.sin(angle)), axis=1)
 
-    def upright_starts(self) -> Floats:
+    def upright_starts(self) -> FloatArray:
         """(count, 2) near upright, at rest: the first question's."""
         start = np.zeros((self.count, 2))
         start[:, 0] = self.random(21).uniform(-_START, _START, self.count)
         return start
 
-    def starts_beneath(self) -> Floats:
+    def starts_beneath(self) -> FloatArray:
         """(count, 2) just beneath the hazard, moving towards it: the second question's."""
         return starts_beneath(self.count, self.random(23))
 

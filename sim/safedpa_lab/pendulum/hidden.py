@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
@@ -22,8 +22,6 @@ _TORQUE: Final = 10.0
 """N m; the motor's."""
 _HELD: Final = (5, 40)
 """Periods for which a torque is held."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def swings_all_around(
 
 def swing_at_random(
     world: PendulumWorld, random: np.random.Generator, rows: int, largest: float, held: tuple[int, int]
-) -> tuple[Floats, Floats]:
+) -> tuple[FloatArray, FloatArray]:
     """States (rows, 2) [rad, rad/s] and the torques (rows, 1) that follow them, uniform within +- ``largest`` [N m].
 
     Each is held for a number of periods that lies within ``held``, its upper end not included.

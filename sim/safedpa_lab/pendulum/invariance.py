@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, TORQUE, simulated_pendulum
 
 __all__ = ["Reserve", "largest_wind", "least_reserve", "reserve"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class Reserve:
     direction: float
 
 
-def reserve(state: Floats, wind: Floats, edges: tuple[float, float], eta: float, epsilon: float) -> Floats:
+def reserve(state: FloatArray, wind: FloatArray, edges: tuple[float, float], eta: float, epsilon: float) -> FloatArray:
     """Torque [N m] (n,) by which the bounds exceed what the barrier's condition needs, negative where they fall short.
 
     With s = angle + AHEAD rate the condition asks s[t+1] to lie in [(1 - eta) s + eta low + epsilon,
@@ -43,7 +41,7 @@ def reserve(state: Floats, wind: Floats, edges: tuple[float, float], eta: float,
     return np.where(first <= last, room, -np.inf)
 
 
-def _ahead_after(model: PhysicsModel, state: Floats, wind: Floats, torque: float) -> Floats:
+def _ahead_after(model: PhysicsModel, state: FloatArray, wind: FloatArray, torque: float) -> FloatArray:
     action = np.full((len(state), 1), torque)
     following = model.advance(state, action, model.initial_memory(action, wind), wind)[0]
     return np.asarray(following[:, 0] + AHEAD * following[:, 1])

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety import split_conformal_margin
-from safedpa.safety.margin import margins_over_drives
+from safedpa.safety.margins.conformal import margins_over_drives
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.pendulum.balancing import balanced
 from safedpa_lab.pendulum.crossing import crossed
@@ -23,7 +23,6 @@ from safedpa_sim.pendulum.task import AHEAD
 
 __all__ = ["COVERAGE", "covered_share", "errors_of", "measured_margins"]
 
-Floats = NDArray[np.float64]
 COVERAGE: Final = 0.99
 _ORACLE: Final = FILTERED[-1]
 
@@ -65,11 +64,11 @@ def _second(method: Method, folder: Path, first: float, seeds: list[int], drives
 
 def _errors_by_drive(
     method: Method, before: Method, folder: Path, epsilon: float, seed: int, drives: int
-) -> list[Floats]:
+) -> list[FloatArray]:
     """Errors (ticks,) of the method's model along each drive behind the filter of ``before``, of both questions."""
     episodes = Episodes(seed, drives, 1, Difficulty(), anywhere=True)
     edges = episodes.difficulty.balancing, episodes.difficulty.long_way_round
-    found: list[Floats] = []
+    found: list[FloatArray] = []
     for swings, corridor in zip(_driven(before, folder, epsilon, episodes), edges, strict=True):
         found += list(errors_of(method, folder, swings, episodes.winds(), corridor).T)
     return found
@@ -81,7 +80,7 @@ def _driven(before: Method, folder: Path, epsilon: float, episodes: Episodes) ->
     return balanced(before, folder, epsilon, episodes), crossed(before, folder, epsilon, episodes)
 
 
-def errors_of(method: Method, folder: Path, swings: Swung, winds: Floats, edges: tuple[float, float]) -> Floats:
+def errors_of(method: Method, folder: Path, swings: Swung, winds: FloatArray, edges: tuple[float, float]) -> FloatArray:
     """(ticks, n) the least h that the method's model predicts minus the least h that is measured, one period later.
 
     h = (s - low, high - s) with s = angle + AHEAD rate, of what the sensors tell; positive where the model hoped too
@@ -94,7 +93,7 @@ def errors_of(method: Method, folder: Path, swings: Swung, winds: Floats, edges:
     return _least_h(predicted, edges) - _least_h(swings.seen[1:], edges)
 
 
-def _advanced(model: PhysicsModel, before: Floats, torque: Floats, latents: Floats) -> Floats:
+def _advanced(model: PhysicsModel, before: FloatArray, torque: FloatArray, latents: FloatArray) -> FloatArray:
     """States (ticks, n, 2) one period later, by the model."""
     rows = before.shape[0] * before.shape[1]
     state, action, latent = (part.reshape(rows, part.shape[-1]) for part in (before, torque, latents))
@@ -102,13 +101,13 @@ def _advanced(model: PhysicsModel, before: Floats, torque: Floats, latents: Floa
     return np.asarray(following).reshape(before.shape)
 
 
-def _least_h(states: Floats, edges: tuple[float, float]) -> Floats:
+def _least_h(states: FloatArray, edges: tuple[float, float]) -> FloatArray:
     ahead = states[..., 0] + AHEAD * states[..., 1]
     return np.minimum(ahead - edges[0], edges[1] - ahead)
 
 
 def covered_share(
-    method: Method, folder: Path, swings: Swung, winds: Floats, edges: tuple[float, float], epsilon: float
+    method: Method, folder: Path, swings: Swung, winds: FloatArray, edges: tuple[float, float], epsilon: float
 ) -> float:
     """The share of the steps whose error the margin covers."""
     return float((errors_of(method, folder, swings, winds, edges) <= epsilon).mean())

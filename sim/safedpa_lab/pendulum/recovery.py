@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa_lab.pendulum.difficulty import Episodes
 from safedpa_lab.pendulum.methods import model_named
@@ -16,7 +17,6 @@ from safedpa_sim.pendulum.task import BALANCING, TORQUE, WIND
 
 __all__ = ["fitted_wind", "recovery", "refined_latent", "swung_all_around"]
 
-Floats = NDArray[np.float64]
 _TICKS = 300
 _EVERY = 20
 """Ticks between two looks."""
@@ -38,7 +38,7 @@ def swung_all_around(folder: Path, episodes: Episodes) -> Swung:
     start[:, 0] = random.uniform(-np.pi, np.pi, len(start))
     kept: dict[str, Any] = {"age": 0}
 
-    def wish(state: Floats, _latent: Floats) -> Floats:
+    def wish(state: FloatArray, _latent: FloatArray) -> FloatArray:
         if kept["age"] % _HELD == 0:
             kept["torque"] = random.uniform(-TORQUE, TORQUE, (len(state), 1))
         kept["age"] += 1
@@ -47,7 +47,7 @@ def swung_all_around(folder: Path, episodes: Episodes) -> Swung:
     return swung(Closed(adapts=model_named("learned", folder)), wish, start, episodes.winds(), BALANCING, _TICKS)
 
 
-def fitted_wind(states: Floats, torques: Floats) -> Floats:
+def fitted_wind(states: FloatArray, torques: FloatArray) -> FloatArray:
     """The wind (n, 2) [m/s] that explains histories best: least squares over the changes of rate, by Gauss-Newton.
 
     ``states`` (ticks + 1, n, 2), ``torques`` (ticks, n). The equations are the simulator's own.
@@ -71,13 +71,13 @@ def fitted_wind(states: Floats, torques: Floats) -> Floats:
     return wind
 
 
-def _rates(model: PhysicsModel, before: Floats, torque: Floats, wind: Floats) -> Floats:
+def _rates(model: PhysicsModel, before: FloatArray, torque: FloatArray, wind: FloatArray) -> FloatArray:
     """Rates one period later, (ticks * n,)."""
     every = np.tile(wind, (len(before) // len(wind), 1))
     return np.asarray(model.advance(before, torque, model.initial_memory(torque, every), every)[0][:, 1])
 
 
-def refined_latent(model: PhysicsModel, latents: Floats, states: Floats, torques: Floats) -> Floats:
+def refined_latent(model: PhysicsModel, latents: FloatArray, states: FloatArray, torques: FloatArray) -> FloatArray:
     """Latents (n, latents) that explain histories better, from those of the history encoder on.
 
     minimises the sum over the history of (change of rate - that of f + g a)^2 + TRUST |z - encoder's z|^2, by
@@ -129,10 +129,12 @@ def recovery(swings: Swung, folder: Path, directions: int, seed: int) -> dict[st
     }
 
 
-def _fit_off(states: Floats, torques: Floats, ticks: NDArray[np.intp], history: int, true: Floats) -> Floats:
+def _fit_off(
+    states: FloatArray, torques: FloatArray, ticks: NDArray[np.intp], history: int, true: FloatArray
+) -> FloatArray:
     winds = [fitted_wind(states[tick - history : tick + 1], torques[tick - history : tick]) for tick in ticks]
     return np.stack([_off(np.arctan2(wind[:, 1], wind[:, 0]), true) for wind in winds])
 
 
-def _off(believed: Floats, true: Floats) -> Floats:
+def _off(believed: FloatArray, true: FloatArray) -> FloatArray:
     return np.degrees(np.abs((believed - true + np.pi) % (2 * np.pi) - np.pi))

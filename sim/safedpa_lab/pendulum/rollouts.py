@@ -7,20 +7,19 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting
 from safedpa.safety import FilterSettings
-from safedpa.safety.batch import STATUSES, BatchFilter
-from safedpa.safety.many_barriers import ManyEquations
+from safedpa.safety.batch.barriers import CompiledBatchBarriers
+from safedpa.safety.batch.filter import STATUSES, BatchFilter
 from safedpa.safety.verdict import Status
 from safedpa_sim.pendulum.task import TORQUE, corridor, simulated_pendulum
 
 __all__ = ["Closed", "Swung", "believed_wind", "blown", "physics_in_any_wind", "swung"]
 
-Floats = NDArray[np.float64]
-Wish = Callable[[Floats, Floats], Floats]
+Wish = Callable[[FloatArray, FloatArray], FloatArray]
 """Torques (n, 1) [N m] for states (n, 2) and latents (n, latents)."""
 _FAILED = tuple(STATUSES.index(status) for status in (Status.relaxed, Status.violated, Status.fallback))
 _PASSED = STATUSES.index(Status.passed)
@@ -48,17 +47,17 @@ class Closed:
 class Swung:
     """What happened, for n pendulums over ``ticks`` periods."""
 
-    states: Floats
+    states: FloatArray
     """(ticks + 1, n, 2)."""
-    seen: Floats
+    seen: FloatArray
     """(ticks + 1, n, 2) as the sensors tell them."""
-    torques: Floats
+    torques: FloatArray
     """(ticks, n)."""
-    latents: Floats
+    latents: FloatArray
     """(ticks, n, latents)."""
-    corrected: Floats
+    corrected: FloatArray
     """(n,) share of the ticks in which the filter changed the wish."""
-    relaxed: Floats
+    relaxed: FloatArray
     """(n,) share in which no torque kept the corridor by its model, or none was known."""
 
 
@@ -69,7 +68,7 @@ def physics_in_any_wind() -> PhysicsModel:
     return model.with_settings({**model.settings, **free})
 
 
-def blown(state: Floats, torque: Floats, wind: Floats) -> Floats:
+def blown(state: FloatArray, torque: FloatArray, wind: FloatArray) -> FloatArray:
     """States (n, 2) one period later under torques (n, 1) in winds (n, 2)."""
     model = physics_in_any_wind()
     return np.asarray(model.advance(state, torque, model.initial_memory(torque, wind), wind)[0])
@@ -78,11 +77,11 @@ def blown(state: Floats, torque: Floats, wind: Floats) -> Floats:
 def swung(
     closed: Closed,
     wish: Wish,
-    start: Floats,
-    wind: Floats,
+    start: FloatArray,
+    wind: FloatArray,
     edges: tuple[float, float],
     ticks: int,
-    sensed: Callable[[Floats], Floats] = np.array,
+    sensed: Callable[[FloatArray], FloatArray] = np.array,
 ) -> Swung:
     """Swings n pendulums from ``start`` (n, 2) in constant winds (n, 2) [m/s].
 
@@ -94,7 +93,7 @@ def swung(
     history, latent = _histories(closed.adapts, count)
     if history is not None:
         history.see(seen)
-    filters, barriers = _filter(closed), ManyEquations.of([[corridor(edges)]] * count, state.shape[1])
+    filters, barriers = _filter(closed), CompiledBatchBarriers.of([[corridor(edges)]] * count, state.shape[1])
     states, looks, torques, latents = [state], [seen], [], []
     changed, failed = np.zeros(count), np.zeros(count)
     for _ in range(ticks):
@@ -125,21 +124,21 @@ def _filter(closed: Closed) -> BatchFilter | None:
     return BatchFilter(closed.model, closed.settings)
 
 
-def _known(closed: Closed, latent: Floats, wind: Floats) -> Floats | None:
+def _known(closed: Closed, latent: FloatArray, wind: FloatArray) -> FloatArray | None:
     """What the filter's model is told."""
     if closed.told:
         return wind
     return latent if closed.model is not None and closed.model.latent_names else None
 
 
-def _histories(model: PhysicsModel | None, count: int) -> tuple[Histories | None, Floats]:
+def _histories(model: PhysicsModel | None, count: int) -> tuple[BatchHistoryEstimator | None, FloatArray]:
     """Those of the model's history encoder, if it has one, and the latents (n, latents) of its file to begin with."""
     if model is None or not isinstance(model.base, LearnedBase) or not model.base.weights.has("phi"):
         return None, np.zeros((count, 0))
-    return Histories(model.base.weights, count), np.tile(model.latent, (count, 1))
+    return BatchHistoryEstimator(model.base.weights, count), np.tile(model.latent, (count, 1))
 
 
-def believed_wind(model: PhysicsModel, latents: Floats, strength: float, directions: int = 360) -> Floats:
+def believed_wind(model: PhysicsModel, latents: FloatArray, strength: float, directions: int = 360) -> FloatArray:
     """Direction [rad] (...,) of the wind of ``strength`` whose mu(e) is nearest to each latent (..., latents)."""
     base = model.base
     assert isinstance(base, LearnedBase)

@@ -11,17 +11,17 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa_lab.point.beliefs import PROBES, motion_of
 from safedpa_lab.point.free_model import FreeModel
-from safedpa_sim.point.belief import ACTION_SCALE, Believed, TrueBelief
+from safedpa_sim.point.belief import ACTION_SCALE, PointPrediction, SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, after_one_period
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["COMMANDS", "ActionModel", "AffineModel", "FreeAction", "SimulatedBody"]
 
-Floats = NDArray[np.float64]
 
 _STOCK: Final = 1.0 / POINT_BODY.force_limit
 COMMANDS: Final = {"clean": ACTION_SCALE, "stock": ACTION_SCALE * np.array([_STOCK, 1.0])}
@@ -33,13 +33,13 @@ _NUDGE: Final = 1e-4
 class ActionModel(Protocol):
     """A model of the robots as they are, of all of them or of some."""
 
-    def see(self, state: Floats) -> None:
+    def see(self, state: FloatArray) -> None:
         """The robots' states (robots, 5) in this period."""
 
-    def about(self, action: Floats, which: NDArray[np.intp]) -> Believed:
+    def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:
         """x[t+1] = drift + gain a for robots ``which`` (n,), exact in value and slope at actions (n, 2) in [-1, 1]."""
 
-    def following(self, action: Floats, which: NDArray[np.intp]) -> Floats:
+    def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:
         """(n, 5): where actions (n, 2) lead."""
 
 
@@ -47,24 +47,24 @@ class ActionModel(Protocol):
 class AffineModel:
     """f + g a of learned networks, the same about every action; latents (robots, latents) stay as they are."""
 
-    def __init__(self, weights: Weights, latent: Floats, scale: Floats) -> None:
+    def __init__(self, weights: Weights, latent: FloatArray, scale: FloatArray) -> None:
         self._networks, self._latent, self._scale = LearnedNetworks(weights), latent, scale
 
-    def see(self, state: Floats) -> None:  # noqa: D102
+    def see(self, state: FloatArray) -> None:  # noqa: D102
         f, g = self._networks.increment(state, self._latent)
         probes = np.broadcast_to(PROBES, (len(state), *PROBES.shape))
         motion = motion_of(*self._scaled(self._networks.increment(probes, self._latent[:, np.newaxis])))
         range_of_one = np.array([float(np.mean(motion.strongest)), LARGEST_TURN])
-        self._believed = Believed(state + f, g * self._scale, motion, range_of_one)
+        self._believed = PointPrediction(state + f, g * self._scale, motion, range_of_one)
 
-    def about(self, action: Floats, which: NDArray[np.intp]) -> Believed:  # noqa: D102
+    def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:  # noqa: D102
         del action
         return _of(self._believed, which)
 
-    def following(self, action: Floats, which: NDArray[np.intp]) -> Floats:  # noqa: D102
+    def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:  # noqa: D102
         return self.about(action, which).next_state(action)
 
-    def _scaled(self, increment: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    def _scaled(self, increment: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
         return increment[0], increment[1] * self._scale
 
 
@@ -77,10 +77,10 @@ class FreeAction:
     rest, so that what the manoeuvre asks for is what saturates.
     """
 
-    def __init__(self, model: FreeModel, latent: Floats, scale: Floats) -> None:
+    def __init__(self, model: FreeModel, latent: FloatArray, scale: FloatArray) -> None:
         self._model, self._latent, self._scale = model, latent, scale
 
-    def see(self, state: Floats) -> None:  # noqa: D102
+    def see(self, state: FloatArray) -> None:  # noqa: D102
         self._state = state
         probes, latents = np.tile(PROBES, (len(state), 1)), self._latent.repeat(len(PROBES), axis=0)
         shape = (len(state), *PROBES.shape)
@@ -92,14 +92,14 @@ class FreeAction:
         first = motion_of(f.reshape(shape), (slope * self._scale).reshape(*shape, 2)).strongest
         self._range = np.array([float(max(np.mean(first), np.mean(self._motion.strongest))), LARGEST_TURN])
 
-    def about(self, action: Floats, which: NDArray[np.intp]) -> Believed:  # noqa: D102
+    def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:  # noqa: D102
         state = self._state[which]
         value, slope = self._model.linearised(state, self._latent[which], action * self._scale)
         gain = slope * self._scale
         drift = state + value - np.einsum("rsa,ra->rs", gain, action)
-        return Believed(drift, gain, self._motion.of(which), self._range)
+        return PointPrediction(drift, gain, self._motion.of(which), self._range)
 
-    def following(self, action: Floats, which: NDArray[np.intp]) -> Floats:  # noqa: D102
+    def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:  # noqa: D102
         state = self._state[which]
         return state + self._model.increment(state, self._latent[which], action * self._scale)
 
@@ -108,28 +108,28 @@ class FreeAction:
 class SimulatedBody:
     """The simulated robots themselves, yaw rates included: slopes by central differences."""
 
-    def __init__(self, simulation: PointSimulation, scale: Floats) -> None:
+    def __init__(self, simulation: PointSimulation, scale: FloatArray) -> None:
         self._simulation, self._scale = simulation, scale
         self._wind = simulation.force.T / simulation.body.mass
 
-    def see(self, state: Floats) -> None:  # noqa: D102
+    def see(self, state: FloatArray) -> None:  # noqa: D102
         self._state, self._rate = state, self._simulation.velocity[2].copy()
-        told = TrueBelief(self._simulation).believed(state, np.zeros((len(state), 0)))
+        told = SimulatedPointModel(self._simulation).believed(state, np.zeros((len(state), 0)))
         self._motion = told.motion
         self._range = told.scale * self._scale / ACTION_SCALE
 
-    def about(self, action: Floats, which: NDArray[np.intp]) -> Believed:  # noqa: D102
+    def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:  # noqa: D102
         nudges = _NUDGE * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         around = (action + nudges[:, np.newaxis]).reshape(-1, 2)
         value, *sides = self.following(around, np.tile(which, len(nudges))).reshape(len(nudges), len(which), 5)
         gain = np.stack([(sides[at] - sides[at + 1]) / (2.0 * _NUDGE) for at in (0, 2)], axis=-1)
         drift = value - np.einsum("rsa,ra->rs", gain, action)
-        return Believed(drift, gain, self._motion.of(which), self._range)
+        return PointPrediction(drift, gain, self._motion.of(which), self._range)
 
-    def following(self, action: Floats, which: NDArray[np.intp]) -> Floats:  # noqa: D102
+    def following(self, action: FloatArray, which: NDArray[np.intp]) -> FloatArray:  # noqa: D102
         sent = action * self._scale
         return after_one_period(self._state[which], sent, self._rate[which], self._wind[which])[0]
 
 
-def _of(believed: Believed, which: NDArray[np.intp]) -> Believed:
-    return Believed(believed.drift[which], believed.gain[which], believed.motion.of(which), believed.scale)
+def _of(believed: PointPrediction, which: NDArray[np.intp]) -> PointPrediction:
+    return PointPrediction(believed.drift[which], believed.gain[which], believed.motion.of(which), believed.scale)

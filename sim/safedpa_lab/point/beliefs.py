@@ -8,18 +8,17 @@ from __future__ import annotations
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa.safety.stopping_barrier import Motion
-from safedpa_sim.point.belief import ACTION_SCALE, TASK_TURN, Believed
+from safedpa.safety.barriers.stopping import Motion
+from safedpa_sim.point.belief import ACTION_SCALE, TASK_TURN, PointPrediction
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN
 
 __all__ = ["PROBES", "LearnedBelief", "ModelBelief", "from_task_action", "motion_of", "scale_of"]
 
-Floats = NDArray[np.float64]
 
 _HEADINGS: Final = 0.5 * np.pi * np.arange(4)
 _FAST: Final = 1.0
@@ -30,9 +29,9 @@ PROBES[:4, 2] = _HEADINGS
 PROBES[4:, 3] = _FAST, -_FAST
 
 
-def from_task_action(action: Floats) -> Floats:
+def from_task_action(action: FloatArray) -> FloatArray:
     """Actions (robots, 2) of ``PointTask`` as those in [-1, 1]; a turn beyond the fastest is the fastest."""
-    scaled: Floats = np.clip(np.asarray(action, dtype=np.float64) / np.array([1.0, TASK_TURN]), -1.0, 1.0)
+    scaled: FloatArray = np.clip(np.asarray(action, dtype=np.float64) / np.array([1.0, TASK_TURN]), -1.0, 1.0)
     return scaled
 
 
@@ -45,13 +44,13 @@ class LearnedBelief:
         self._latents = weights.description.latents
         self._alone = None if self._latents else self._motion(np.zeros((1, 0)))
 
-    def believed(self, state: Floats, latent: Floats) -> Believed:  # noqa: D102
+    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
         latent = latent if self._latents else np.zeros((len(state), 0))
         f, g = self.networks.increment(state, latent)
         motion = self._motion(latent) if self._alone is None else self._alone
-        return Believed(state + f, g * ACTION_SCALE, motion, scale_of(motion))
+        return PointPrediction(state + f, g * ACTION_SCALE, motion, scale_of(motion))
 
-    def _motion(self, latent: Floats) -> Motion:
+    def _motion(self, latent: FloatArray) -> Motion:
         f, g = self.networks.increment(np.broadcast_to(PROBES, (len(latent), *PROBES.shape)), latent[:, np.newaxis])
         return motion_of(f, g * ACTION_SCALE)
 
@@ -65,12 +64,12 @@ class ModelBelief:
         f, g = self._increment(PROBES)
         self._motion = motion_of(f[np.newaxis], g[np.newaxis])
 
-    def believed(self, state: Floats, latent: Floats) -> Believed:  # noqa: D102
+    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
         del latent
         f, g = self._increment(state)
-        return Believed(state + f, g, self._motion, scale_of(self._motion))
+        return PointPrediction(state + f, g, self._motion, scale_of(self._motion))
 
-    def _increment(self, state: Floats) -> tuple[Floats, Floats]:
+    def _increment(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Increments without action (robots, 5), and their slopes over actions in [-1, 1] (robots, 5, 2)."""
         resting = self._after(state, np.zeros(2))
         slopes = []
@@ -78,13 +77,13 @@ class ModelBelief:
             slopes.append(0.5 * (self._after(state, action) - self._after(state, -action)))
         return resting - state, np.stack(slopes, axis=-1)
 
-    def _after(self, state: Floats, action: Floats) -> Floats:
+    def _after(self, state: FloatArray, action: FloatArray) -> FloatArray:
         actions = np.broadcast_to(action, (len(state), 2))
-        following: Floats = self._model.advance(state, actions, self._model.initial_memory(actions))[0]
+        following: FloatArray = self._model.advance(state, actions, self._model.initial_memory(actions))[0]
         return following
 
 
-def motion_of(f: Floats, g: Floats) -> Motion:
+def motion_of(f: FloatArray, g: FloatArray) -> Motion:
     """The manoeuvre's motion from f (robots, 6, 5) and g (robots, 6, 5, 2) at the six probe states ``PROBES``:
 
         at rest, heading 0, 90, 180, 270 degrees:  wind = mean of f_v / A,  strongest = mean of g_v / A
@@ -103,6 +102,6 @@ def motion_of(f: Floats, g: Floats) -> Motion:
     return Motion(wind, drag, strongest, LARGEST_TURN, POINT_BODY.centre_ahead)
 
 
-def scale_of(motion: Motion) -> Floats:
+def scale_of(motion: Motion) -> FloatArray:
     """(2,) thrust acceleration [m/s2] and turn [rad/s] of the action 1."""
     return np.array([float(np.mean(motion.strongest)), LARGEST_TURN])

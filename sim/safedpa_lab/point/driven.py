@@ -9,21 +9,19 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import BoolArray, FloatArray
 from safedpa_lab.point.inputs import Inputs
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
 __all__ = ["Driven", "Driver", "PolicyDriver", "driven", "windy_task"]
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
 
 class Driver(Protocol):
     """A method at the wheel of all robots of a task."""
 
-    corrected: Flags
+    corrected: BoolArray
     """(robots,): where the last action is not what was wished."""
-    relaxed: Flags
+    relaxed: BoolArray
     """(robots,): where not every condition could be kept."""
 
     def act(self) -> NDArray[np.floating[Any]]:
@@ -54,13 +52,13 @@ class PolicyDriver:
 class Driven:
     """One entry a robot, each an episode."""
 
-    goals: Floats
-    reward: Floats
-    cost: Floats
+    goals: FloatArray
+    reward: FloatArray
+    cost: FloatArray
     """Steps within a hazard."""
-    least_room: Floats
+    least_room: FloatArray
     """m to the nearest hazard's edge, at the closest."""
-    first_goal: Floats
+    first_goal: FloatArray
     """s until the first goal; infinite where there was none."""
     corrected: float
     """Share of all steps."""
@@ -115,8 +113,8 @@ class _Watch:
         self.least_room = task.hazard_distance()
         self.first_goal = np.full(task.count, np.inf)
         self._task, self._shown = task, shown
-        self._places: list[Floats] = []
-        self._within: list[Floats] = []
+        self._places: list[FloatArray] = []
+        self._within: list[FloatArray] = []
         self._met: list[list[list[float]]] = [[_pair(goal)] for goal in task.layout.goal[shown]]
         self._met_at: list[list[int]] = [[] for _ in shown]
 
@@ -148,5 +146,5 @@ class _Watch:
         ]
 
 
-def _pair(place: Floats) -> list[float]:
+def _pair(place: FloatArray) -> list[float]:
     return [round(float(part), 3) for part in place]

@@ -12,8 +12,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
-from safedpa.robots.point.point_seeker import sought
+from safedpa.robots.point.point_seeker import goal_seeking_action
 from safedpa_lab.point.baseline_set import baseline_named, seeds_of
 from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.driven import Driver, PolicyDriver
@@ -21,17 +22,16 @@ from safedpa_lab.point.inputs import inputs_of
 from safedpa_lab.point.methods import METHODS, PENALISED, SEEKER, Method
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import Belief, to_task_action
+from safedpa_sim.point.belief import AbstractPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import around_hazards
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import Ways
+from safedpa_sim.point.way import RoutePlanner
 
 __all__ = ["ShieldedDriver", "Wheel", "digest_of", "driver_of", "penalised", "training_seeds", "with_weights"]
 
-Floats = NDArray[np.float64]
-Wish = Callable[[Floats], NDArray[np.floating[Any]]]
+Wish = Callable[[FloatArray], NDArray[np.floating[Any]]]
 
 
 @final
@@ -55,7 +55,7 @@ class ShieldedDriver:
         self.task, self.shield, self._wish = task, shield, wish
         self.corrected = self.relaxed = np.zeros(task.count, bool)
 
-    def act(self) -> Floats:  # noqa: D102
+    def act(self) -> FloatArray:  # noqa: D102
         wish = self._wish(self.shield.see(self.task))
         found = self.shield.act(self.task, wish)
         self.corrected, self.relaxed = found.corrected, found.relaxed
@@ -131,9 +131,9 @@ def _seed(method: Method, wheel: Wheel) -> int:
 def _learned(task: PointTask, name: str, models: Path) -> Wish:
     from safedpa_sim.point.latent_policy import LatentPolicy
 
-    learned, ways = LatentPolicy(weights_named(name, models)), Ways(task.count)
+    learned, ways = LatentPolicy(weights_named(name, models)), RoutePlanner(task.count)
 
-    def wish(latent: Floats) -> Floats:
+    def wish(latent: FloatArray) -> FloatArray:
         place, layout = task.simulation.pose[:2].T, task.layout
         turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
         return learned.act(policy_seen(task, latent, turn))
@@ -141,17 +141,19 @@ def _learned(task: PointTask, name: str, models: Path) -> Wish:
     return wish
 
 
-def _seeking(task: PointTask, belief: Belief) -> Wish:
+def _seeking(task: PointTask, belief: AbstractPointModel) -> Wish:
     """The robot's own goal seeker, in the wind that the latent stands for."""
 
-    def wish(latent: Floats) -> Floats:
+    def wish(latent: FloatArray) -> FloatArray:
         state, layout = centre_state(task.simulation), task.layout
         believed = belief.believed(state, latent)
         hazards = around_hazards(layout.hazards, believed.motion).hazards
         found = []
         for robot in range(task.count):
             motion = believed.motion.of(robot)
-            found.append(sought(state[robot], layout.goal[robot], hazards[robot], motion.wind, float(motion.drag)))
+            found.append(
+                goal_seeking_action(state[robot], layout.goal[robot], hazards[robot], motion.wind, float(motion.drag))
+            )
         return to_task_action(np.clip(found / believed.scale, -1.0, 1.0))
 
     return wish

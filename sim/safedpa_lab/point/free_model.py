@@ -11,15 +11,15 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.limits import check_tensor_file
 from safedpa.networks import Description, Layer, dense_stack, frame_of
 from safedpa.networks.layers import layers_of
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 
 __all__ = ["FreeModel", "load_free", "save_free"]
 
-Values = NDArray[np.float64]
 _KEY = "safedpa_free"
 _VECTORS = ("feature_middle", "feature_scale", "action_middle", "action_scale", "increment_scale")
 _ENVIRONMENT = ("environment_middle", "environment_scale")
@@ -62,18 +62,18 @@ class FreeModel:
             running.update(np.ascontiguousarray(self.tensors[name], dtype="<f4").tobytes())
         return running.hexdigest()[:16]
 
-    def encode(self, environment: Values) -> Values:
+    def encode(self, environment: FloatArray) -> FloatArray:
         """z = mu((e - middle) / scale), shape (..., latents), for environments e (..., entries) in SI units."""
         scaled = (environment - self._vector("environment_middle")) / self._vector("environment_scale")
         return dense_stack(scaled, _doubled(layers_of(self.tensors, "mu")), "relu").astype(np.float64)
 
-    def increment(self, state: Values, latent: Values, action: Values) -> Values:
+    def increment(self, state: FloatArray, latent: FloatArray, action: FloatArray) -> FloatArray:
         """The change (n, states) of the state's own entries; (n, states), (n, latents), (n, actions) in SI units."""
         own = self._vector("increment_scale") * dense_stack(self._seen(state, latent, action), self._layers, "relu")
-        turned: Values = frame_of(self.description.robot).world_increment(state, own)
+        turned: FloatArray = frame_of(self.description.robot).world_increment(state, own)
         return turned
 
-    def linearised(self, state: Values, latent: Values, action: Values) -> tuple[Values, Values]:
+    def linearised(self, state: FloatArray, latent: FloatArray, action: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The increment (n, states) at ``action`` (n, actions) and its slope there (n, states, actions), both exact.
 
         The slope is carried forward with the values: D_1 = W_1's columns of u, D_k = W_k (D_{k-1} where its unit is
@@ -99,13 +99,13 @@ class FreeModel:
     def _layers(self) -> tuple[Layer, ...]:
         return _doubled(layers_of(self.tensors, "h"))
 
-    def _seen(self, state: Values, latent: Values, action: Values) -> Values:
+    def _seen(self, state: FloatArray, latent: FloatArray, action: FloatArray) -> FloatArray:
         features = frame_of(self.description.robot).features(state)
         features = (features - self._vector("feature_middle")) / self._vector("feature_scale")
         scaled = (action - self._vector("action_middle")) / self._vector("action_scale")
         return np.concatenate((features, latent, scaled), axis=-1)
 
-    def _vector(self, name: str) -> Values:
+    def _vector(self, name: str) -> FloatArray:
         return self.tensors[name].astype(np.float64)
 
 

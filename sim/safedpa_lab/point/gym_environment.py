@@ -21,7 +21,6 @@ from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, control_of
 
 __all__ = ["ENVIRONMENT_ID", "PointGoalEnvironment"]
 
-Floats = NDArray[np.float64]
 
 ENVIRONMENT_ID: Final = "safedpa/PointGoal-v0"
 

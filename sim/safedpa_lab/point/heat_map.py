@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.moments import Moments, drawn_moments
@@ -21,11 +21,10 @@ from safedpa_lab.point.shield import FIXED_DIRECTIONS
 from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.belief import ACTION_SCALE
 from safedpa_sim.point.body_steps import after_one_period
-from safedpa_sim.point.filtering import least_room
+from safedpa_sim.point.filtering import minimum_barrier
 
 __all__ = ["HeatMap", "agreement", "heat_map", "predicted_changes", "reference_changes"]
 
-Floats = NDArray[np.float64]
 
 _NAMES: Final = ("safedpa", *(f"fix_{direction}" for direction in FIXED_DIRECTIONS), "mix")
 _STEPS: Final = 200
@@ -92,7 +91,7 @@ def heat_map(asked: HeatMap) -> dict[str, Any]:
     }
 
 
-def agreement(predicted: Floats, reference: Floats) -> dict[str, float]:
+def agreement(predicted: FloatArray, reference: FloatArray) -> dict[str, float]:
     """How alike two maps (moments, actions) of delta h are.
 
     ``correlation``: Pearson's over everything; ``rank_correlation``: Spearman's, which the few jumps of h, where the
@@ -111,32 +110,32 @@ def agreement(predicted: Floats, reference: Floats) -> dict[str, float]:
     }
 
 
-def _correlation(one: Floats, other: Floats) -> float:
+def _correlation(one: FloatArray, other: FloatArray) -> float:
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def _ranks(values: Floats) -> Floats:
-    ranks: Floats = values.ravel().argsort().argsort().astype(np.float64)
+def _ranks(values: FloatArray) -> FloatArray:
+    ranks: FloatArray = values.ravel().argsort().argsort().astype(np.float64)
     return ranks
 
 
-def reference_changes(moments: Moments, actions: Floats) -> Floats:
+def reference_changes(moments: Moments, actions: FloatArray) -> FloatArray:
     """delta h (moments, actions) as the simulator has it, for actions (actions, 2) in [-1, 1]: thrust, turn."""
     every = moments.of(np.repeat(np.arange(len(moments.state)), len(actions)))
     done = np.tile(actions, (len(moments.state), 1)) * ACTION_SCALE
     following, _ = after_one_period(every.state, done, every.rate, every.wind)
     motion = every.motion()
-    change = least_room(following, every.hazards, motion) - least_room(every.state, every.hazards, motion)
+    change = minimum_barrier(following, every.hazards, motion) - minimum_barrier(every.state, every.hazards, motion)
     return change.reshape(len(moments.state), len(actions))
 
 
-def predicted_changes(name: str, moments: Moments, actions: Floats, folder: Path = Path()) -> Floats:
+def predicted_changes(name: str, moments: Moments, actions: FloatArray, folder: Path = Path()) -> FloatArray:
     """delta h (moments, actions) by SafeDPA, with phi's latents, or by another model's name, which knows none."""
     belief = LearnedBelief(weights_named("learned" if name == "safedpa" else name, folder))
     every = moments.of(np.repeat(np.arange(len(moments.state)), len(actions)))
     believed = belief.believed(every.state, every.latent)
     following = believed.next_state(np.tile(actions, (len(moments.state), 1)))
-    change = least_room(following, every.hazards, believed.motion) - least_room(
+    change = minimum_barrier(following, every.hazards, believed.motion) - minimum_barrier(
         every.state, every.hazards, believed.motion
     )
     return change.reshape(len(moments.state), len(actions))

@@ -16,7 +16,8 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.arrays import Float32Array, FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_lab.point.plan import INPUTS
@@ -25,12 +26,10 @@ from safedpa_sim.point.body_steps import actions_of, centre_state
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.task import GOAL_REWARD, PointTask
-from safedpa_sim.point.way import Ways
+from safedpa_sim.point.way import RoutePlanner
 
 __all__ = ["OBSERVATION_SCALE", "Inputs", "WayAhead", "entries_of", "inputs_of"]
 
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 
 OBSERVATION_SCALE: Final = np.array(
     [2.0, 2.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5] + [1.0] * 16
@@ -57,10 +56,10 @@ def entries_of(kind: str) -> int:
 class Inputs(Protocol):
     """In each period ``see`` once; ``reset`` the robots that begin anew."""
 
-    def see(self) -> Floats:
+    def see(self) -> Float32Array:
         """(robots, entries) of the robots as they are."""
 
-    def look(self) -> Floats:
+    def look(self) -> Float32Array:
         """The same with the latents that were seen last."""
 
     def reset(self, which: NDArray[np.intp]) -> None:
@@ -72,7 +71,7 @@ class WayAhead:
     """The robots' shortest ways, kept until ``renew``, and what was gained along them since."""
 
     def __init__(self, task: PointTask) -> None:
-        self._task, self._ways = task, Ways(task.count)
+        self._task, self._ways = task, RoutePlanner(task.count)
         self.renew()
 
     def renew(self) -> None:
@@ -80,7 +79,7 @@ class WayAhead:
         layout = self._task.layout
         self.turn, self.left = self._ways.first_turns(self._task.simulation.pose[:2].T, layout.hazards, layout.goal)
 
-    def gained(self, reached: NDArray[np.bool_]) -> Doubles:
+    def gained(self, reached: NDArray[np.bool_]) -> FloatArray:
         """m along the way since the last call or ``renew``; where a goal was reached, what was left to it, and 1."""
         before = self.left
         self.renew()
@@ -102,11 +101,11 @@ class _Sensors:
     def __init__(self, task: PointTask) -> None:
         self._task = task
 
-    def see(self) -> Floats:
+    def see(self) -> Float32Array:
         return self.look()
 
-    def look(self) -> Floats:
-        seen: Floats = (self._task.observation() / OBSERVATION_SCALE).astype(np.float32)
+    def look(self) -> Float32Array:
+        seen: Float32Array = (self._task.observation() / OBSERVATION_SCALE).astype(np.float32)
         return seen
 
     def reset(self, which: NDArray[np.intp]) -> None:
@@ -117,7 +116,7 @@ class _Remembering:
     """The latents of the robots of a task, of what their motors did."""
 
     def __init__(self, task: PointTask, weights: Weights) -> None:
-        self._task, self._histories = task, Histories(weights, task.count)
+        self._task, self._histories = task, BatchHistoryEstimator(weights, task.count)
 
     def reset(self, which: NDArray[np.intp]) -> None:
         self._histories.reset(which)
@@ -129,11 +128,11 @@ class _Remembering:
 
 @final
 class _WithLatent(_Remembering):
-    def see(self) -> Floats:
+    def see(self) -> Float32Array:
         self._remember()
         return self.look()
 
-    def look(self) -> Floats:
+    def look(self) -> Float32Array:
         latent, yaw = self._histories.latent, self._task.simulation.pose[2, :, np.newaxis]
         turned = (latent * np.cos(yaw), latent * np.sin(yaw), latent)
         seen = np.concatenate((self._task.observation() / OBSERVATION_SCALE, *turned), axis=1)
@@ -149,13 +148,13 @@ class _AsSafeDPA(_Remembering):
         self._own = way is None
         self._way = WayAhead(task) if way is None else way
 
-    def see(self) -> Floats:
+    def see(self) -> Float32Array:
         self._remember()
         if self._own:
             self._way.renew()
         return self.look()
 
-    def look(self) -> Floats:
+    def look(self) -> Float32Array:
         seen = policy_seen(self._task, self._histories.latent, self._way.turn)
-        scaled: Floats = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
+        scaled: Float32Array = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
         return scaled

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa_sim.point.task import Stepped
+from safedpa.arrays import BoolArray
+from safedpa_sim.point.task import StepResult
 
 __all__ = ["COUNTS", "Tally"]
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 COUNTS: Final = ("unsafe", "goals", "reward", "corrected", "relaxed", "episodes", "safe_episodes", "episode_goals")
 """Sums of a row: steps in a hazard, goals, the benchmark's reward, steps that the filter changed, steps in which not
@@ -31,7 +29,7 @@ class Tally:
         self._paid, self._reached = np.zeros(count), np.zeros(count)
         self._sums = dict.fromkeys(COUNTS, 0.0)
 
-    def add(self, stepped: Stepped, corrected: Flags, relaxed: Flags) -> None:
+    def add(self, stepped: StepResult, corrected: BoolArray, relaxed: BoolArray) -> None:
         """One step of every robot."""
         self._steps += self._count
         self._paid += stepped.cost

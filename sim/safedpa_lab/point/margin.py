@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.safety.margin import margins_over_drives, smallest_sample
+from safedpa.safety.margins.conformal import margins_over_drives, smallest_sample
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
 from safedpa_lab.point.drivers import ShieldedDriver, Wheel, driver_of
@@ -24,13 +24,12 @@ from safedpa_lab.point.methods import Method
 from safedpa_lab.point.moments import Moments
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import least_room
+from safedpa_sim.point.filtering import minimum_barrier
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["COVERAGE", "NEAR", "Calibration", "measured_margins", "one_step_errors"]
 
-Floats = NDArray[np.float64]
 
 COVERAGE: Final = 0.99
 NEAR: Final = 0.1
@@ -79,7 +78,7 @@ def measured_margins(asked: Calibration) -> dict[str, Any]:
     return {**{item.name: getattr(asked, item.name) for item in fields(asked)}, "margins": found}
 
 
-def _row(errors: list[Floats]) -> dict[str, Any]:
+def _row(errors: list[FloatArray]) -> dict[str, Any]:
     epsilon, of_a_drive = margins_over_drives(errors, COVERAGE)
     every = np.concatenate(errors)
     return {
@@ -102,7 +101,7 @@ def _windy(drives: int, seed: int, force: float) -> PointTask:
 
 def _errors(
     task: PointTask, models: Path, before: str, epsilon: float, filters: Sequence[str], steps: int
-) -> dict[str, list[Floats]]:
+) -> dict[str, list[FloatArray]]:
     """By filter, the errors [m] near hazards along each drive behind the filter ``before``."""
     driver = driver_of(Method("", "", filter=before), task, Wheel(models, margins={before: epsilon}))
     assert isinstance(driver, ShieldedDriver)
@@ -126,37 +125,37 @@ class _Watched:
 
     def __init__(self, shield: Shield, task: PointTask) -> None:
         self.shield, self._task = shield, task
-        self._errors: list[Floats] = []
-        self._predicted: Floats | None = None
-        self._room: Floats = np.full(task.count, np.inf)
+        self._errors: list[FloatArray] = []
+        self._predicted: FloatArray | None = None
+        self._room: FloatArray = np.full(task.count, np.inf)
 
     def look(self) -> None:
         """The robots are seen; the error of what was predicted of them."""
         believed = self._believed = self.shield.believes(self._task)
-        room = least_room(centre_state(self._task.simulation), self._task.layout.hazards, believed.motion)
+        room = minimum_barrier(centre_state(self._task.simulation), self._task.layout.hazards, believed.motion)
         if self._predicted is not None:
             near = (self._room > 0.0) & (self._room < NEAR)
             self._errors.append(np.where(near, self._predicted - room, np.nan))
         self._room = room
 
-    def acted(self, action: Floats, own: bool) -> None:
+    def acted(self, action: FloatArray, own: bool) -> None:
         """Actions (robots, 2) in [-1, 1]; ``own``: the filter's, which knows of them."""
         if not own:
             self.shield.acted(action)
         following = self._believed.next_state(action)
-        self._predicted = least_room(following, self._task.layout.hazards, self._believed.motion)
+        self._predicted = minimum_barrier(following, self._task.layout.hazards, self._believed.motion)
 
-    def by_drive(self) -> list[Floats]:
+    def by_drive(self) -> list[FloatArray]:
         """(steps near hazards,) of each drive; of one that had none, one error that no margin misses."""
         columns = (column[np.isfinite(column)] for column in np.array(self._errors).T)
         return [column if len(column) else np.full(1, -NEAR) for column in columns]
 
 
-def one_step_errors(weights: Weights, moments: Moments) -> Floats:
+def one_step_errors(weights: Weights, moments: Moments) -> FloatArray:
     """(n,) h(predicted) - h(measured) [m] one period later, least over hazards, by f, g and the latents of phi."""
     believed = LearnedBelief(weights).believed(moments.state, moments.latent)
     predicted = believed.next_state(moments.action)
-    errors: Floats = least_room(predicted, moments.hazards, believed.motion) - least_room(
+    errors: FloatArray = minimum_barrier(predicted, moments.hazards, believed.motion) - minimum_barrier(
         moments.following, moments.hazards, believed.motion
     )
     return errors

@@ -8,20 +8,20 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.arrays import FloatArray
 from safedpa.networks import Weights
-from safedpa.safety.stopping_barrier import Motion
+from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.shield import Shield
-from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief
+from safedpa_sim.point.belief import ACTION_SCALE, SimulatedPointModel
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state
-from safedpa_sim.point.filtering import least_room
+from safedpa_sim.point.filtering import minimum_barrier
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["Moments", "drawn_moments"]
 
-Floats = NDArray[np.float64]
 
 _HELD: Final = 25
 """Periods for which a wish is held: drawn anew in each period it would lead nowhere."""
@@ -34,19 +34,19 @@ _NEAR: Final = 0.1
 class Moments:
     """n robots: how they are, in which wind, and what they did then; transitions of one period each."""
 
-    state: Floats
+    state: FloatArray
     """(n, 5), centre of mass."""
-    rate: Floats
+    rate: FloatArray
     """(n,) rad/s, the yaw rate on top."""
-    latent: Floats
+    latent: FloatArray
     """(n, latents), of the history up to then."""
-    wind: Floats
+    wind: FloatArray
     """(n, 2) m/s2."""
-    hazards: Floats
+    hazards: FloatArray
     """(n, hazards, 2)."""
-    action: Floats
+    action: FloatArray
     """(n, 2) in [-1, 1]: what was done."""
-    following: Floats
+    following: FloatArray
     """(n, 5): what came of it."""
 
     def motion(self) -> Motion:
@@ -72,8 +72,8 @@ def drawn_moments(
     towards = random.uniform(0.0, 2.0 * np.pi, robots) if direction is None else np.full(robots, direction)
     simulation = task.simulation
     simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
-    adaptation = Histories(weights, robots)
-    shield, parts = Shield(robots, TrueBelief(simulation), None), []
+    adaptation = BatchHistoryEstimator(weights, robots)
+    shield, parts = Shield(robots, SimulatedPointModel(simulation), None), []
     for step in range(steps):
         if step % _HELD == 0:
             wish = random.uniform(-1.0, 1.0, (robots, 2))
@@ -87,6 +87,6 @@ def drawn_moments(
             wind = simulation.force.T / simulation.body.mass
             hazards = task.layout.hazards.copy()
             now = Moments(state, rate, latent, wind, hazards, action, centre_state(simulation))
-            room = least_room(state, hazards, now.motion())
+            room = minimum_barrier(state, hazards, now.motion())
             parts.append(now.of(np.flatnonzero((room > 0.0) & (room < _NEAR))))
     return Moments(*(np.concatenate([getattr(part, name) for part in parts]) for name in Moments.__dataclass_fields__))

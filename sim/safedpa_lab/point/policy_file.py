@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa.limits import check_tensor_file, parse_json
 from safedpa.networks import dense_stack
 from safedpa.networks.layers import layers_of
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.point.inputs import entries_of
 
 __all__ = ["BaselinePolicy", "load_policy", "save_policy"]

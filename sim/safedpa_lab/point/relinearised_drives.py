@@ -9,8 +9,8 @@ from time import process_time
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights, load_weights
 from safedpa_lab.point.action_models import COMMANDS, ActionModel, AffineModel, FreeAction, SimulatedBody
@@ -22,12 +22,11 @@ from safedpa_sim.point.belief import ACTION_SCALE, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import Ways
+from safedpa_sim.point.way import RoutePlanner
 
 __all__ = ["NETWORKS", "WISHES", "FilteredDriver", "affine_weights", "free_model", "model_of", "windy", "wish_of"]
 
-Floats = NDArray[np.float64]
-Wish = Callable[[], Floats]
+Wish = Callable[[], FloatArray]
 
 NETWORKS: Final = ("affine_stock", "free_clean", "free_stock")
 """Files of networks that are trained for this alone; the affine ones of the clean thrust ship as ``point_learned``."""
@@ -74,7 +73,7 @@ def model_of(kind: str, thrust: str, task: PointTask, folder: Path) -> ActionMod
     raise InputError(f"model '{kind}': wanted affine, free or truth")
 
 
-def windy(thrust: str, towards: Floats, force: float, seed: int) -> PointTask:
+def windy(thrust: str, towards: FloatArray, force: float, seed: int) -> PointTask:
     """One robot for each direction [rad] of a force [N]; goals of each robot from a sequence of its own."""
     task = PointTask(len(towards), seed, paired=True, stock=thrust == "stock")
     task.simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
@@ -92,11 +91,11 @@ def wish_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) ->
 
     weights = weights_named("learned", folder)
     latent = LearnedNetworks(weights).encode(task.simulation.force.T / task.simulation.body.mass)
-    learned, ways = LatentPolicy(weights), Ways(task.count)
+    learned, ways = LatentPolicy(weights), RoutePlanner(task.count)
     alike = ACTION_SCALE / COMMANDS[thrust]
     random, drawn, period = np.random.default_rng([seed, 71]), np.zeros((task.count, 2)), 0
 
-    def wish() -> Floats:
+    def wish() -> FloatArray:
         nonlocal drawn, period
         place, layout = task.simulation.pose[:2].T, task.layout
         turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
@@ -124,10 +123,10 @@ class FilteredDriver:
         self.corrected = self.relaxed = np.zeros(self.task.count, bool)
         self.seconds = 0.0
         """Of processor, in decisions alone."""
-        self._errors: list[Floats] = []
+        self._errors: list[FloatArray] = []
         self._predicted = self._room = np.full(self.task.count, np.nan)
 
-    def act(self) -> Floats:
+    def act(self) -> FloatArray:
         """Actions (robots, 2) of the task."""
         wish, state, hazards = self.wish(), centre_state(self.task.simulation), self.task.layout.hazards
         began = process_time()
@@ -139,10 +138,10 @@ class FilteredDriver:
         self.corrected, self.relaxed = found.corrected, found.relaxed
         return to_task_action(found.action)
 
-    def seen(self) -> list[Floats]:
+    def seen(self) -> list[FloatArray]:
         """Of each robot, (steps near hazards,) [m]: the least h that was predicted less the one that was found."""
         return [column[np.isfinite(column)] for column in np.array(self._errors).T]
 
-    def errors(self) -> list[Floats]:
+    def errors(self) -> list[FloatArray]:
         """The same; of a robot that came near none one error that no margin misses."""
         return [column if len(column) else np.full(1, -_NEAR) for column in self.seen()]

@@ -13,15 +13,14 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray, IndexArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.action_models import ActionModel
-from safedpa_sim.point.belief import Believed
-from safedpa_sim.point.filtering import ETA, Filtered, PointFilter, around_hazards, least_room
+from safedpa_sim.point.belief import PointPrediction
+from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, around_hazards, minimum_barrier
 
 __all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 ABOUT: Final = ("middle", "wish", "own")
 """What the model is linearised about: no action, the wish, what was decided."""
@@ -38,11 +37,11 @@ _SETTLED: Final = 1e-3
 class Decided:
     """Actions (robots, 2) in [-1, 1], and the least room (robots,) [m] that is predicted with them."""
 
-    action: Floats
+    action: FloatArray
     corrected: NDArray[np.bool_]
     relaxed: NDArray[np.bool_]
-    predicted: Floats
-    room: Floats
+    predicted: FloatArray
+    room: FloatArray
     """(robots,) [m]: the least one as they are."""
 
 
@@ -58,7 +57,7 @@ class RelinearisedFilter:
             raise InputError(f"linearised about '{about}': {did_you_mean(about, ABOUT)}")
         self._filter, self._epsilon, self._about = PointFilter(epsilon), epsilon, about
 
-    def decide(self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel) -> Decided:
+    def decide(self, state: FloatArray, wish: FloatArray, hazards: FloatArray, model: ActionModel) -> Decided:
         """Safe actions for states (robots, 5), which the model sees, and wishes (robots, 2) among hazards."""
         model.see(state)
         everybody = np.arange(len(state))
@@ -74,8 +73,8 @@ class RelinearisedFilter:
         return Decided(found.action, found.corrected, found.relaxed, predicted, room)
 
     def _settled(
-        self, state: Floats, wish: Floats, hazards: Floats, model: ActionModel, believed: Believed
-    ) -> Filtered:
+        self, state: FloatArray, wish: FloatArray, hazards: FloatArray, model: ActionModel, believed: PointPrediction
+    ) -> FilteredActions:
         """A wish that passes by the model itself passes; others are decided about no action, then about what was
         decided.
 
@@ -85,7 +84,7 @@ class RelinearisedFilter:
         action, relaxed = wish.copy(), np.zeros(len(wish), bool)
         everybody = np.arange(len(wish))
         short = self._kept(wish, everybody, state, hazards, model, believed) < -_TOLERANCE
-        outside = least_room(state, hazards, believed.motion) < 0.0
+        outside = minimum_barrier(state, hazards, believed.motion) < 0.0
         which = np.flatnonzero(short | outside)
         kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
         relaxed[which] = True
@@ -100,13 +99,19 @@ class RelinearisedFilter:
             action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
             moves = np.abs(action[which] - about).max(axis=1) > _SETTLED
             which, kept, about = which[moves], np.where(better, now, kept)[moves], action[which[moves]]
-        return Filtered(action, np.any(action != wish, axis=1), relaxed)
+        return FilteredActions(action, np.any(action != wish, axis=1), relaxed)
 
     def _kept(
-        self, action: Floats, which: Indices, state: Floats, hazards: Floats, model: ActionModel, believed: Believed
-    ) -> Floats:
+        self,
+        action: FloatArray,
+        which: IndexArray,
+        state: FloatArray,
+        hazards: FloatArray,
+        model: ActionModel,
+        believed: PointPrediction,
+    ) -> FloatArray:
         """min over hazards of h(next) - (1 - eta) h - epsilon (n,) [m], by the model itself: below 0 it falls short."""
         around = around_hazards(hazards[which], believed.motion)
         following = model.following(action, which)
-        kept: Floats = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
+        kept: FloatArray = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
         return kept - self._epsilon

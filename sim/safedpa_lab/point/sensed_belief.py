@@ -14,21 +14,21 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights, load_weights
-from safedpa.safety.stopping_barrier import Motion
+from safedpa.safety.barriers.stopping import Motion
 from safedpa_lab.point.baseline_set import SHIPPED
 from safedpa_lab.point.beliefs import PROBES, motion_of, scale_of
-from safedpa_sim.point.belief import ACTION_SCALE, Believed
+from safedpa_sim.point.belief import ACTION_SCALE, PointPrediction
 from safedpa_sim.point.body_steps import centre_state, put_state
-from safedpa_sim.point.sensed import SENSED_FRAME, decoded, decoding_slopes, sensed, without_goal
+from safedpa_sim.point.sensed import SENSED_FRAME, decode_state, decoding_slopes, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["SensedBelief", "TwoHistories", "sensed_weights"]
 
-Floats = NDArray[np.float64]
 
 _FILE: Final = "point_17.safetensors"
 _SETTLING: Final = 3
@@ -48,33 +48,33 @@ def sensed_weights(folder: Path = Path()) -> Weights:
 
 @final
 class TwoHistories:
-    """``Histories`` of the filter's state, whose latents the policy is told, and those of what is sensed."""
+    """``BatchHistoryEstimator`` of the filter's state, whose latents the policy gets, and those of what is sensed."""
 
-    def __init__(self, policy: Histories, weights: Weights, task: PointTask) -> None:
+    def __init__(self, policy: BatchHistoryEstimator, weights: Weights, task: PointTask) -> None:
         self._policy, self._task = policy, task
-        self._sensed = Histories(weights, task.count, SENSED_FRAME)
+        self._sensed = BatchHistoryEstimator(weights, task.count, SENSED_FRAME)
 
     @property
-    def latent(self) -> Floats:
+    def latent(self) -> FloatArray:
         """The policy's."""
         return self._policy.latent
 
     @property
-    def sensed_latent(self) -> Floats:
+    def sensed_latent(self) -> FloatArray:
         """(robots, 2), of the networks that predict what is sensed."""
         return self._sensed.latent
 
-    def see(self, state: Floats) -> Floats:
+    def see(self, state: FloatArray) -> FloatArray:
         """The policy's latents at states (robots, 5); the sensors are read as well."""
         self._sensed.see(without_goal(self.seen()))
         return self._policy.see(state)
 
-    def seen(self) -> Floats:
+    def seen(self) -> FloatArray:
         """(robots, 15), now."""
         task = self._task
         return sensed(task.simulation, task.control, task.layout.goal)
 
-    def acted(self, action: Floats) -> None:
+    def acted(self, action: FloatArray) -> None:
         """Takes the actions (robots, 2) that act from now on, in N and rad/s."""
         self._policy.acted(action)
         self._sensed.acted(action)
@@ -98,31 +98,31 @@ class SensedBelief:
         self._histories, self._task = histories, task
         self._probes, self._probe_goal = _probes()
 
-    def believed(self, state: Floats, latent: Floats) -> Believed:
+    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:
         """By its own latents, not by ``latent``, which is the policy's."""
         del latent
         own, goal = self._histories.sensed_latent, self._task.layout.goal
         change, gain = self._decoded(self._histories.seen(), goal, own)
         motion = self._motion(own)
-        return Believed(state + change, gain, motion, scale_of(motion))
+        return PointPrediction(state + change, gain, motion, scale_of(motion))
 
-    def _motion(self, latent: Floats) -> Motion:
+    def _motion(self, latent: FloatArray) -> Motion:
         probes = np.broadcast_to(self._probes, (len(latent), *self._probes.shape)).copy()
         for _ in range(_SETTLING):
             f, _ = self.networks.increment(probes, latent[:, np.newaxis])
             probes[..., :2] += f[..., :2]
         return motion_of(*self._decoded(probes, self._probe_goal, latent[:, np.newaxis]))
 
-    def _decoded(self, seen: Floats, goal: Floats, latent: Floats) -> tuple[Floats, Floats]:
+    def _decoded(self, seen: FloatArray, goal: FloatArray, latent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The change (..., 5) of the filter's state without an action, and its slopes (..., 5, 2) over [-1, 1]."""
         f, g = self.networks.increment(seen, latent)
         following = seen + f
-        change = decoded(following, goal) - decoded(seen, goal)
+        change = decode_state(following, goal) - decode_state(seen, goal)
         change[..., 2] = (change[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
         return change, decoding_slopes(following) @ (g * ACTION_SCALE)
 
 
-def _probes() -> tuple[Floats, Floats]:
+def _probes() -> tuple[FloatArray, FloatArray]:
     """What is sensed (6, 15) at the probe states, in no wind, and where the goals lie then (6, 2)."""
     simulation = PointSimulation(len(PROBES))
     put_state(simulation, PROBES, np.zeros(len(PROBES)))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa_lab.point.beliefs import from_task_action
-from safedpa_sim.point.belief import TrueBelief, to_task_action
+from safedpa_sim.point.belief import SimulatedPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
 from safedpa_sim.point.policy_task import EPSILON
@@ -32,7 +32,7 @@ class Shelter:
     """By the truth: a stand-in of SafeDPA's filter in training."""
 
     def __init__(self, task: PointTask) -> None:
-        self._task, self._belief, self._filter = task, TrueBelief(task.simulation), PointFilter(EPSILON)
+        self._task, self._belief, self._filter = task, SimulatedPointModel(task.simulation), PointFilter(EPSILON)
 
     def safe(self, chosen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Safe actions (robots, 2) of ``PointTask`` for those that were chosen."""

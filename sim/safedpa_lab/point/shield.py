@@ -8,19 +8,25 @@ from typing import Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
 from safedpa_lab.point.sensed_belief import SensedBelief, TwoHistories, sensed_weights
 from safedpa_lab.point.weights import weights_named
-from safedpa_sim.point.belief import ACTION_SCALE, Belief, Believed, TrueBelief, to_task_action
+from safedpa_sim.point.belief import (
+    ACTION_SCALE,
+    AbstractPointModel,
+    PointPrediction,
+    SimulatedPointModel,
+    to_task_action,
+)
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import Filtered, PointFilter
+from safedpa_sim.point.filtering import FilteredActions, PointFilter
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "shield_of"]
 
-Floats = NDArray[np.float64]
 
 EPSILON: Final = 0.005
 """m; where nobody measured one: of a diagnosed model, and while moments are drawn behind the truth."""
@@ -39,16 +45,16 @@ once; the truth; the truth but for the wind; no filter."""
 
 
 class Adaptation(Protocol):
-    """What ``Histories`` does."""
+    """What ``BatchHistoryEstimator`` does."""
 
     @property
-    def latent(self) -> Floats:
+    def latent(self) -> FloatArray:
         """Of the states that were seen last."""
 
-    def see(self, state: Floats) -> Floats:
+    def see(self, state: FloatArray) -> FloatArray:
         """The latents at states (robots, 5)."""
 
-    def acted(self, action: Floats) -> None:
+    def acted(self, action: FloatArray) -> None:
         """Actions (robots, 2) in N and rad/s act from now on."""
 
     def reset(self, which: NDArray[np.intp]) -> None:
@@ -63,12 +69,12 @@ class Shield:
     """
 
     def __init__(
-        self, count: int, belief: Belief | None, adaptation: Adaptation | None, epsilon: float = EPSILON
+        self, count: int, belief: AbstractPointModel | None, adaptation: Adaptation | None, epsilon: float = EPSILON
     ) -> None:
         self._belief, self._adaptation, self._filter = belief, adaptation, PointFilter(epsilon)
         self._nothing = np.zeros((count, 0))
-        self._state: Floats | None = None
-        self._believed: Believed | None = None
+        self._state: FloatArray | None = None
+        self._believed: PointPrediction | None = None
 
     def reset(self, which: NDArray[np.intp]) -> None:
         """The robots of those indices have been put elsewhere: forget their histories."""
@@ -76,7 +82,7 @@ class Shield:
             self._adaptation.reset(which)
         self._state = self._believed = None
 
-    def see(self, task: PointTask) -> Floats:
+    def see(self, task: PointTask) -> FloatArray:
         """The latents (robots, latents) of the robots as they are; twice in a period changes nothing."""
         if self._state is None:
             self._state = centre_state(task.simulation)
@@ -85,11 +91,11 @@ class Shield:
         return self.latent
 
     @property
-    def latent(self) -> Floats:
+    def latent(self) -> FloatArray:
         """What was seen last."""
         return self._nothing if self._adaptation is None else self._adaptation.latent
 
-    def believes(self, task: PointTask) -> Believed:
+    def believes(self, task: PointTask) -> PointPrediction:
         """What the filter's model says of the robots as they are. Raises InputError where there is no filter."""
         if self._belief is None:
             raise InputError("shield: got no filter, wanted one whose model can be asked")
@@ -99,24 +105,24 @@ class Shield:
             self._believed = self._belief.believed(state, self.latent)
         return self._believed
 
-    def act(self, task: PointTask, wish: NDArray[np.floating]) -> Filtered:
+    def act(self, task: PointTask, wish: NDArray[np.floating]) -> FilteredActions:
         """Safe actions of ``PointTask`` for wishes (robots, 2) of it, to be carried out at once."""
         self.see(task)
         scaled = from_task_action(np.asarray(wish, dtype=np.float64))
         chosen = self._safe(task, scaled)
         self.acted(chosen.action)
-        return Filtered(to_task_action(chosen.action), chosen.corrected, chosen.relaxed)
+        return FilteredActions(to_task_action(chosen.action), chosen.corrected, chosen.relaxed)
 
-    def acted(self, action: Floats) -> None:
+    def acted(self, action: FloatArray) -> None:
         """Actions (robots, 2) in [-1, 1] over the range of commands are being carried out."""
         if self._adaptation is not None:
             self._adaptation.acted(action * ACTION_SCALE)
         self._state = self._believed = None
 
-    def _safe(self, task: PointTask, wish: Floats) -> Filtered:
+    def _safe(self, task: PointTask, wish: FloatArray) -> FilteredActions:
         if self._belief is None:
             unchanged = np.zeros(len(wish), bool)
-            return Filtered(wish, unchanged, unchanged)
+            return FilteredActions(wish, unchanged, unchanged)
         state = centre_state(task.simulation) if self._state is None else self._state
         return self._filter.decide(state, wish, task.layout.hazards, self.believes(task))
 
@@ -131,7 +137,7 @@ def shield_of(
     """
     if method not in METHODS:
         raise InputError(f"method '{method}': {did_you_mean(method, METHODS)}")
-    adaptation = Histories(weights_named(adapts, folder), task.count) if adapts else None
+    adaptation = BatchHistoryEstimator(weights_named(adapts, folder), task.count) if adapts else None
     if method in ("safedpa", "safedpa_17") and adaptation is None:
         raise InputError(f"method '{method}': got no model to adapt with, wanted adapts='learned' or another with phi")
     if method == "safedpa_17" and adaptation is not None:
@@ -139,15 +145,15 @@ def shield_of(
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
 
 
-def _sensed(policy: Histories, task: PointTask, epsilon: float, folder: Path) -> Shield:
+def _sensed(policy: BatchHistoryEstimator, task: PointTask, epsilon: float, folder: Path) -> Shield:
     weights = sensed_weights(folder)
     histories = TwoHistories(policy, weights, task)
     return Shield(task.count, SensedBelief(weights, histories, task), histories, epsilon)
 
 
-def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> Belief | None:
+def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> AbstractPointModel | None:
     if method == "none":
         return None
     if method in ("oracle", "physics"):
-        return TrueBelief(task.simulation, wind=method == "oracle")
+        return SimulatedPointModel(task.simulation, wind=method == "oracle")
     return LearnedBelief(weights_named(adapts if method == "safedpa" else method, folder))

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from safedpa.arrays import Float32Array
 from safedpa_lab.point.inputs import WayAhead, entries_of, inputs_of
 from safedpa_lab.point.sheltered import Shelter, Sheltering
-from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
+from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
 __all__ = ["PointEnvironment"]
 
-Floats = NDArray[np.float32]
 
 _KEPT = 200
 """Episodes over which their means are told."""
@@ -46,11 +46,11 @@ class PointEnvironment(VecEnv):
         task.steps[:] = np.random.default_rng(seed).integers(0, EPISODE_STEPS, task.count)
         self._whole = np.zeros(task.count, bool)
         """Whether the episode was seen from its beginning."""
-        self._chosen: Floats = np.zeros((task.count, 2), np.float32)
+        self._chosen: Float32Array = np.zeros((task.count, 2), np.float32)
         self._way = None if inputs == "lidar" else WayAhead(task)
         self._inputs = inputs_of(inputs, task, way=self._way)
         self._shelter = Shelter(task) if shelter is None else shelter
-        self.last: Stepped
+        self.last: StepResult
         self.begin()
         seen = gymnasium.spaces.Box(-np.inf, np.inf, (entries_of(inputs),), np.float32)
         super().__init__(task.count, seen, gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32))
@@ -64,15 +64,15 @@ class PointEnvironment(VecEnv):
         """Mean cost of 1000 steps since ``begin``: what an episode costs of the policy as it is now."""
         return EPISODE_STEPS * self.paid / max(self.stepped, 1)
 
-    def reset(self) -> Floats:
+    def reset(self) -> Float32Array:
         """The observations of all robots (robots, entries)."""
         return self._inputs.see()
 
-    def step_async(self, actions: Floats) -> None:
+    def step_async(self, actions: Float32Array) -> None:
         """Takes the actions (robots, 2)."""
         self._chosen = actions
 
-    def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Float32Array, Float32Array, NDArray[np.bool_], list[dict[str, Any]]]:
         """Observations, rewards, which episodes ended, and notes on those that did."""
         stepped = self.task.advance(self._shelter.safe(self._chosen) if self.filtered else self._chosen)
         self.last, self.cost = stepped, stepped.cost
@@ -93,7 +93,7 @@ class PointEnvironment(VecEnv):
                 self._way.renew()
         return self._inputs.see(), reward.astype(np.float32), stepped.timed_out, infos
 
-    def _reward(self, stepped: Stepped) -> NDArray[np.float64]:
+    def _reward(self, stepped: StepResult) -> NDArray[np.float64]:
         return stepped.reward if self._way is None else self._way.gained(stepped.reached)
 
     def _close(self, which: NDArray[np.intp]) -> None:

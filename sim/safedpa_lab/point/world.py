@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa_lab.point.mjcf import point_model
 from safedpa_sim.point.body import POINT_BODY, SUBSTEPS, PointBody
 
 __all__ = ["MujocoPoint"]
-
-Floats = NDArray[np.float64]
 
 
 class MujocoPoint:
@@ -28,14 +26,14 @@ class MujocoPoint:
         self.data = mujoco.MjData(self.model)
         self._robot = self.model.body("robot").id
 
-    def put(self, pose: Floats, velocity: Floats, force: tuple[float, float]) -> None:
+    def put(self, pose: FloatArray, velocity: FloatArray, force: tuple[float, float]) -> None:
         """Sets pose (x, y, yaw), velocity (vx, vy, yaw rate) and the wind's force [N], and forgets the rest."""
         self._mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = pose, velocity
         self.data.xfrc_applied[self._robot, :2] = force
         self._mujoco.mj_forward(self.model, self.data)
 
-    def advance(self, control: Floats) -> None:
+    def advance(self, control: FloatArray) -> None:
         """Holds (thrust, turn) controls, each cut to [-1, 1], for one step of the task.
 
         Raises InputError for controls that are not two finite numbers.
@@ -48,15 +46,15 @@ class MujocoPoint:
         self._mujoco.mj_forward(self.model, self.data)  # sensors of the state that was reached
 
     @property
-    def pose(self) -> Floats:
+    def pose(self) -> FloatArray:
         """(3,): x, y [m], yaw [rad], turns counted."""
         return np.array(self.data.qpos)
 
     @property
-    def velocity(self) -> Floats:
+    def velocity(self) -> FloatArray:
         """(3,): vx, vy [m/s] in the world, yaw rate [rad/s]."""
         return np.array(self.data.qvel)
 
-    def sensors(self) -> Floats:
+    def sensors(self) -> FloatArray:
         """(12,): accelerometer [m/s2, gravity's reaction included], velocimeter [m/s], gyro [rad/s], magnetometer."""
         return np.array(self.data.sensordata)

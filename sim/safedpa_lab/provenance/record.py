@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 import safedpa
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.provenance.code import digests
 
 __all__ = ["KEY", "command_line", "provenance", "write_result"]

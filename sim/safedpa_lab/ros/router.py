@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 
-from safedpa.bus.transport.session import configuration_of, open_session
+from safedpa.bus.transport.zenoh import open_session, zenoh_session_configuration
 
 
 def _main() -> None:
@@ -15,7 +15,7 @@ def _main() -> None:
         "listen/endpoints": [f"tcp/127.0.0.1:{int(sys.argv[1])}"],
         "scouting/multicast/enabled": False,
     }
-    with open_session(configuration_of(settings)):
+    with open_session(zenoh_session_configuration(settings)):
         sys.stdout.write("there\n")
         sys.stdout.flush()
         threading.Event().wait()

@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import Float32Array
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.robots.pendulum.perception import observe_pendulum
 from safedpa.robots.pendulum.system import PENDULUM
-from safedpa.safety.batch import BatchFilter
-from safedpa.safety.many_barriers import ManyEquations
+from safedpa.safety.batch.barriers import CompiledBatchBarriers
+from safedpa.safety.batch.filter import BatchFilter
 from safedpa_sim.pendulum.task import (
     AHEAD,
     BALANCING,
@@ -34,12 +35,12 @@ from safedpa_sim.pendulum.task import (
 )
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives as random_drives_around
-from safedpa_sim.training.histories import Lived, joined, lived
+from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
 from safedpa_sim.training.networks import AffineNetworks
-from safedpa_sim.training.one_period import Moved
+from safedpa_sim.training.one_period import PeriodResult
 from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["EPISODE_TICKS", "CorridorShelter", "Swinging", "evaluate", "practice", "random_drives", "starts_beneath"]
+__all__ = ["EPISODE_TICKS", "CorridorShelter", "SwingTask", "evaluate", "practice", "random_drives", "starts_beneath"]
 
 Tensor = torch.Tensor
 _EPSILON: Final = 0.018
@@ -56,7 +57,7 @@ class CorridorShelter:
 
     def __init__(self, count: int, edges: tuple[float, float]) -> None:
         self._filter = BatchFilter(PENDULUM, filter_settings(_EPSILON))
-        self._barriers = ManyEquations.of([[corridor(edges)]] * count, 2)
+        self._barriers = CompiledBatchBarriers.of([[corridor(edges)]] * count, 2)
 
     def decide(self, after: Callable[[Tensor], Tensor], state: Tensor, torque: Tensor) -> Tensor:
         """The torques (count, 1) nearest to ``torque`` that keep the corridor, for states (count, 2).
@@ -73,7 +74,7 @@ class CorridorShelter:
 
 def _kept_drives(
     cars: BatchedCars, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
-) -> Lived:
+) -> TransitionSequence:
     """``count`` pendulums for ``steps`` periods; the wind becomes another with probability ``change`` a period.
 
     Torques at random within 45 degrees: what the history encoder meets while balancing.
@@ -97,7 +98,9 @@ def _kept_drives(
             actions.append(torque)
             environments.append(environment)
             environment = torch.where(drawn[:, 1:] < change, _winds(cars, count, generator), environment)
-        return lived(networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1))
+        return transition_sequence(
+            networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1)
+        )
 
 
 def _winds(cars: BatchedCars, count: int, generator: torch.Generator) -> Tensor:
@@ -112,9 +115,9 @@ _EVALUATION_SEED = 1_000_003
 
 def practice(
     configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
-) -> Swinging:
+) -> SwingTask:
     """Pendulums to train on; ``penalty`` is for entering the hazard, ``sheltered`` by a stand-in for the filter."""
-    return Swinging(configuration, weights, count, seed, sheltered=sheltered, penalty=penalty)
+    return SwingTask(configuration, weights, count, seed, sheltered=sheltered, penalty=penalty)
 
 
 def random_drives(
@@ -124,7 +127,7 @@ def random_drives(
     steps: int,
     change: float,
     generator: torch.Generator,
-) -> Lived:
+) -> TransitionSequence:
     """Half the pendulums swing all around, half are kept within 45 degrees by an exact stand-in for the filter."""
     around = random_drives_around(cars, networks, count - count // 2, steps, change, generator)
     if count < 2:
@@ -136,7 +139,7 @@ def evaluate(
     configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, sheltered: bool = True
 ) -> dict[str, Any]:
     """One swing of each pendulum under the policy without noise: the share upright at its end, and hazards entered."""
-    swings = Swinging(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    swings = SwingTask(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
     policy = LearnedPolicy(weights)
     middle, scale = weights["action_middle"], weights["action_scale"]
     gained, contacts = np.zeros(cars), np.zeros(cars)
@@ -154,9 +157,6 @@ def evaluate(
         "reward": float(gained.mean()),
     }
 
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 EPISODE_TICKS: Final = 400
 """4 s."""
@@ -185,15 +185,15 @@ def starts_beneath(count: int, random: np.random.Generator) -> NDArray[np.float6
     return np.stack((low + below, (ahead - below) / AHEAD), axis=1)
 
 
-def _way(angle: Floats) -> Floats:
+def _way(angle: Float32Array) -> Float32Array:
     """The shorter way to upright [rad]: past the hazard or through it."""
-    way: Floats = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
+    way: Float32Array = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
     return way
 
 
 @final
 @dataclass
-class Swinging:
+class SwingTask:
     """``count`` pendulums; the same seed gives the same swings. ``sheltered`` puts the filter before each.
 
     ``penalty`` is taken off the reward when one enters the hazard; ``calm``: the wind of a swing stays.
@@ -215,10 +215,10 @@ class Swinging:
         self._random = np.random.default_rng([self.seed, 12])
         self._shelter = CorridorShelter(self.count, LONG_WAY_ROUND)
         count, latents = self.count, self.weights.description.latents
-        self.state: Floats = np.zeros((count, 2), dtype=np.float32)
-        self.applied: Floats = np.zeros((count, 1), dtype=np.float32)
-        self.environment: Floats = np.zeros((count, len(self._pendulums.entries)), dtype=np.float32)
-        self.latent: Floats = np.zeros((count, latents), dtype=np.float32)
+        self.state: Float32Array = np.zeros((count, 2), dtype=np.float32)
+        self.applied: Float32Array = np.zeros((count, 1), dtype=np.float32)
+        self.environment: Float32Array = np.zeros((count, len(self._pendulums.entries)), dtype=np.float32)
+        self.latent: Float32Array = np.zeros((count, latents), dtype=np.float32)
         self.tick = np.zeros(count, dtype=np.int64)
         self._upright = np.zeros(count, dtype=np.int64)
         self._unsafe = np.zeros(count, dtype=bool)
@@ -241,16 +241,16 @@ class Swinging:
         ahead = np.clip(angle + AHEAD * self._random.uniform(-_FAST, _FAST, count), *LONG_WAY_ROUND)
         return np.stack((angle, (ahead - angle) / AHEAD), axis=1)
 
-    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
+    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Float32Array:
         """What the policy sees of the pendulums of those indices."""
         goal = np.full(len(self.state[which]), UPRIGHT)
         return observe_pendulum(self.state[which], goal, self.latent[which]).astype(np.float32)
 
-    def exploring(self, random: np.random.Generator) -> Floats:
+    def exploring(self, random: np.random.Generator) -> Float32Array:
         """Actions at random, for the scales of what is observed."""
         return random.uniform(-1.0, 1.0, (self.count, 1)).astype(np.float32)
 
-    def advance(self, chosen: Floats) -> Moved:
+    def advance(self, chosen: Float32Array) -> PeriodResult:
         """One period under ``chosen`` (count, 1), each entry in [-1, 1] over the range of torques."""
         torque = (TORQUE * np.clip(chosen, -1.0, 1.0)).astype(np.float32)
         before = _way(self.state[:, 0])
@@ -267,9 +267,9 @@ class Swinging:
         over = self.tick >= EPISODE_TICKS
         if not self.calm:
             self._change_wind(np.flatnonzero(self._random.random(self.count) < _TURNS))
-        return Moved(np.asarray(reward, dtype=np.float32), reached & over, over & ~reached, unsafe, began)
+        return PeriodResult(np.asarray(reward, dtype=np.float32), reached & over, over & ~reached, unsafe, began)
 
-    def _kept(self, torque: Floats) -> Floats:
+    def _kept(self, torque: Float32Array) -> Float32Array:
         """The torque within what keeps the corridor."""
         state, environment = torch.from_numpy(self.state), torch.from_numpy(self.environment)
 
@@ -277,14 +277,14 @@ class Swinging:
             return self._pendulums.advance(state, bounds, environment)[0]
 
         with torch.no_grad():
-            kept: Floats = self._shelter.decide(after, state, torch.from_numpy(torque)).numpy()
+            kept: Float32Array = self._shelter.decide(after, state, torch.from_numpy(torque)).numpy()
         return kept
 
-    def _after(self, torque: Floats) -> Floats:
+    def _after(self, torque: Float32Array) -> Float32Array:
         tensors = (torch.from_numpy(array) for array in (self.state, torque, self.environment))
         with torch.no_grad():
             following, _ = self._pendulums.advance(*tensors)
-        result: Floats = following.numpy()
+        result: Float32Array = following.numpy()
         return result
 
     def _change_wind(self, which: NDArray[np.intp]) -> None:

@@ -29,7 +29,6 @@ __all__ = [
     "simulated_pendulum",
 ]
 
-Floats = NDArray[np.float64]
 
 TORQUE: Final = 10.0
 """N m; assumption. Gravity asks for up to 4.9 N m (3.47 at 45 degrees), the wind of 4 m/s for at most 4 N m more."""

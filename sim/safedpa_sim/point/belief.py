@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa.safety.stopping_barrier import Motion
+from safedpa.arrays import FloatArray
+from safedpa.safety.barriers.stopping import Motion
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, controls_of
 from safedpa_sim.point.simulation import PointSimulation
@@ -19,13 +19,12 @@ from safedpa_sim.point.simulation import PointSimulation
 __all__ = [
     "ACTION_SCALE",
     "TASK_TURN",
-    "Belief",
-    "Believed",
-    "TrueBelief",
+    "AbstractPointModel",
+    "PointPrediction",
+    "SimulatedPointModel",
     "to_task_action",
 ]
 
-Floats = NDArray[np.float64]
 
 ACTION_SCALE: Final = np.array([POINT_BODY.largest_thrust, LARGEST_TURN])
 """N and rad/s of the action 1."""
@@ -33,40 +32,40 @@ TASK_TURN: Final = float(controls_of(ACTION_SCALE[np.newaxis])[1, 0])
 """The task's action for the fastest turn; what lies beyond turns no faster."""
 
 
-def to_task_action(action: Floats) -> Floats:
+def to_task_action(action: FloatArray) -> FloatArray:
     """Actions (robots, 2) of this module as those of ``PointTask``."""
-    scaled: Floats = action * np.array([1.0, TASK_TURN])
+    scaled: FloatArray = action * np.array([1.0, TASK_TURN])
     return scaled
 
 
 @final
 @dataclass(frozen=True)
-class Believed:
+class PointPrediction:
     """What a model says at the present states: x[t+1] = drift + gain a, and how the manoeuvre would go."""
 
-    drift: Floats
+    drift: FloatArray
     """(robots, 5)."""
-    gain: Floats
+    gain: FloatArray
     """(robots, 5, 2) over actions in [-1, 1]."""
     motion: Motion
-    scale: Floats
+    scale: FloatArray
     """(2,) thrust acceleration [m/s2] and turn [rad/s] of the action 1."""
 
-    def next_state(self, action: Floats) -> Floats:
+    def next_state(self, action: FloatArray) -> FloatArray:
         """(robots, 5) after actions (robots, 2)."""
-        following: Floats = self.drift + np.einsum("rsa,ra->rs", self.gain, action)
+        following: FloatArray = self.drift + np.einsum("rsa,ra->rs", self.gain, action)
         return following
 
 
-class Belief(Protocol):
+class AbstractPointModel(Protocol):
     """A model of the robots, as the filter asks for it."""
 
-    def believed(self, state: Floats, latent: Floats) -> Believed:
+    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:
         """For states (robots, 5) and latents (robots, latents); a model without a latent does not look at it."""
 
 
 @final
-class TrueBelief:
+class SimulatedPointModel:
     """The physics of the simulated robots themselves, told to the filter; without ``wind``, all of it but the wind.
 
     v' = E v + A (wind + thrust (cos, sin) + drag c turn (-sin, cos)),  E = exp(-drag dt), A = (1 - E) / drag, since the
@@ -76,7 +75,7 @@ class TrueBelief:
     def __init__(self, simulation: PointSimulation, *, wind: bool = True) -> None:
         self._simulation, self._wind = simulation, wind
 
-    def believed(self, state: Floats, latent: Floats) -> Believed:  # noqa: D102
+    def believed(self, state: FloatArray, latent: FloatArray) -> PointPrediction:  # noqa: D102
         del latent
         body, simulation = self._simulation.body, self._simulation
         wind = simulation.force / body.mass * self._wind
@@ -84,10 +83,10 @@ class TrueBelief:
         strongest = body.largest_thrust / body.mass * simulation.strength
         motion = Motion(wind, drag, strongest, LARGEST_TURN, body.centre_ahead)
         drift, gain = _affine(state, motion)
-        return Believed(drift, gain, motion, np.array([float(strongest.mean()), LARGEST_TURN]))
+        return PointPrediction(drift, gain, motion, np.array([float(strongest.mean()), LARGEST_TURN]))
 
 
-def _affine(state: Floats, motion: Motion) -> tuple[Floats, Floats]:
+def _affine(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
     """(drift (robots, 5), gain (robots, 5, 2)) of one period of the point mass."""
     drag, seconds = motion.drag, CONTROL_SECONDS
     kept = np.exp(-drag * seconds)

@@ -12,14 +12,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = ["LARGEST_TURN", "actions_of", "after_one_period", "centre_state", "controls_of", "put_state"]
 
-Floats = NDArray[np.float64]
 
 LARGEST_TURN: Final = POINT_BODY.largest_turn
 """rad/s; faster commands turn no faster."""
@@ -29,7 +28,7 @@ _TURN_OF_CONTROL: Final = (
 """rad/s that the servo settles at for the control 1."""
 
 
-def centre_state(simulation: PointSimulation) -> Floats:
+def centre_state(simulation: PointSimulation) -> FloatArray:
     """(robots, 5): x, y of the centre of mass, yaw, and its velocity in the world, of the robots as they are."""
     ahead = simulation.body.centre_ahead
     x, y, yaw = simulation.pose
@@ -47,7 +46,7 @@ def centre_state(simulation: PointSimulation) -> Floats:
     )
 
 
-def put_state(simulation: PointSimulation, state: Floats, rate: Floats) -> None:
+def put_state(simulation: PointSimulation, state: FloatArray, rate: FloatArray) -> None:
     """Sets all robots to states (robots, 5), turning at ``rate`` (robots,) [rad/s]: the inverse of ``centre_state``."""
     ahead = simulation.body.centre_ahead
     cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
@@ -56,13 +55,13 @@ def put_state(simulation: PointSimulation, state: Floats, rate: Floats) -> None:
     simulation.velocity[:] = state[:, 3] + swing * sine, state[:, 4] - swing * cosine, rate
 
 
-def controls_of(action: Floats) -> Floats:
+def controls_of(action: FloatArray) -> FloatArray:
     """Controls (2, robots) of the body's motors for actions (robots, 2): thrust [N], turn [rad/s]."""
-    controls: Floats = np.stack((action[:, 0] / POINT_BODY.gear, action[:, 1] / _TURN_OF_CONTROL))
+    controls: FloatArray = np.stack((action[:, 0] / POINT_BODY.gear, action[:, 1] / _TURN_OF_CONTROL))
     return controls
 
 
-def actions_of(controls: Floats) -> Floats:
+def actions_of(controls: FloatArray) -> FloatArray:
     """Actions (robots, 2), thrust [N] and turn [rad/s], that controls (2, robots) of the motors come to: what lies
     beyond their limits pushes no harder and turns no faster."""
     limit = POINT_BODY.force_limit
@@ -72,8 +71,13 @@ def actions_of(controls: Floats) -> Floats:
 
 
 def after_one_period(
-    state: Floats, action: Floats, rate: Floats, wind: Floats, drag: Floats | float = 0.0, gain: Floats | float = 1.0
-) -> tuple[Floats, Floats]:
+    state: FloatArray,
+    action: FloatArray,
+    rate: FloatArray,
+    wind: FloatArray,
+    drag: FloatArray | float = 0.0,
+    gain: FloatArray | float = 1.0,
+) -> tuple[FloatArray, FloatArray]:
     """States (robots, 5) and yaw rates (robots,) one period later, under actions thrust [N] and turn [rad/s].
 
     ``wind`` (robots, 2): its force over the mass [m/s2]; ``drag``: deceleration over velocity [1/s] on top of the

@@ -13,9 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
+
 __all__ = ["FIELD", "GOAL_RADIUS", "HAZARDS", "HAZARD_RADIUS", "Layout", "draw_goals", "draw_layouts"]
 
-Floats = NDArray[np.float64]
 
 HAZARDS: Final = 8
 HAZARD_RADIUS: Final = 0.2
@@ -31,11 +32,11 @@ _TRIES = 100
 class Layout:
     """Positions [m] in ``count`` worlds."""
 
-    robot: Floats
+    robot: FloatArray
     """(count, 2)."""
-    goal: Floats
+    goal: FloatArray
     """(count, 2)."""
-    hazards: Floats
+    hazards: FloatArray
     """(count, 8, 2)."""
 
 
@@ -55,7 +56,7 @@ def draw_layouts(count: int, random: np.random.Generator) -> Layout:
     return layout
 
 
-def draw_goals(robot: Floats, hazards: Floats, random: np.random.Generator) -> Floats:
+def draw_goals(robot: FloatArray, hazards: FloatArray, random: np.random.Generator) -> FloatArray:
     """New goals (count, 2), away from hazards and from where the robots are now."""
     others = np.concatenate((robot[:, None], hazards), axis=1)
     keep = np.array([_KEEP_ROBOT] + [_KEEP_HAZARD] * hazards.shape[1])
@@ -69,7 +70,7 @@ def draw_goals(robot: Floats, hazards: Floats, random: np.random.Generator) -> F
     return goals
 
 
-def _draw(count: int, random: np.random.Generator) -> tuple[Floats, NDArray[np.bool_]]:
+def _draw(count: int, random: np.random.Generator) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Places (count, 2 + hazards, 2), one thing after the other, and in which worlds all of them found room."""
     keep = np.array([_KEEP_ROBOT, _KEEP_GOAL] + [_KEEP_HAZARD] * HAZARDS)
     places = np.zeros((count, len(keep), 2))
@@ -87,11 +88,11 @@ def _draw(count: int, random: np.random.Generator) -> tuple[Floats, NDArray[np.b
     return places, complete
 
 
-def _somewhere(count: int, keep: float, random: np.random.Generator) -> Floats:
+def _somewhere(count: int, keep: float, random: np.random.Generator) -> FloatArray:
     return random.uniform(-FIELD + keep, FIELD - keep, (count, 2))
 
 
-def _is_free(place: Floats, keep: float, others: Floats, others_keep: Floats) -> NDArray[np.bool_]:
+def _is_free(place: FloatArray, keep: float, others: FloatArray, others_keep: FloatArray) -> NDArray[np.bool_]:
     apart = np.linalg.norm(place[:, None] - others, axis=2)
     free: NDArray[np.bool_] = np.all(apart >= keep + others_keep, axis=1)
     return free

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def entries_seen(latents: int) -> int:
     return 3 + 3 * latents + 3 + 3 * _NEAREST + LIDAR_BINS + 3
 
 
-def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: Floats) -> Floats:
+def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: FloatArray) -> FloatArray:
     """(robots, entries), all as seen from the robot, directions as unit vectors ahead and left:
 
         velocity and yaw rate; z cos yaw, z sin yaw, z; goal: direction and distance; the four nearest hazards:
@@ -66,14 +67,14 @@ def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: Floats
     return np.concatenate(parts, axis=1)
 
 
-def _towards(place: Floats, pose: Floats) -> Floats:
+def _towards(place: FloatArray, pose: FloatArray) -> FloatArray:
     seen = _own_frame(place[:, np.newaxis], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
     parts = (seen / (distance + GOAL_OFFSET), np.minimum(distance, _FARTHEST))
     return np.concatenate(parts, axis=1)
 
 
-def _nearest(hazards: Floats, pose: Floats) -> Floats:
+def _nearest(hazards: FloatArray, pose: FloatArray) -> FloatArray:
     seen = _own_frame(hazards, pose)
     distance = np.linalg.norm(seen, axis=2)
     order = np.argsort(distance, axis=1)[:, :_NEAREST]
@@ -82,8 +83,6 @@ def _nearest(hazards: Floats, pose: Floats) -> Floats:
     nearness = np.exp((HAZARD_RADIUS - distance) / _FADING)
     return np.concatenate((direction, nearness), axis=2).reshape(len(seen), -1)
 
-
-Floats = NDArray[np.float64]
 
 SENSOR_ENTRIES: Final = 12
 GOAL_ENTRIES: Final = 3
@@ -94,7 +93,7 @@ GOAL_OFFSET: Final = 0.001
 """m on top of a distance, not to divide by zero."""
 
 
-def _own_frame(points: Floats, pose: Floats) -> Floats:
+def _own_frame(points: FloatArray, pose: FloatArray) -> FloatArray:
     """Points (robots, points, 2) of the world as seen by robots of pose (3, robots): ahead, left."""
     apart = points - pose[:2].T[:, None]
     cosine, sine = np.cos(pose[2])[:, None], np.sin(pose[2])[:, None]
@@ -103,14 +102,14 @@ def _own_frame(points: Floats, pose: Floats) -> Floats:
     return np.stack((ahead, left), axis=-1)
 
 
-def goal_seen(pose: Floats, goal: Floats) -> Floats:
+def goal_seen(pose: FloatArray, goal: FloatArray) -> FloatArray:
     """(robots, 3): direction of the goal in the own frame (2 entries of a unit vector), distance [m]."""
     seen = _own_frame(goal[:, None], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
     return np.concatenate((seen / (distance + GOAL_OFFSET), distance), axis=1)
 
 
-def hazard_lidar(pose: Floats, hazards: Floats) -> Floats:
+def hazard_lidar(pose: FloatArray, hazards: FloatArray) -> FloatArray:
     """(robots, 16): closeness 1 - distance / 3 m of the nearest hazard in each sixteenth of the circle, 0: none.
 
     A hazard also shows in the bins beside its own, by how far it lies towards them, so the reading turns smoothly.

@@ -11,22 +11,22 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import Float32Array
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
+from safedpa_sim.point.belief import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.layout import GOAL_RADIUS
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
-from safedpa_sim.point.way import Ways, taught
+from safedpa_sim.point.way import RoutePlanner, teacher_actions
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.one_period import Moved
+from safedpa_sim.training.one_period import PeriodResult
 
 __all__ = ["EPSILON", "LARGEST_FORCE", "PointPractice", "evaluate", "practice", "random_drives"]
 
-Floats = NDArray[np.float32]
 
 LARGEST_FORCE: Final = 0.008
 """N."""
@@ -66,15 +66,15 @@ class PointPractice:
         self._networks = LearnedNetworks(weights) if weights.description.latents else None
         self._paths = [entry.path for entry in weights.description.environment]
         self._random = np.random.default_rng([seed, 17])
-        self._belief = TrueBelief(self.task.simulation)
+        self._belief = SimulatedPointModel(self.task.simulation)
         self._filter = PointFilter(EPSILON)
         if not calm:
             self.task.steps[:] = self._random.integers(0, EPISODE_STEPS, count)
-        self.latent: Floats = np.zeros((count, weights.description.latents), np.float32)
+        self.latent: Float32Array = np.zeros((count, weights.description.latents), np.float32)
         self._know_wind()
-        self.applied: Floats = np.zeros((count, 2), np.float32)
+        self.applied: Float32Array = np.zeros((count, 2), np.float32)
         self._within = np.zeros(count, bool)
-        self._ways = Ways(count)
+        self._ways = RoutePlanner(count)
         self._turn, self._left = self._way()
 
     def _way(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -83,7 +83,7 @@ class PointPractice:
         return self._ways.first_turns(self.task.simulation.pose[:2].T, layout.hazards, layout.goal)
 
     @property
-    def state(self) -> Floats:
+    def state(self) -> Float32Array:
         """(robots, 5), centre of mass."""
         return centre_state(self.task.simulation).astype(np.float32)
 
@@ -95,21 +95,21 @@ class PointPractice:
             self._know_wind()
             self._turn, self._left = self._way()
 
-    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
+    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Float32Array:
         """``policy_seen`` (robots, entries)."""
         return policy_seen(self.task, self.latent, self._turn)[which].astype(np.float32)
 
-    def teacher(self) -> Floats:
+    def teacher(self) -> Float32Array:
         """Actions (robots, 2) in [-1, 1] of a driver that knows the wind: what a policy may be taught by."""
         state = centre_state(self.task.simulation)
         motion = self._belief.believed(state, np.zeros((self.count, 0))).motion
-        return taught(state, self._turn, motion).astype(np.float32)
+        return teacher_actions(state, self._turn, motion).astype(np.float32)
 
-    def exploring(self, random: np.random.Generator) -> Floats:
+    def exploring(self, random: np.random.Generator) -> Float32Array:
         """Actions at random, for the scales of what is observed."""
         return random.uniform(-1.0, 1.0, (self.count, 2)).astype(np.float32)
 
-    def advance(self, chosen: Floats) -> Moved:
+    def advance(self, chosen: Float32Array) -> PeriodResult:
         """One period under ``chosen`` (robots, 2), each entry in [-1, 1] over the range of commands."""
         task = self.task
         action = np.clip(np.asarray(chosen, dtype=np.float64), -1.0, 1.0)
@@ -126,7 +126,7 @@ class PointPractice:
         if not self._calm:
             self._turn_wind()
         never = np.zeros(self.count, bool)
-        return Moved(reward.astype(np.float32), never, stepped.timed_out, never, began)
+        return PeriodResult(reward.astype(np.float32), never, stepped.timed_out, never, began)
 
     def _gained(self) -> NDArray[np.float64]:
         """m along the way; where a goal was reached, what had been left to its edge, and 1."""

@@ -16,17 +16,16 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.networks import Frame
 from safedpa.operations import Operations, Scalar
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.observation import GOAL_OFFSET, goal_seen
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["ENTRIES", "GROUPS", "SENSED_FRAME", "decoded", "decoding_slopes", "sensed", "without_goal"]
+__all__ = ["ENTRIES", "GROUPS", "SENSED_FRAME", "decode_state", "decoding_slopes", "sensed", "without_goal"]
 
-Floats = NDArray[np.float64]
 
 GROUPS: Final = {
     "accelerometer": slice(0, 3),
@@ -55,19 +54,19 @@ SENSED_FRAME: Final = Frame(ENTRIES, _as_they_are, None, None)
 """Networks see every entry as it is and tell its change: sensors are in the robot's own frame already."""
 
 
-def sensed(simulation: PointSimulation, control: Floats, goal: Floats) -> Floats:
+def sensed(simulation: PointSimulation, control: FloatArray, goal: FloatArray) -> FloatArray:
     """(robots, 15) with goals (robots, 2); ``control`` (2, robots) acted until now: the accelerometer feels it."""
     return np.concatenate((simulation.sensors(control).T, goal_seen(simulation.pose, goal)), axis=1)
 
 
-def without_goal(seen: Floats) -> Floats:
+def without_goal(seen: FloatArray) -> FloatArray:
     """The same with nothing where the goal's entries are: one that is put elsewhere is no motion of the robot."""
     kept = seen.copy()
     kept[..., _COMPASS] = kept[..., _DISTANCE] = 0.0
     return kept
 
 
-def decoded(seen: Floats, goal: Floats) -> Floats:
+def decode_state(seen: FloatArray, goal: FloatArray) -> FloatArray:
     """The filter's states (..., 5), yaw within -pi and pi, of what is sensed (..., 15) with goals (..., 2)."""
     yaw, ahead, left, towards = _parts(seen)
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -84,7 +83,7 @@ def decoded(seen: Floats, goal: Floats) -> Floats:
     )
 
 
-def decoding_slopes(seen: Floats) -> Floats:
+def decoding_slopes(seen: FloatArray) -> FloatArray:
     """d decoded / d seen, (..., 5, 15); where the goal lies makes no difference to it."""
     yaw, ahead, left, towards = _parts(seen)
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -107,7 +106,7 @@ def decoding_slopes(seen: Floats) -> Floats:
     return slopes
 
 
-def _parts(seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def _parts(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Yaw, the centre of mass's speed along and across, and where the goal lies from the hinge (..., 2)."""
     yaw = np.arctan2(-seen[..., 9], -seen[..., 10])
     left = seen[..., _LEFT] + POINT_BODY.centre_ahead * seen[..., _RATE]

@@ -13,13 +13,12 @@ turning servo. Tests hold it against MuJoCo.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY, SUBSTEPS, PointBody
 
 __all__ = ["PointSimulation"]
 
-Floats = NDArray[np.float64]
 
 _GRAVITY = 9.81
 _MAGNETIC = -0.5
@@ -42,7 +41,7 @@ class PointSimulation:
         self.strength = np.ones(count)
         """Factor on the thrust: a motor that weakens."""
 
-    def advance(self, control: Floats) -> None:
+    def advance(self, control: FloatArray) -> None:
         """Holds (thrust, turn) controls (2, count), each cut to [-1, 1], for one step of the task."""
         control = np.clip(control, -1.0, 1.0)
         limit = self.body.force_limit
@@ -52,7 +51,9 @@ class PointSimulation:
             self.velocity += CONTROL_SECONDS / SUBSTEPS * acceleration
             self.pose += CONTROL_SECONDS / SUBSTEPS * self.velocity
 
-    def acceleration(self, thrust: Floats, turn: Floats, seconds: float = CONTROL_SECONDS / SUBSTEPS) -> Floats:
+    def acceleration(
+        self, thrust: FloatArray, turn: FloatArray, seconds: float = CONTROL_SECONDS / SUBSTEPS
+    ) -> FloatArray:
         """(3, count) mean acceleration over an implicit step of ``seconds``; 0: of this moment."""
         body = self.body
         cosine, sine = np.cos(self.pose[2]), np.sin(self.pose[2])
@@ -74,7 +75,7 @@ class PointSimulation:
             ((along_x + lever * sine * turning) / mass, (along_y - lever * cosine * turning) / mass, turning)
         )
 
-    def sensors(self, control: Floats) -> Floats:
+    def sensors(self, control: FloatArray) -> FloatArray:
         """(12, count): accelerometer, velocimeter, gyro, magnetometer, of this moment under (thrust, turn) controls."""
         limit = self.body.force_limit
         control = np.clip(control, -1.0, 1.0)
@@ -98,6 +99,6 @@ class PointSimulation:
         )
 
 
-def _turned(vector: Floats, cosine: Floats, sine: Floats) -> tuple[Floats, Floats]:
+def _turned(vector: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[FloatArray, FloatArray]:
     """World to body."""
     return cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0]

@@ -8,16 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import BoolArray, FloatArray
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, draw_layouts
 from safedpa_sim.point.observation import hazard_lidar
 from safedpa_sim.point.sensed import sensed
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "Stepped", "control_of"]
+__all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "StepResult", "control_of"]
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 EPISODE_STEPS: Final = 1000
 GOAL_REWARD: Final = 1.0
@@ -25,26 +24,26 @@ GOAL_REWARD: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Stepped:
+class StepResult:
     """What one step brought, one entry a robot."""
 
-    reward: Floats
+    reward: FloatArray
     """m by which the goal came nearer, and 1 where it was reached."""
-    cost: Floats
+    cost: FloatArray
     """1 where the hinge, the robot's middle, lies within a hazard."""
-    reached: Flags
-    timed_out: Flags
+    reached: BoolArray
+    timed_out: BoolArray
     """The episode's last step."""
 
 
-def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> Floats:
+def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> FloatArray:
     """Controls (2, count) of actions (count, 2) in [-1, 1].
 
     The thrust's control is a twentieth of the action, so that it never saturates and the body is affine in it; with
     ``stock`` the action itself, as in the benchmark: beyond a twentieth of its range the thrust is full.
     """
     scale = np.array([1.0 if stock else POINT_BODY.force_limit, 1.0])
-    control: Floats = (np.clip(action, -1.0, 1.0) * scale).T
+    control: FloatArray = (np.clip(action, -1.0, 1.0) * scale).T
     return control
 
 
@@ -87,11 +86,11 @@ class PointTask:
         self.steps[which] = 0
         self._distance[which] = self._goal_distance()[which]
 
-    def advance(self, action: NDArray[np.floating[Any]]) -> Stepped:
+    def advance(self, action: NDArray[np.floating[Any]]) -> StepResult:
         """One step under actions (count, 2) in [-1, 1]; a goal that is reached is put elsewhere."""
         return self.advance_under(control_of(action, self._stock))
 
-    def advance_under(self, control: Floats) -> Stepped:
+    def advance_under(self, control: FloatArray) -> StepResult:
         """The same under controls (2, count) of the body's motors."""
         self.control = control
         self.simulation.advance(self.control)
@@ -106,7 +105,7 @@ class PointTask:
             distance[which] = self._goal_distance()[which]
         self._distance = distance
         cost = (self.hazard_distance() <= 0.0).astype(float)
-        return Stepped(reward, cost, reached, self.steps >= EPISODE_STEPS)
+        return StepResult(reward, cost, reached, self.steps >= EPISODE_STEPS)
 
     def _put_goals(self, which: NDArray[np.intp]) -> None:
         groups = [(np.array([index]), self._own[index]) for index in which] if self._own else [(which, self._random)]
@@ -114,17 +113,17 @@ class PointTask:
             place = self.simulation.pose[:2, some].T
             self.layout.goal[some] = draw_goals(place, self.layout.hazards[some], random)
 
-    def hazard_distance(self) -> Floats:
+    def hazard_distance(self) -> FloatArray:
         """(count,) m from the robot's middle to the edge of the nearest hazard, negative within."""
         apart = self.layout.hazards - self.simulation.pose[:2].T[:, None]
-        nearest: Floats = np.linalg.norm(apart, axis=2).min(axis=1) - HAZARD_RADIUS
+        nearest: FloatArray = np.linalg.norm(apart, axis=2).min(axis=1) - HAZARD_RADIUS
         return nearest
 
-    def observation(self) -> Floats:
+    def observation(self) -> FloatArray:
         """(count, 31): 12 of the sensors, 3 of the goal, 16 of the lidar; the wind or a latent is not among them."""
         seen = sensed(self.simulation, self.control, self.layout.goal)
         return np.concatenate((seen, hazard_lidar(self.simulation.pose, self.layout.hazards)), axis=1)
 
-    def _goal_distance(self) -> Floats:
-        apart: Floats = np.linalg.norm(self.layout.goal - self.simulation.pose[:2].T, axis=1)
+    def _goal_distance(self) -> FloatArray:
+        apart: FloatArray = np.linalg.norm(self.layout.goal - self.simulation.pose[:2].T, axis=1)
         return apart

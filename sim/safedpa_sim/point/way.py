@@ -16,10 +16,11 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.stopping_barrier import Motion
+from safedpa.arrays import BoolArray, Float32Array, FloatArray
+from safedpa.safety.barriers.stopping import Motion
 from safedpa_sim.point.layout import HAZARD_RADIUS
 
-__all__ = ["BERTH", "Ways", "taught"]
+__all__ = ["BERTH", "RoutePlanner", "teacher_actions"]
 
 
 _CRUISE: Final = 0.9
@@ -30,13 +31,13 @@ _GAIN: Final = 8.0
 """1/s of the turning."""
 
 
-def taught(state: Doubles, turn: Doubles, motion: Motion) -> Doubles:
+def teacher_actions(state: FloatArray, turn: FloatArray, motion: Motion) -> FloatArray:
     """Actions (robots, 2) in [-1, 1] for states (robots, 5) towards the way's first ``turn`` (robots, 2)."""
     apart = turn - state[:, :2]
     return _steered(state, np.arctan2(apart[:, 1], apart[:, 0]), np.full(len(state), _CRUISE), motion)
 
 
-def _steered(state: Doubles, way: Doubles, speed: Doubles, motion: Motion) -> Doubles:
+def _steered(state: FloatArray, way: FloatArray, speed: FloatArray, motion: Motion) -> FloatArray:
     """Actions (robots, 2) that bring states (robots, 5) to ``speed`` (robots,) [m/s] along ``way`` (robots,) [rad]."""
     yaw, vx, vy = state.T[2:]
     wanted_x = (speed * np.cos(way) - vx) / _SECONDS - motion.wind[0] + motion.drag * vx
@@ -45,13 +46,9 @@ def _steered(state: Doubles, way: Doubles, speed: Doubles, motion: Motion) -> Do
     across = wanted_y * np.cos(yaw) - wanted_x * np.sin(yaw)
     end = np.where(along < 0.0, -1.0, 1.0)
     turn = _GAIN * np.arctan2(end * across, end * along) / motion.fastest
-    action: Doubles = np.clip(np.stack((along / motion.strongest, turn), axis=1), -1.0, 1.0)
+    action: FloatArray = np.clip(np.stack((along / motion.strongest, turn), axis=1), -1.0, 1.0)
     return action
 
-
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 BERTH: Final = 0.1
 """m that a way keeps from a hazard's edge."""
@@ -67,7 +64,7 @@ _FAR: Final = 1e6
 
 
 @final
-class Ways:
+class RoutePlanner:
     """Ways of ``count`` robots. The graphs of their layouts are kept until the hazards lie elsewhere."""
 
     def __init__(self, count: int) -> None:
@@ -79,7 +76,7 @@ class Ways:
         self._left = np.zeros((count, corners), np.float32)
         """m from each corner to the goal."""
 
-    def first_turns(self, place: Doubles, hazards: Doubles, goal: Doubles) -> tuple[Doubles, Doubles]:
+    def first_turns(self, place: FloatArray, hazards: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the ways from places (robots, 2) to goals (robots, 2) among hazards (robots, 8, 2) turn first, the
         goal itself where nothing is between, and their lengths (robots,) [m]; straight on where there is no way."""
         self._renew(hazards, goal)
@@ -94,7 +91,9 @@ class Ways:
             first[none], length[none] = end[none], np.sqrt(np.square(end - start).sum(1))[none] + 1.0
         return first.astype(np.float64), length.astype(np.float64)
 
-    def _around(self, which: NDArray[np.intp], start: Floats, around: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    def _around(
+        self, which: NDArray[np.intp], start: Float32Array, around: Float32Array, reach: Float32Array
+    ) -> tuple[Float32Array, Float32Array]:
         """The first corners of the robots ``which``, and the lengths of their ways."""
         corners = self._corners[which]
         total = np.sqrt(np.square(corners - start[:, None]).sum(2)) + self._left[which]
@@ -102,7 +101,7 @@ class Ways:
         best, robots = total.argmin(1), np.arange(len(which))
         return corners[robots, best], total[robots, best]
 
-    def _renew(self, hazards: Doubles, goal: Doubles) -> None:
+    def _renew(self, hazards: FloatArray, goal: FloatArray) -> None:
         """Graphs where hazards lie elsewhere, lengths where the goal does."""
         moved = np.flatnonzero(np.any(self._hazards != hazards, axis=(1, 2)))
         for index in moved:
@@ -119,7 +118,7 @@ class Ways:
             self._goal[which] = goal[which]
 
 
-def _graph(hazards: Floats) -> tuple[Floats, Floats]:
+def _graph(hazards: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Corners (64, 2) and the lengths (64, 64) [m] of the ways between them."""
     from scipy.sparse.csgraph import shortest_path
 
@@ -138,7 +137,7 @@ def _graph(hazards: Floats) -> tuple[Floats, Floats]:
     return corners, apart
 
 
-def _crosses(start: Floats, end: Floats, hazards: Floats, reach: Floats) -> Flags:
+def _crosses(start: Float32Array, end: Float32Array, hazards: Float32Array, reach: Float32Array) -> BoolArray:
     """(robots, lines): whether the lines between start and end (robots, 1 or lines, 2) come nearer than ``reach``
     (robots,) to any of hazards (robots, 8, 2)."""
     along_x, along_y = (end - start)[..., 0], (end - start)[..., 1]

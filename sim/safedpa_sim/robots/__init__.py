@@ -11,8 +11,8 @@ from safedpa_sim.robots.pendulum_task import TASKS, PendulumTask, task_named
 from safedpa_sim.robots.pendulum_world import PendulumWorld, wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
-from safedpa_sim.robots.shared_field import SharedField, Touch
-from safedpa_sim.robots.trace import LivedPeriod, Trace, read_trace
+from safedpa_sim.robots.shared_field import CarContact, SharedField
+from safedpa_sim.robots.trace import TracedPeriod, TraceWriter, read_trace
 from safedpa_sim.robots.world import CarWorld
 
 __all__ = [
@@ -22,10 +22,10 @@ __all__ = [
     "LOADS",
     "TASKS",
     "ActionGuard",
+    "CarContact",
     "CarRobot",
     "CarWorld",
     "Collision",
-    "LivedPeriod",
     "Load",
     "PendulumRobot",
     "PendulumTask",
@@ -34,8 +34,8 @@ __all__ = [
     "Scene",
     "SharedField",
     "SimulatedRobot",
-    "Touch",
-    "Trace",
+    "TraceWriter",
+    "TracedPeriod",
     "Violation",
     "footprint",
     "load_named",

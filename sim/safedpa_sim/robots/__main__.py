@@ -8,8 +8,15 @@ import json
 import sys
 from pathlib import Path
 
-from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
-from safedpa.bus.wire.setup import setup_message
+from safedpa.bus.messages.service_info import setup_message
+from safedpa.bus.service.process import (
+    RealtimePriority,
+    StopSignal,
+    add_bus_options,
+    bus_from_options,
+    log_lifetime,
+    run_process,
+)
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.robot import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.account import account_of, check_writable, write_account
@@ -19,7 +26,7 @@ from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
 from safedpa_sim.robots.pendulum_task import TASKS
 from safedpa_sim.robots.stand_ins import robot_of
-from safedpa_sim.robots.trace import Trace
+from safedpa_sim.robots.trace import TraceWriter
 
 
 def robot_parser() -> argparse.ArgumentParser:
@@ -61,21 +68,21 @@ def robot_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
     load_own_of_environment()
     options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
     robot = robot_of(options)
     if options.summary is not None:
         check_writable(options.summary)
-    with bus_from(options) as bus, contextlib.ExitStack() as files:
+    with bus_from_options(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
         if options.await_word:
             stop.await_word()
             if stop():
                 return 0
-        files.enter_context(lifetime("robot", stop))
-        trace = None if options.trace is None else files.enter_context(Trace(options.trace))
+        files.enter_context(log_lifetime("robot", stop))
+        trace = None if options.trace is None else files.enter_context(TraceWriter(options.trace))
         setup = setup_message("robot", vars(options))
         loop = RobotLoop(robot, bus, options.name, trace=trace, setup=setup)
         code = 0
@@ -97,4 +104,4 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 if __name__ == "__main__":
-    run_process(work, robot_parser(), Urgency.ROBOT)
+    run_process(work, robot_parser(), RealtimePriority.ROBOT)

@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import ceil, hypot, inf, isfinite
 from typing import Any, final
 
-from safedpa.bus.wire.messages import ScanMessage, StateMessage
+from safedpa.bus.messages.messages import ScanMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa.reversing import reversed_way
 from safedpa_sim.robots.actuators import ThrottleMotor
@@ -22,16 +22,16 @@ from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing.people import Person
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
-__all__ = ["BRAKE", "CarRobot", "LateCommands"]
+__all__ = ["BRAKE", "CarRobot", "DelayedCommands"]
 
 _ROUNDING = 1e-9
 """s; a piece of a period shorter than this is rounding."""
 
 
 @final
-class LateCommands:
+class DelayedCommands:
     """felt drive(t) = drive(t - drive_seconds), felt steer(t) = steer(t - steer_seconds), exact between ticks as well.
 
     Before the first command the car was told to stand with its wheels straight. Raises InputError for a delay that is
@@ -89,10 +89,10 @@ class CarRobot(SimulatedRobot):
         epoch: int = 1,
         wall_clock: Callable[[], float] = time.time,
         change: PlannedChange | None = None,
-        late: LateCommands | None = None,
+        late: DelayedCommands | None = None,
         until_action: float = 0.0,
         parameters: CarParameters = CAR_PARAMETERS,
-        senses: Senses | None = None,
+        senses: SimulatedSensors | None = None,
     ) -> None:
         if parameters.throttle is not None and scene.load is not None:
             raise InputError(

@@ -8,8 +8,14 @@ import secrets
 import sys
 from pathlib import Path
 
-from safedpa.bus.loop.collector import settle_collector
-from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, run_process
+from safedpa.bus.service.process import (
+    RealtimePriority,
+    StopSignal,
+    add_bus_options,
+    bus_from_options,
+    freeze_garbage_collector,
+    run_process,
+)
 from safedpa.errors import InputError
 from safedpa_sim.robots.account import check_writable, write_account
 from safedpa_sim.robots.claim import claim_names
@@ -39,17 +45,17 @@ def fleet_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Drives until the time is over or ``stop``."""
     sys.setswitchinterval(_SWITCH_SECONDS)
     robots = _robots(options)
     check_writable(options.summary)
     check_writable(options.begun)
-    with bus_from(options) as bus:
-        with bus_from(_beside(options)) as listener:
+    with bus_from_options(options) as bus:
+        with bus_from_options(_beside(options)) as listener:
             claim_names(bus, list(robots), listener=listener)
         loop = FleetLoop(robots, bus, in_step=options.in_step)
-        settle_collector()
+        freeze_garbage_collector()
         loop.run(stop, options.warm_seconds)
         loop.begin_counting()
         before = os.times()
@@ -85,4 +91,4 @@ def _robots(options: argparse.Namespace) -> dict[str, CarRobot]:
 
 
 if __name__ == "__main__":
-    run_process(work, fleet_parser(), Urgency.FILTER)
+    run_process(work, fleet_parser(), RealtimePriority.FILTER)

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, final
 
-from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, ReceivedMessage
+from safedpa.bus.messages.messages import ActionMessage
 from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["Durations", "FleetLoop"]
@@ -83,7 +83,7 @@ _REMEMBERED_MOMENTS = 10_000
 
 
 @dataclass
-class _Turning:
+class _ScheduledRobot:
     """One robot, and where it is in its period."""
 
     robot: SimulatedRobot
@@ -125,7 +125,7 @@ class FleetLoop:
         for index, (name, robot) in enumerate(robots.items()):
             due = self._begin + index * self._moments // len(robots) / self._moments * robot.period
             every = max(1, round(_HEARTBEAT_SECONDS / robot.period))
-            self._turning[name] = _Turning(robot, due, every, index % every)
+            self._turning[name] = _ScheduledRobot(robot, due, every, index % every)
         self._ready: deque[tuple[str, int]] = deque()
         """Robots whose action of a tick is there, and which have not moved yet."""
         self._events = [(turning.due, name, turning.robot.tick, True) for name, turning in self._turning.items()]
@@ -179,7 +179,7 @@ class FleetLoop:
             heapq.heappop(events)
         return events[0][0]
 
-    def _sense(self, name: str, turning: _Turning) -> None:
+    def _sense(self, name: str, turning: _ScheduledRobot) -> None:
         robot = turning.robot
         turning.published = self._clock()
         self._bus.publish(STATE, name, robot.state_message())
@@ -187,7 +187,7 @@ class FleetLoop:
             self._tell_health(name, robot)
         heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
 
-    def _sent(self, sensed: Sequence[_Turning]) -> None:
+    def _sent(self, sensed: Sequence[_ScheduledRobot]) -> None:
         """The states are out now: from here they are late, if they are."""
         now = self._clock()
         for turning in sensed:
@@ -201,14 +201,14 @@ class FleetLoop:
             turning = self._turning.get(item.robot)
             if turning is None:
                 continue
-            if not isinstance(item, Received) or not isinstance(item.message, ActionMessage):
+            if not isinstance(item, ReceivedMessage) or not isinstance(item.message, ActionMessage):
                 turning.robot.guard.refuse("malformed")
             elif turning.robot.receive(item.message) is None:
                 self.latency.add(item.at - turning.published)
                 self.acted.append((item.at, item.at - turning.published))
                 self._ready.append((item.robot, turning.robot.tick))
 
-    def _move(self, name: str, turning: _Turning) -> None:
+    def _move(self, name: str, turning: _ScheduledRobot) -> None:
         robot = turning.robot
         late = robot.guard.accepted is None
         if not late and self._clock() - turning.published > _LARGEST_AGE_PERIODS * robot.period:

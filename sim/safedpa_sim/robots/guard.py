@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 
-from safedpa.bus.wire.messages import ActionMessage
+from safedpa.bus.messages.messages import ActionMessage
 
 __all__ = ["ActionGuard"]
 

@@ -10,14 +10,13 @@ import os
 import time
 from collections.abc import Callable
 
-from safedpa.bus import ACTION, HEALTH, SCAN, SETUP, STATE, Bus, Received
-from safedpa.bus.log import log_event
-from safedpa.bus.wire.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
-from safedpa.bus.wire.setup import SETUP_SECONDS
-from safedpa.bus.wire.version import software_version
+from safedpa.bus import ACTION, HEALTH, SCAN, SETUP, STATE, Bus, ReceivedMessage
+from safedpa.bus.logging import log_event
+from safedpa.bus.messages.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
+from safedpa.bus.messages.service_info import SETUP_SECONDS, software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
-from safedpa_sim.robots.trace import LivedPeriod, Trace
+from safedpa_sim.robots.trace import TracedPeriod, TraceWriter
 
 __all__ = ["NoActionError", "RobotLoop"]
 
@@ -51,7 +50,7 @@ class RobotLoop:
         name: str,
         clock: Callable[[], float] = time.monotonic,
         patience: float = _PATIENCE_SECONDS,
-        trace: Trace | None = None,
+        trace: TraceWriter | None = None,
         setup: SetupMessage | None = None,
     ) -> None:
         self.robot = robot
@@ -146,9 +145,9 @@ class RobotLoop:
             self._trace.write(self._lived(self._sent, began))
         self._sent = self._accepted = None
 
-    def _lived(self, sent: StateMessage, began: float) -> LivedPeriod:
+    def _lived(self, sent: StateMessage, began: float) -> TracedPeriod:
         now, accepted = self.robot.state_message(), self._accepted
-        return LivedPeriod(
+        return TracedPeriod(
             epoch=sent.epoch,
             tick=sent.tick,
             published=self._published,
@@ -177,7 +176,7 @@ class RobotLoop:
 
     def _take(self, longest_wait: float) -> None:
         for item in self._inbox.take(max(0.0, min(longest_wait, _LONGEST_WAIT_SECONDS))):
-            if not isinstance(item, Received) or not isinstance(item.message, ActionMessage):
+            if not isinstance(item, ReceivedMessage) or not isinstance(item.message, ActionMessage):
                 reason: str | None = "malformed"
                 self.robot.guard.refuse("malformed")
             else:

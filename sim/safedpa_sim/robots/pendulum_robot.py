@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import degrees, radians, sin
 from typing import Any, final
 
-from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.pendulum_task import PendulumTask

@@ -10,7 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state, controls_of

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, final
 
-from safedpa.bus.wire.messages import ActionMessage, ScanMessage, StateMessage
+from safedpa.bus.messages.messages import ActionMessage, ScanMessage, StateMessage
 from safedpa_sim.robots.guard import ActionGuard
 
 __all__ = ["SimulatedRobot"]

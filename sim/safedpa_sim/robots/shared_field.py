@@ -14,12 +14,12 @@ from safedpa.errors import InputError
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.core import CarRobot
 
-__all__ = ["SharedField", "Touch"]
+__all__ = ["CarContact", "SharedField"]
 
 
 @final
 @dataclass(frozen=True)
-class Touch:
+class CarContact:
     """One contact of two cars, or of what they tow, counted once for both."""
 
     time: float
@@ -49,7 +49,7 @@ class SharedField:
     def __init__(self, robots: Sequence[CarRobot]) -> None:
         self.robots = tuple(robots)
         _check(self.robots)
-        self.touches: list[Touch] = []
+        self.touches: list[CarContact] = []
         self._named: dict[str, tuple[int, str]] = {}
         """By the name of another's body: whose it is, and which part."""
         self._counted = [0] * len(self.robots)
@@ -106,7 +106,7 @@ class SharedField:
             own_name = next(name for name, owned in self._named.items() if owned == (index, hit.part))
             if not self.robots[other].world.contacts.lasts(part, own_name):
                 speed = next(body.speed for body in world.others if body.name == hit.what)
-                self.touches.append(Touch(hit.time, (index, other), (hit.part, part), (hit.speed, speed)))
+                self.touches.append(CarContact(hit.time, (index, other), (hit.part, part), (hit.speed, speed)))
         self._counted[index] = len(world.collisions)
 
 

@@ -7,18 +7,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.messages.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa.robot import AbstractRobot
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["StandInRobot", "Touch"]
+__all__ = ["ForbiddenContact", "StandInRobot"]
 
 
 @final
 @dataclass(frozen=True)
-class Touch:
+class ForbiddenContact:
     """Something was touched that must not be."""
 
     time: float
@@ -55,7 +55,7 @@ class StandInRobot(SimulatedRobot):
                 f"robot '{robot.name}': its stand-in does not take {told or 'the seed'}: {error}"
             ) from error
         self._touched = self.stand_in.contact()
-        self._collisions: list[Touch] = []
+        self._collisions: list[ForbiddenContact] = []
         settings = robot.settings()
         super().__init__(ActionGuard(epoch, settings.action_low, settings.action_high), period, lockstep, wall_clock)
 
@@ -75,7 +75,7 @@ class StandInRobot(SimulatedRobot):
         return True
 
     @property
-    def collisions(self) -> list[Touch]:
+    def collisions(self) -> list[ForbiddenContact]:
         """Every touch."""
         return self._collisions
 
@@ -89,7 +89,7 @@ class StandInRobot(SimulatedRobot):
         self.goals_reached = self.stand_in.goals_reached
         touched = self.stand_in.contact()
         if touched and not self._touched:
-            self._collisions.append(Touch((self.tick + 1) * self.period, touched))
+            self._collisions.append(ForbiddenContact((self.tick + 1) * self.period, touched))
         self._touched = touched
 
     def _watchdog_action(self) -> tuple[float, ...]:

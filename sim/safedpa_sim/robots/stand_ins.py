@@ -21,7 +21,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import MOST_PEOPLE, walkers
-from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.senses import SimulatedSensors
 
 __all__ = ["robot_of"]
 
@@ -81,14 +81,14 @@ def _car(options: argparse.Namespace, epoch: int) -> CarRobot:
     )
 
 
-def _senses(options: argparse.Namespace, scene: Scene) -> Senses | None:
+def _senses(options: argparse.Namespace, scene: Scene) -> SimulatedSensors | None:
     if not 0 <= options.people <= MOST_PEOPLE:
         raise InputError(f"--people: got {options.people}, wanted 0 to {MOST_PEOPLE}")
     if options.people and not options.laser:
         raise InputError(f"--people: got {options.people} without --laser; only a car that sees them may meet people")
     if not options.laser:
         return None
-    return Senses((Laser(LaserSettings(), options.seed),), walkers(scene, options.people))
+    return SimulatedSensors((Laser(LaserSettings(), options.seed),), walkers(scene, options.people))
 
 
 def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:

@@ -10,11 +10,11 @@ from types import TracebackType
 
 from safedpa.errors import RecordingError
 
-__all__ = ["LivedPeriod", "Trace", "read_trace"]
+__all__ = ["TraceWriter", "TracedPeriod", "read_trace"]
 
 
 @dataclass(frozen=True, slots=True)
-class LivedPeriod:
+class TracedPeriod:
     """One period, as it was lived. Times are of the machine's monotonic clock, which all its processes share, in s."""
 
     epoch: int
@@ -41,7 +41,7 @@ class LivedPeriod:
         return self.applied_at - self.published
 
 
-class Trace:
+class TraceWriter:
     """Appends one line of JSON a period to a file; each line has left the process when ``write`` returns.
 
     A full disk ends the trace, not the drive. Raises RecordingError when the file cannot be opened.
@@ -57,7 +57,7 @@ class Trace:
                 f"--trace {path}: cannot be written ({error.strerror}); choose another file"
             ) from error
 
-    def write(self, period: LivedPeriod) -> None:
+    def write(self, period: TracedPeriod) -> None:
         """Appends one period, as long as the disk takes it."""
         if self.failed:
             return
@@ -66,7 +66,7 @@ class Trace:
         except OSError:
             self.failed = True
 
-    def __enter__(self) -> Trace:
+    def __enter__(self) -> TraceWriter:
         return self
 
     def __exit__(
@@ -75,8 +75,8 @@ class Trace:
         self._file.close()
 
 
-def read_trace(path: Path) -> Iterator[LivedPeriod]:
+def read_trace(path: Path) -> Iterator[TracedPeriod]:
     """The periods in a file, oldest first; a last line that a killed robot did not finish is left out."""
     for line in path.read_bytes().split(b"\n")[:-1]:
         fields = json.loads(line)
-        yield LivedPeriod(**{**fields, "applied": tuple(fields["applied"]), "values": tuple(fields["values"])})
+        yield TracedPeriod(**{**fields, "applied": tuple(fields["applied"]), "values": tuple(fields["values"])})

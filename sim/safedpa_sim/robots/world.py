@@ -10,7 +10,7 @@ from math import atan, ceil, cos, pi, sin, sqrt
 import pymunk
 from pymunk._chipmunk_cffi import lib
 
-from safedpa_sim.ground_forces import Drive, GroundForces, runner_force
+from safedpa_sim.ground_forces import DrivePeriod, GroundForces, runner_force
 from safedpa_sim.robots.actuators import SteeringActuator, drive_of
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
@@ -138,7 +138,7 @@ class CarWorld:
         pace, now, motor = seconds / substeps, self.time, self.drive
         space, handle, loads, contacts = self.space._space, self._handle, self._loads, self.contacts
         pull, share = motor.pull(command), motor.share(pace)
-        drive = Drive(self._ground, pull, motor.limit, share, motor.acceleration, self.wind)
+        drive = DrivePeriod(self._ground, pull, motor.limit, share, motor.acceleration, self.wind)
         forces = drive.substep
         for angle in self.steering.angles(steer + self.steering_offset, pace, substeps):
             velocity = _velocity(handle)

@@ -9,15 +9,14 @@ from math import cos, inf, isfinite, pi, sin
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safedpa.bus.wire.messages import ScanMessage
+from safedpa.arrays import FloatArray
+from safedpa.bus.messages.messages import ScanMessage
 from safedpa.errors import InputError
 from safedpa_sim.sensing.shapes import Outline, cast
 
 __all__ = ["MOST_RAYS", "Laser", "LaserSettings"]
 
-Values = NDArray[np.float64]
 
 MOST_RAYS = 1080
 NOTHING_BELIEVED = -1.0
@@ -86,7 +85,7 @@ class Laser:
         self._draw = np.random.default_rng([seed, 7])
         self._number = 0
         self._waiting: deque[ScanMessage] = deque()
-        own: Values = -0.5 * settings.field_of_view + settings.step * np.arange(settings.rays, dtype=np.float64)
+        own: FloatArray = -0.5 * settings.field_of_view + settings.step * np.arange(settings.rays, dtype=np.float64)
         self._angles = own
         self._blinded = np.zeros(settings.rays, dtype=bool)
         for first, last in settings.blind:
@@ -103,7 +102,7 @@ class Laser:
         x, y, yaw = pose
         ahead, aside, turned = own.mount
         place_x, place_y = x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)
-        angles: Values = self._angles + (yaw + turned)
+        angles: FloatArray = self._angles + (yaw + turned)
         true = cast(outline, place_x, place_y, angles)
         seen = true + self._draw.normal(0.0, 1.0, own.rays) * own.noise
         seen = np.where((true > own.farthest) | (true == inf), own.farthest, np.clip(seen, 0.0, own.farthest))

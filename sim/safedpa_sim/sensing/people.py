@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa_sim.sensing.shapes import Outline, Point, room_to, rooms_to
+from safedpa_sim.sensing.shapes import Outline, Point, clearance_at, clearances_at
 
 if TYPE_CHECKING:
     from safedpa_sim.robots.scene import Scene
@@ -85,7 +85,7 @@ class Walks(Person):
         steps = ceil(way / self.radius) + 1
         reaches = np.arange(1, steps + 1)[:, np.newaxis] * (way / steps)
         ahead = np.array((cos(self._heading), sin(self._heading)))
-        return bool((rooms_to(outline, self.place + reaches * ahead) > self.radius + _KEPT).all())
+        return bool((clearances_at(outline, self.place + reaches * ahead) > self.radius + _KEPT).all())
 
 
 @final
@@ -110,7 +110,7 @@ class StepsOut(Person):
         self.stepped = self.stepped or near
         ahead = 0.1 * self._speed + self.radius
         x, y = self.place[0] + ahead * cos(self._heading), self.place[1] + ahead * sin(self._heading)
-        if self._stopped or not self.stepped or room_to(outline, x, y) < 0.02:
+        if self._stopped or not self.stepped or clearance_at(outline, x, y) < 0.02:
             return 0.0, 0.0
         return self._speed * cos(self._heading), self._speed * sin(self._heading)
 
@@ -134,7 +134,7 @@ def walkers(scene: Scene, count: int, speed: float = 1.5, draw: np.random.Genera
         if len(found) == count:
             return tuple(found)
         x, y = draw.uniform((scene.field[0], scene.field[2]), (scene.field[1], scene.field[3])).tolist()
-        if room_to(outline, x, y) > _ROOM and hypot(x - scene.start[0], y - scene.start[1]) > _AWAY:
+        if clearance_at(outline, x, y) > _ROOM and hypot(x - scene.start[0], y - scene.start[1]) > _AWAY:
             found.append(Walks((x, y), speed, 100 * scene.seed + len(found)))
     if len(found) == count:
         return tuple(found)

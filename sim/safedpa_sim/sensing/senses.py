@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, final
 
-from safedpa.bus.wire.messages import ScanMessage
+from safedpa.bus.messages.messages import ScanMessage
 from safedpa_sim.sensing.laser import Laser
 from safedpa_sim.sensing.people import Person
 from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from safedpa_sim.robots.scene import Scene
     from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["Senses"]
+__all__ = ["SimulatedSensors"]
 
 _TOUCHES = 0.01
 """m"""
@@ -25,7 +25,7 @@ _STEP = 0.05
 
 
 @final
-class Senses:
+class SimulatedSensors:
     """Laser scanners and people of one car. ``glass`` names the polygons of the scene that let rays through."""
 
     def __init__(

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from math import cos, inf, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["Outline", "Point", "Polygon", "box", "cast", "room_to", "rooms_to"]
+from safedpa.arrays import FloatArray
 
-Values = NDArray[np.float64]
+__all__ = ["Outline", "Point", "Polygon", "box", "cast", "clearance_at", "clearances_at"]
+
 Point = tuple[float, float]
 Polygon = tuple[Point, ...]
 """Corners of something convex in m, anticlockwise."""
@@ -42,9 +42,9 @@ class Outline:
     polygons: tuple[Polygon, ...] = ()
     rooms: tuple[tuple[float, float, float, float], ...] = ()
     """Lowest x, highest x, lowest y, highest y of each rectangle that is seen from within."""
-    edges: Values = field(init=False, repr=False, compare=False)
+    edges: FloatArray = field(init=False, repr=False, compare=False)
     """(edges, 4): x and y of both ends."""
-    discs: Values = field(init=False, repr=False, compare=False)
+    discs: FloatArray = field(init=False, repr=False, compare=False)
     """(circles, 3)."""
 
     def __post_init__(self) -> None:
@@ -60,13 +60,13 @@ def _corners(low_x: float, high_x: float, low_y: float, high_y: float) -> Polygo
     return (low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)
 
 
-def cast(outline: Outline, x: float, y: float, angles: Values) -> Values:
+def cast(outline: Outline, x: float, y: float, angles: FloatArray) -> FloatArray:
     """(rays,) m from (x, y) along each of ``angles`` (rays,) [rad] to the first thing; infinity where there is none."""
     ahead, aside = np.cos(angles), np.sin(angles)
     return np.minimum(_to_edges(outline.edges, x, y, ahead, aside), _to_circles(outline.discs, x, y, ahead, aside))
 
 
-def _to_edges(edges: Values, x: float, y: float, ahead: Values, aside: Values) -> Values:
+def _to_edges(edges: FloatArray, x: float, y: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
     """p + t d = a + s (b - a) for each ray d and edge (a, b), 0 <= s <= 1: the least t >= 0."""
     if not len(edges):
         return np.full(len(ahead), inf)
@@ -78,11 +78,11 @@ def _to_edges(edges: Values, x: float, y: float, ahead: Values, aside: Values) -
     distance = (start_x * way_y - start_y * way_x) / safe
     share = (start_x * aside - start_y * ahead) / safe
     hit = meets & (distance >= 0.0) & (share >= 0.0) & (share <= 1.0)
-    least: Values = np.where(hit, distance, inf).min(axis=0)
+    least: FloatArray = np.where(hit, distance, inf).min(axis=0)
     return least
 
 
-def _to_circles(table: Values, x: float, y: float, ahead: Values, aside: Values) -> Values:
+def _to_circles(table: FloatArray, x: float, y: float, ahead: FloatArray, aside: FloatArray) -> FloatArray:
     if not len(table):
         return np.full(len(ahead), inf)
     apart_x, apart_y = (table[:, 0] - x)[:, np.newaxis], (table[:, 1] - y)[:, np.newaxis]
@@ -90,18 +90,18 @@ def _to_circles(table: Values, x: float, y: float, ahead: Values, aside: Values)
     across = apart_x * aside - apart_y * ahead
     half = table[:, 2:] ** 2 - across**2
     reach = along - np.sqrt(np.maximum(half, 0.0))
-    least: Values = np.where((half >= 0.0) & (reach >= 0.0), reach, inf).min(axis=0)
+    least: FloatArray = np.where((half >= 0.0) & (reach >= 0.0), reach, inf).min(axis=0)
     return least
 
 
-def room_to(outline: Outline, x: float, y: float) -> float:
+def clearance_at(outline: Outline, x: float, y: float) -> float:
     """m from (x, y) to the nearest thing; below 0 within a circle."""
-    return float(rooms_to(outline, np.array([[x, y]]))[0])
+    return float(clearances_at(outline, np.array([[x, y]]))[0])
 
 
-def rooms_to(outline: Outline, places: Values) -> Values:
+def clearances_at(outline: Outline, places: FloatArray) -> FloatArray:
     """(places,) m from each of ``places`` (places, 2) to the nearest thing; below 0 within a circle."""
-    rooms: Values = np.full(len(places), inf)
+    rooms: FloatArray = np.full(len(places), inf)
     if len(outline.discs):
         apart = places[:, np.newaxis] - outline.discs[:, :2]
         rooms = (np.hypot(apart[..., 0], apart[..., 1]) - outline.discs[:, 2]).min(axis=1)

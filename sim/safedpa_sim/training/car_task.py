@@ -13,21 +13,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import BoolArray, Float32Array
 from safedpa.dynamics import PhysicsModel
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.policy.learned import LearnedPolicy
-from safedpa.robots.car.many_barriers import barriers_of_cars
+from safedpa.robots.car.barriers.batch import barriers_of_cars
 from safedpa.robots.car.observation import clearances, observe
-from safedpa.safety.batch import BatchFilter
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.batch.filter import BatchFilter
+from safedpa.safety.defaults import settings_named
 from safedpa_sim.robots.scene import GOAL_RADIUS
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.one_period import Moved
+from safedpa_sim.training.one_period import PeriodResult
 from safedpa_sim.training.scenes import FOOTPRINTS, ScenePool, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["CarShelter", "Driving", "Rewards", "evaluate", "practice", "random_drives"]
+__all__ = ["CarShelter", "DrivingTask", "Rewards", "evaluate", "practice", "random_drives"]
 
 _EVALUATION_SEED = 1_000_003
 """Added to the configuration's seed: no scene of the evaluation is trained on."""
@@ -35,10 +36,10 @@ _EVALUATION_SEED = 1_000_003
 
 def practice(
     configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
-) -> Driving:
+) -> DrivingTask:
     """Cars to train on; ``penalty`` is for contacts, ``sheltered`` by a stand-in for the filter."""
     rewards = replace(Rewards.of(configuration), penalty=penalty)
-    return Driving(configuration, weights, count, seed, rewards=rewards, sheltered=sheltered)
+    return DrivingTask(configuration, weights, count, seed, rewards=rewards, sheltered=sheltered)
 
 
 def evaluate(
@@ -49,7 +50,7 @@ def evaluate(
     ``clean``: that reach it and touched nothing before. ``success_by_radius`` tells the share that reach it for the
     footprint of the car alone and of each load, by the nearest radius [m].
     """
-    driving = Driving(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    driving = DrivingTask(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
     policy = LearnedPolicy(weights)
     middle, scale = weights["action_middle"], weights["action_scale"]
     reached, contacts = np.zeros(cars, dtype=bool), np.zeros(cars, dtype=np.int64)
@@ -96,7 +97,9 @@ class CarShelter:
     def __init__(self, model: PhysicsModel) -> None:
         self._filter = BatchFilter(model, settings_named("car").with_barriers(clearance=0.0))
 
-    def decide(self, state: Floats, wish: Floats, environment: Floats, scene: ScenePool, kept: Floats) -> Floats:
+    def decide(
+        self, state: Float32Array, wish: Float32Array, environment: Float32Array, scene: ScenePool, kept: Float32Array
+    ) -> Float32Array:
         """Safe actions (cars, 2) for states (cars, 4), wishes (cars, 2), environments (cars, entries) and scenes."""
         settings, footprint = self._filter.settings, scene.footprint.astype(np.float64)
         footprint[:, 0] += _BEHIND * (footprint[:, 2] > _OWN_RADIUS)
@@ -106,9 +109,6 @@ class CarShelter:
         found = self._filter.decide(state, wish, environment, barriers=barriers, epsilon=margins)
         return found.action.astype(np.float32)
 
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 EPISODE_TICKS = 300
 """15 s; until then the goal is to be reached."""
@@ -149,7 +149,7 @@ class Rewards:
 
 
 @final
-class Driving:
+class DrivingTask:
     """``count`` cars; the same seed gives the same drives. ``sheltered`` puts the filter before each, unless the
     configuration's ``practice`` has no shelter.
 
@@ -179,19 +179,21 @@ class Driving:
         self._random = np.random.default_rng([seed, 11])
         self._middle, self._scale = weights["action_middle"], weights["action_scale"]
         self._pool = draw_scenes(self._random, min(16 * count, _POOL), loads=configuration.practice.loads)
-        self.body: Floats | None = None if configuration.practice.footprint else np.array(FOOTPRINTS[0], np.float32)
+        self.body: Float32Array | None = (
+            None if configuration.practice.footprint else np.array(FOOTPRINTS[0], np.float32)
+        )
         """(3,) rear, front, radius [m]: what the policy sees in place of every footprint."""
         self.scene: ScenePool = self._pool.taken(np.zeros(count, dtype=np.int64))
-        self.state: Floats = np.zeros((count, 4), dtype=np.float32)
-        self.applied: Floats = np.zeros((count, 2), dtype=np.float32)
-        self.environment: Floats = np.zeros((count, len(self._cars.entries)), dtype=np.float32)
-        self.latent: Floats = np.zeros((count, weights.description.latents), dtype=np.float32)
+        self.state: Float32Array = np.zeros((count, 4), dtype=np.float32)
+        self.applied: Float32Array = np.zeros((count, 2), dtype=np.float32)
+        self.environment: Float32Array = np.zeros((count, len(self._cars.entries)), dtype=np.float32)
+        self.latent: Float32Array = np.zeros((count, weights.description.latents), dtype=np.float32)
         self.tick = np.zeros(count, dtype=np.int64)
         self._touching = np.zeros(count, dtype=bool)
-        self.distance: Floats = np.zeros(count, dtype=np.float32)
+        self.distance: Float32Array = np.zeros(count, dtype=np.float32)
         """m to the goal."""
-        self._hold: Floats = np.zeros(count, dtype=np.float32)
-        self._kept: Floats = np.zeros(count, dtype=np.float32)
+        self._hold: Float32Array = np.zeros(count, dtype=np.float32)
+        self._kept: Float32Array = np.zeros(count, dtype=np.float32)
         self._angle = np.zeros(count, dtype=np.float32)
         self.restart(np.arange(count))
 
@@ -213,7 +215,7 @@ class Driving:
         self.distance[which] = np.hypot(*(drawn.goal - drawn.start[:, :2]).T)
         self._change_environment(which)
 
-    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
+    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Float32Array:
         """What the policy sees of the cars of those indices, all of them without (count, observations)."""
         scene = self.scene.taken(which)
         own = self.state[which], self.applied[which]
@@ -221,13 +223,13 @@ class Driving:
         seen = observe(*own, scene.goal, scene.obstacles, scene.field, body, self.latent[which])
         return seen.astype(np.float32, copy=False)
 
-    def exploring(self, random: np.random.Generator) -> Floats:
+    def exploring(self, random: np.random.Generator) -> Float32Array:
         """Actions at random, forwards, for the scales of what is observed."""
         chosen = random.uniform(-1.0, 1.0, (self.count, 2)).astype(np.float32)
         chosen[:, 0] = np.abs(chosen[:, 0])
         return chosen
 
-    def advance(self, chosen: Floats) -> Moved:
+    def advance(self, chosen: Float32Array) -> PeriodResult:
         """One period under ``chosen`` (count, 2), each entry in [-1, 1] over the range of commands."""
         before = self.applied.copy()
         wish = self._middle + self._scale * np.clip(chosen, -1.0, 1.0)
@@ -242,7 +244,7 @@ class Driving:
         distance = self._to_goal()
         reached = distance < GOAL_RADIUS
         self.tick += 1
-        moved = Moved(
+        moved = PeriodResult(
             self._reward(before, distance, room, reached, began),
             reached,
             (self.tick >= EPISODE_TICKS) & ~reached,
@@ -254,7 +256,9 @@ class Driving:
             self._change_environment(np.flatnonzero(self._random.random(self.count) < _HITCHED))
         return moved
 
-    def _reward(self, before: Floats, distance: Floats, room: Floats, reached: Flags, began: Flags) -> Floats:
+    def _reward(
+        self, before: Float32Array, distance: Float32Array, room: Float32Array, reached: BoolArray, began: BoolArray
+    ) -> Float32Array:
         worth = self.rewards
         turned = (self.applied[:, 1] - before[:, 1]) / self._scale[1]
         near = np.clip(1.0 - room / _WIDE, 0.0, 1.0)
@@ -274,7 +278,7 @@ class Driving:
             following, _ = self._cars.advance(*tensors)
         self.state = following.numpy()
 
-    def _meet_solids(self) -> Floats:
+    def _meet_solids(self) -> Float32Array:
         """Pushes cars out of what they have run into, stops them there, and returns the room around each [m]."""
         state, scene = self.state, self.scene
         cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
@@ -296,26 +300,26 @@ class Driving:
         state[blocked, 3] = 0.0
         return np.asarray(least, dtype=np.float32)
 
-    def _wall_push(self, axis: int, heading: Floats) -> tuple[Floats, Floats]:
+    def _wall_push(self, axis: int, heading: Float32Array) -> tuple[Float32Array, Float32Array]:
         """By how much walls push a car along an axis [m], and its room to the nearer one before that."""
         scene, at = self.scene, self.state[:, axis]
         rear, front, radius = scene.footprint.T
         highest = at + np.maximum(front * heading, -rear * heading) + radius
         lowest = at + np.minimum(front * heading, -rear * heading) - radius
         up, down = scene.field[:, 2 * axis + 1] - highest, lowest - scene.field[:, 2 * axis]
-        push: Floats = np.minimum(up, 0.0) - np.minimum(down, 0.0)
+        push: Float32Array = np.minimum(up, 0.0) - np.minimum(down, 0.0)
         return push, np.minimum(up, down)
 
-    def _own_obstacles(self) -> Floats:
+    def _own_obstacles(self) -> Float32Array:
         """Obstacles' centres (count, m, 2) in each car's own frame."""
         state = self.state
         x, y = (self.scene.obstacles[..., axis] - state[:, axis, np.newaxis] for axis in (0, 1))
         cosine, sine = np.cos(state[:, 2])[:, np.newaxis], np.sin(state[:, 2])[:, np.newaxis]
         return np.stack((cosine * x + sine * y, cosine * y - sine * x), axis=-1)
 
-    def _to_goal(self) -> Floats:
+    def _to_goal(self) -> Float32Array:
         offset = self.scene.goal - self.state[:, :2]
-        distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
+        distance: Float32Array = np.hypot(offset[:, 0], offset[:, 1])
         return distance
 
     def _change_environment(self, which: NDArray[np.intp]) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 from safedpa.networks import Weights
-from safedpa_sim.training.histories import Lived, history_rows, lived
+from safedpa_sim.training.histories import TransitionSequence, history_rows, transition_sequence
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
 from safedpa_sim.training.simulator import BatchedCars
 
@@ -144,7 +144,7 @@ def random_drives(
     generator: torch.Generator,
     *,
     swinging: bool = False,
-) -> Lived:
+) -> TransitionSequence:
     """``count`` drives under ``RandomDriver``; an environment becomes another with probability ``change`` a period.
 
     ``swinging`` loads also pull to the side (see ``Drawbars``), and the cars start at rest; otherwise anyhow.
@@ -170,12 +170,14 @@ def random_drives(
             environment = torch.where(changes[:, None], cars.draw_environments(count, generator), environment)
             if bars is not None:
                 bars.renew(changes)
-        return lived(networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1))
+        return transition_sequence(
+            networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1)
+        )
 
 
 def policy_drives(
     driving: Any, weights: Weights, networks: AffineNetworks, encoder: HistoryNetwork, steps: int, history: int
-) -> Lived:
+) -> TransitionSequence:
     """Drives among obstacles (``Driving``) where the policy's latent is phi(history): what phi itself brings about.
 
     An episode's end, or touching something, ends a drive: the simulator's free motion tells nothing of either.
@@ -219,7 +221,7 @@ def _chooser(weights: Weights) -> Callable[[Any], Any]:
     return lambda observation: (policy.act(observation) - weights["action_middle"]) / weights["action_scale"]
 
 
-def _cut(columns: list[tuple[Any, ...]], firsts: np.ndarray[Any, Any]) -> Lived:
+def _cut(columns: list[tuple[Any, ...]], firsts: np.ndarray[Any, Any]) -> TransitionSequence:
     """Car by car, with the beginnings of drives within the steps of each car."""
     count, steps = firsts.shape
     parts = [torch.stack(column, 1).flatten(0, 1) for column in zip(*columns, strict=True)]
@@ -228,4 +230,4 @@ def _cut(columns: list[tuple[Any, ...]], firsts: np.ndarray[Any, Any]) -> Lived:
     ends = torch.cat((first[1:] == index[1:], torch.tensor([True])))
     after = torch.where(ends, index, count * steps)
     last = after.flip(0).cummin(0).values.flip(0)
-    return Lived(parts[0], parts[1], parts[2], parts[3], first, last, parts[4])
+    return TransitionSequence(parts[0], parts[1], parts[2], parts[3], first, last, parts[4])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.document import Report
+from safedpa.diagnosis.report_schema import Report
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.errors import InputError
@@ -21,14 +21,14 @@ from safedpa.records import Run
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.progress import Tell, silent
 
-__all__ = ["Grounded", "ground_simulator", "grounded_configuration"]
+__all__ = ["GroundedSimulator", "ground_simulator", "grounded_configuration"]
 
 _ROWS = 6000
 
 
 @final
 @dataclass(frozen=True)
-class Grounded:
+class GroundedSimulator:
     """The mended simulator, and the diagnosis that mended it."""
 
     model: PhysicsModel
@@ -44,7 +44,7 @@ class Grounded:
         }
 
 
-def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Tell = silent) -> Grounded:
+def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Tell = silent) -> GroundedSimulator:
     """Refits every parameter of the simulator's base to the runs, and adds the effects that a diagnosis names.
 
     Effects that the training randomises (a towed load) stand in the model from the start, doing nothing: they are not
@@ -60,10 +60,12 @@ def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Te
         why = report.unexplained.expression if report.unexplained else "nothing helps"
         raise InputError(f"tuning: the runs say nothing about the simulator ({why}); record a drive with more in it")
     found = report.models[-1]
-    return Grounded(found.with_settings({path: Setting(it.value) for path, it in found.settings.items()}), report)
+    return GroundedSimulator(
+        found.with_settings({path: Setting(it.value) for path, it in found.settings.items()}), report
+    )
 
 
-def grounded_configuration(configuration: Configuration, grounded: Grounded) -> Configuration:
+def grounded_configuration(configuration: Configuration, grounded: GroundedSimulator) -> Configuration:
     """The same training in the mended simulator."""
     return replace(configuration, simulator=grounded.model)
 

@@ -8,14 +8,14 @@ import torch
 
 from safedpa_sim.training.networks import AffineNetworks
 
-__all__ = ["Lived", "history_rows", "joined", "lived"]
+__all__ = ["TransitionSequence", "history_rows", "joined", "transition_sequence"]
 
 Tensor = torch.Tensor
 _TRIES = 3
 """Indices drawn for each one wanted; nearly all drives are much longer than what is asked before and ahead."""
 
 
-class Lived(NamedTuple):
+class TransitionSequence(NamedTuple):
     """Transitions one after the other, drive by drive; each knows where its own drive begins and ends."""
 
     states: Tensor
@@ -69,7 +69,9 @@ def history_rows(networks: AffineNetworks, states: Tensor, actions: Tensor, foll
     return torch.cat((features, increments, networks.scaled_action(actions)), dim=-1)
 
 
-def lived(networks: AffineNetworks, states: Tensor, actions: Tensor, environments: Tensor | None = None) -> Lived:
+def transition_sequence(
+    networks: AffineNetworks, states: Tensor, actions: Tensor, environments: Tensor | None = None
+) -> TransitionSequence:
     """Drives side by side as transitions: states (drives, steps + 1, states), actions (drives, steps, actions) and, if
     somebody knows them, environments (drives, steps, entries)."""
     drives, steps = actions.shape[:2]
@@ -79,14 +81,14 @@ def lived(networks: AffineNetworks, states: Tensor, actions: Tensor, environment
     latents = states.new_zeros(drives, steps, 0) if environments is None else networks.encode(environments)
     rows = history_rows(networks, before, actions, after)
     flat = [part.reshape(drives * steps, part.shape[-1]) for part in (before, after, actions, rows, latents)]
-    return Lived(flat[0], flat[1], flat[2], flat[3], first, first + steps - 1, flat[4])
+    return TransitionSequence(flat[0], flat[1], flat[2], flat[3], first, first + steps - 1, flat[4])
 
 
-def joined(parts: list[Lived]) -> Lived:
+def joined(parts: list[TransitionSequence]) -> TransitionSequence:
     """Several of them as one; drives stay drives of their own."""
     starts = torch.tensor([0, *(len(part.rows) for part in parts)]).cumsum(0)[:-1].tolist()
     moved = [
         part._replace(first=part.first + start, last=part.last + start)
         for part, start in zip(parts, starts, strict=True)
     ]
-    return Lived(*(torch.cat(columns) for columns in zip(*moved, strict=True)))
+    return TransitionSequence(*(torch.cat(columns) for columns in zip(*moved, strict=True)))

@@ -5,24 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
+from safedpa.arrays import BoolArray, Float32Array
 
-__all__ = ["Moved"]
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.bool_]
+__all__ = ["PeriodResult"]
 
 
 @final
 @dataclass(frozen=True)
-class Moved:
+class PeriodResult:
     """Arrays (robots,); an episode ends where ``reached`` or ``timed_out``."""
 
-    reward: Floats
-    reached: Flags
-    timed_out: Flags
-    contact: Flags
+    reward: Float32Array
+    reached: BoolArray
+    timed_out: BoolArray
+    contact: BoolArray
     """What must not be is going on: something is touched, a hazard is entered."""
-    began: Flags
+    began: BoolArray
     """Contacts that began in this tick."""

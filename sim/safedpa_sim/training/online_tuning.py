@@ -22,10 +22,10 @@ import torch
 
 from safedpa.errors import InputError
 from safedpa_sim.training.paper_tuning import lived_of
-from safedpa_sim.training.predictors import AbstractPredictor, Seen, open_loop_errors
-from safedpa_sim.training.tuning_data import HORIZON, Drive
+from safedpa_sim.training.predictors import AbstractPredictor, PredictorDrives, open_loop_errors
+from safedpa_sim.training.tuning_data import HORIZON, TuningDrive
 
-__all__ = ["OnlineTuning", "Taken", "add_to_heads", "head_features", "tuned_online"]
+__all__ = ["OnlineTuning", "TuningResult", "add_to_heads", "head_features", "tuned_online"]
 
 Tensor = torch.Tensor
 _HELD_OUT: Final = 0.25
@@ -53,7 +53,7 @@ class OnlineTuning:
 
 @final
 @dataclass(frozen=True)
-class Taken:
+class TuningResult:
     """What became of it: scaled root mean square errors after one step and ``HORIZON`` on what was left out."""
 
     transitions: int
@@ -69,16 +69,16 @@ class Taken:
 
 
 def tuned_online(
-    predictor: AbstractPredictor, drives: Sequence[Drive], scale: Tensor, tuning: OnlineTuning | None = None
-) -> tuple[AbstractPredictor, Taken]:
+    predictor: AbstractPredictor, drives: Sequence[TuningDrive], scale: Tensor, tuning: OnlineTuning | None = None
+) -> tuple[AbstractPredictor, TuningResult]:
     """A tuned copy of the predictor, or one that is as it was, and what was taken; ``scale`` (states,) weighs errors.
 
     Raises InputError when no drive is long enough to be left out: for a history and a second.
     """
     tuning = OnlineTuning() if tuning is None else tuning
     parts = [predictor.seen(lived_of(predictor.networks, [drive])) for drive in _parted(predictor, drives)]
-    sums = [_Sums.of(*head_features(predictor, part, tuning.recent)) for part in parts]
-    whole = _Sums.total(sums)
+    sums = [_RidgeSums.of(*head_features(predictor, part, tuning.recent)) for part in parts]
+    whole = _RidgeSums.total(sums)
     judged = range(len(parts)) if len(drives) > 1 else range(1, 2)  # of a single one the end
     before = _mean([_errors(predictor, parts[index], scale) for index in judged])
     best, found = 2.0, None
@@ -90,11 +90,11 @@ def tuned_online(
         if max(shares) < 1.0 and sum(shares) < best:
             best, found = sum(shares), (ridge, after)
     if found is None:
-        return copy.deepcopy(predictor), Taken(whole.count, before, None, None)
-    return _with(predictor, whole, found[0]), Taken(whole.count, before, found[1], found[0])
+        return copy.deepcopy(predictor), TuningResult(whole.count, before, None, None)
+    return _with(predictor, whole, found[0]), TuningResult(whole.count, before, found[1], found[0])
 
 
-def head_features(predictor: AbstractPredictor, seen: Seen, recent: int = 0) -> tuple[Tensor, Tensor]:
+def head_features(predictor: AbstractPredictor, seen: PredictorDrives, recent: int = 0) -> tuple[Tensor, Tensor]:
     """Features b (n, p) of every transition, and the scaled errors (n, states) that the networks leave."""
     lived, networks = seen.lived, predictor.networks
     with torch.no_grad():
@@ -138,7 +138,7 @@ _TABLES: Final = ("products", "wanted")
 
 @final
 @dataclass(frozen=True)
-class _Sums:
+class _RidgeSums:
     """All that a ridge regression needs of transitions; parts of them add up."""
 
     products: Tensor
@@ -148,17 +148,17 @@ class _Sums:
     count: int
 
     @staticmethod
-    def of(b: Tensor, left: Tensor) -> _Sums:
+    def of(b: Tensor, left: Tensor) -> _RidgeSums:
         b, left = b.double(), left.double()
-        return _Sums(b.T @ b, b.T @ left, len(b))
+        return _RidgeSums(b.T @ b, b.T @ left, len(b))
 
     @staticmethod
-    def total(parts: Sequence[_Sums]) -> _Sums:
+    def total(parts: Sequence[_RidgeSums]) -> _RidgeSums:
         products, wanted = (torch.stack([getattr(part, name) for part in parts]).sum(0) for name in _TABLES)
-        return _Sums(products, wanted, sum(part.count for part in parts))
+        return _RidgeSums(products, wanted, sum(part.count for part in parts))
 
-    def without(self, part: _Sums) -> _Sums:
-        return _Sums(self.products - part.products, self.wanted - part.wanted, self.count - part.count)
+    def without(self, part: _RidgeSums) -> _RidgeSums:
+        return _RidgeSums(self.products - part.products, self.wanted - part.wanted, self.count - part.count)
 
     def solved(self, ridge: float) -> Tensor:
         """W (p, states)."""
@@ -167,13 +167,13 @@ class _Sums:
         return solved.float()
 
 
-def _with(predictor: AbstractPredictor, sums: _Sums, ridge: float) -> AbstractPredictor:
+def _with(predictor: AbstractPredictor, sums: _RidgeSums, ridge: float) -> AbstractPredictor:
     found = copy.deepcopy(predictor)
     add_to_heads(found, sums.solved(ridge))
     return found
 
 
-def _errors(predictor: AbstractPredictor, part: Seen, scale: Tensor) -> tuple[float, float]:
+def _errors(predictor: AbstractPredictor, part: PredictorDrives, scale: Tensor) -> tuple[float, float]:
     """Scaled root mean square error after one step and after ``HORIZON``, mean over the states."""
     index = torch.arange(len(part.lived.rows))
     starts = index[(part.lived.last - index >= HORIZON - 1) & (index - part.lived.first >= predictor.history)]
@@ -189,14 +189,14 @@ def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return one, many
 
 
-def _parted(predictor: AbstractPredictor, drives: Sequence[Drive]) -> list[Drive]:
+def _parted(predictor: AbstractPredictor, drives: Sequence[TuningDrive]) -> list[TuningDrive]:
     """The drives that are long enough; of a single one its beginning and its end."""
     needed = predictor.history + HORIZON
     alone = math.ceil(needed / _HELD_OUT)
     if len(drives) == 1:
         states, actions = drives[0]
         cut = round((1.0 - _HELD_OUT) * len(actions))
-        parts = [Drive(states[: cut + 1], actions[:cut]), Drive(states[cut:], actions[cut:])]
+        parts = [TuningDrive(states[: cut + 1], actions[:cut]), TuningDrive(states[cut:], actions[cut:])]
     else:
         parts = list(drives)
     kept = [part for part in parts if len(part.actions) > needed]

@@ -23,7 +23,7 @@ from safedpa.extras import need
 from safedpa.networks import Weights
 from safedpa.networks.layers import layers_of
 from safedpa.networks.weights import STRIDE
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 
 __all__ = ["NETWORKS", "export_onnx"]
 

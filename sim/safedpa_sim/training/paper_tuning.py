@@ -20,12 +20,12 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
-from safedpa_sim.training.histories import Lived, joined, lived
+from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
 from safedpa_sim.training.networks import AffineNetworks, tensors_of
 from safedpa_sim.training.prediction import ALONG
 from safedpa_sim.training.predictors import NetworkPredictor, one_step_errors, spread_latents
 from safedpa_sim.training.progress import Tell, silent
-from safedpa_sim.training.tuning_data import Drive
+from safedpa_sim.training.tuning_data import TuningDrive
 
 __all__ = ["PaperTuning", "lived_of", "tune_as_written"]
 
@@ -50,7 +50,7 @@ class PaperTuning:
 
 
 def tune_as_written(
-    weights: Weights, drives: Sequence[Drive], tuning: PaperTuning | None = None, tell: Tell = silent
+    weights: Weights, drives: Sequence[TuningDrive], tuning: PaperTuning | None = None, tell: Tell = silent
 ) -> Weights:
     """f, g and phi tuned by L_TUNE on all of the drives. Raises InputError for weights without phi."""
     if not weights.has("phi"):
@@ -82,10 +82,10 @@ def tune_as_written(
     return weights.with_tensors(tensors, replace(weights.description, trained_on=told))
 
 
-def lived_of(networks: AffineNetworks, drives: Sequence[Drive]) -> Lived:
+def lived_of(networks: AffineNetworks, drives: Sequence[TuningDrive]) -> TransitionSequence:
     """Recorded drives, of any lengths, as transitions."""
     parts = []
     for states, actions in drives:
         tensors = [torch.as_tensor(part, dtype=torch.float32).unsqueeze(0) for part in (states, actions)]
-        parts.append(lived(networks, *tensors))
+        parts.append(transition_sequence(networks, *tensors))
     return joined(parts)

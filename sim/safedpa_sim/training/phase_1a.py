@@ -15,7 +15,7 @@ from torch import nn
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, frame_of
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.explained_motion import affine_floor, evaluate
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
@@ -118,7 +118,7 @@ def train_affine(
     ``out``; a training that was interrupted goes on there, to the same result bit for bit on the same kind of processor
     and number of threads.
     """
-    training = _Training.begin(configuration, variant, training_device(device), alone)
+    training = _AffineTraining.begin(configuration, variant, training_device(device), alone)
     checkpoint = out / f"checkpoint_{variant}.pt"
     training.run(training.restore(checkpoint), checkpoint, tell)
     normalise_latent(training.networks, training.cars, training.seed("latents"))
@@ -135,7 +135,7 @@ def train_affine(
 
 @final
 @dataclass
-class _Training:
+class _AffineTraining:
     configuration: Configuration
     variant: str
     cars: BatchedCars
@@ -152,7 +152,7 @@ class _Training:
     @staticmethod
     def begin(
         configuration: Configuration, variant: str, device: torch.device, alone: Mapping[str, float] | None
-    ) -> _Training:
+    ) -> _AffineTraining:
         cars = BatchedCars(configuration, device)
         phase, ablations = configuration.phase_1a, configuration.ablations
         whole = variant == "1a"
@@ -161,7 +161,7 @@ class _Training:
         generator = cars.generator(configuration.seed * 10 + _STREAMS["training"])
         pairs = phase.pairs if whole else ablations.pairs
         fixed = None if alone is None else _environment(cars, alone)
-        return _Training(configuration, variant, cars, networks, optimiser, generator, pairs, fixed)
+        return _AffineTraining(configuration, variant, cars, networks, optimiser, generator, pairs, fixed)
 
     @property
     def steps(self) -> int:

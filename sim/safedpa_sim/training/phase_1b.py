@@ -17,21 +17,21 @@ from typing import Any, Final, Protocol, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
+from safedpa.arrays import Float32Array
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration, Imitation
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.practice import Practice, task_of
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.vector_environment import PracticeEnvironment
 
-__all__ = ["PolicyCheckpoint", "Taught", "train_policy"]
+__all__ = ["PolicyCheckpoint", "TaughtPractice", "train_policy"]
 
 
 _NOISY: Final = 0.5
@@ -40,10 +40,10 @@ _LAST: Final = 4
 """Times as long is the last round, of which the critic learns what the policy will gain."""
 
 
-class Taught(Practice, Protocol):
+class TaughtPractice(Practice, Protocol):
     """Robots that practise, and a teacher who knows what they cannot."""
 
-    def teacher(self) -> Floats:
+    def teacher(self) -> Float32Array:
         """What the teacher would do (robots, actions), each entry in [-1, 1]."""
 
 
@@ -51,12 +51,12 @@ class Taught(Practice, Protocol):
 class _Lessons:
     """What was seen so far, and what the teacher would have done."""
 
-    def __init__(self, robots: Taught, environment: PracticeEnvironment, plan: Imitation, seed: int) -> None:
+    def __init__(self, robots: TaughtPractice, environment: PracticeEnvironment, plan: Imitation, seed: int) -> None:
         self.robots, self.environment, self.plan = robots, environment, plan
         self.random = np.random.default_rng([seed, 29])
-        self.seen: list[Floats] = []
-        self.wanted: list[Floats] = []
-        self.reward: list[Floats] = []
+        self.seen: list[Float32Array] = []
+        self.wanted: list[Float32Array] = []
+        self.reward: list[Float32Array] = []
 
     def drive(self, actor: torch.nn.Module | None, ticks: int, noisy: float) -> None:
         """The robots under ``actor``, or the teacher; rewards are those of this drive alone."""
@@ -73,7 +73,9 @@ class _Lessons:
             self.reward.append(moved.reward)
             self.robots.restart(np.flatnonzero(moved.reached | moved.timed_out))
 
-    def fit(self, network: torch.nn.Module, optimiser: torch.optim.Optimizer, seen: Floats, wanted: Floats) -> float:
+    def fit(
+        self, network: torch.nn.Module, optimiser: torch.optim.Optimizer, seen: Float32Array, wanted: Float32Array
+    ) -> float:
         """Steps of Adam on the squared error; the last batch's."""
         inputs, targets, error = torch.from_numpy(seen), torch.from_numpy(wanted), 0.0
         for _ in range(self.plan.updates):
@@ -87,7 +89,7 @@ class _Lessons:
 
 
 def _imitate(
-    robots: Taught,
+    robots: TaughtPractice,
     environment: PracticeEnvironment,
     policy: Any,
     plan: Imitation,
@@ -117,7 +119,7 @@ def _imitate(
     return errors
 
 
-def _discounted(rewards: list[Floats], discount: float) -> Floats:
+def _discounted(rewards: list[Float32Array], discount: float) -> Float32Array:
     """(ticks, robots): what was gained from each tick on."""
     later, returns = np.zeros_like(rewards[0]), []
     for reward in reversed(rewards):
@@ -166,8 +168,6 @@ class PolicyCheckpoint:
             ) from error
 
 
-Floats = NDArray[np.float32]
-
 _SCALING_TICKS = 60
 _LEAST_SCALE = 0.05
 """An entry of the observation that hardly changes is not blown up."""
@@ -192,13 +192,13 @@ def train_policy(
     """
     if weights.description.latents and not weights.has("mu"):
         raise InputError("phase 1b: got weights without mu, wanted those of phase 1a; run it first")
-    training = _Training(configuration, weights, out, tell, device, name, penalty, sheltered)
+    training = _PolicyTraining(configuration, weights, out, tell, device, name, penalty, sheltered)
     training.run()
     return training.result()
 
 
 @final
-class _Training:
+class _PolicyTraining:
     """One training: environment, PPO, and what is written down along the way."""
 
     def __init__(
@@ -342,7 +342,7 @@ class _Training:
 class _Watch(BaseCallback):
     """Has a look at the policy every few updates, and ends the training when it is good enough."""
 
-    def __init__(self, training: _Training) -> None:
+    def __init__(self, training: _PolicyTraining) -> None:
         super().__init__()
         self._training = training
         self._updates = 0
@@ -367,12 +367,12 @@ def _score(figures: dict[str, Any], cost: float) -> float:
     return float(figures.get("goals", figures["success"]))
 
 
-def _policy_of(weights: Weights) -> dict[str, Floats]:
+def _policy_of(weights: Weights) -> dict[str, Float32Array]:
     """The tensors that a training of the policy makes."""
     return {name: part for name, part in weights.tensors.items() if name.startswith(("policy.", "observation_"))}
 
 
-def _scales(practice: Practice) -> tuple[Floats, Floats]:
+def _scales(practice: Practice) -> tuple[Float32Array, Float32Array]:
     """Middle and scale of each entry of the observation over episodes at random."""
     random = np.random.default_rng(0)
     seen = []

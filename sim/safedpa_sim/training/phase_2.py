@@ -25,7 +25,7 @@ from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import policy_drives, random_drives
 from safedpa_sim.training.explained_motion import explained
-from safedpa_sim.training.histories import Lived, joined
+from safedpa_sim.training.histories import TransitionSequence, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.practice import Practice, has_task, task_of
@@ -53,7 +53,7 @@ def train_history_encoder(
     explains on drives that it was not trained on, and the prediction errors with mu's latent and with phi's.
     """
     del out
-    training = _Training.begin(configuration, weights, training_device(device))
+    training = _HistoryTraining.begin(configuration, weights, training_device(device))
     for index in range(configuration.phase_2.rounds):
         training.add_drives()
         training.learn(index, tell)
@@ -63,7 +63,7 @@ def train_history_encoder(
 
 @final
 @dataclass
-class _Training:
+class _HistoryTraining:
     configuration: Configuration
     weights: Weights
     cars: BatchedCars
@@ -75,14 +75,14 @@ class _Training:
     generator: torch.Generator
     spread: Tensor
     """Standard deviation of each entry of z = mu(e), (latents,)."""
-    known: list[Lived] = field(default_factory=list)
+    known: list[TransitionSequence] = field(default_factory=list)
     """One item per round."""
     pairs: int = 0
     """Of all rounds."""
     losses: list[float] = field(default_factory=list)
 
     @staticmethod
-    def begin(configuration: Configuration, weights: Weights, device: torch.device) -> _Training:
+    def begin(configuration: Configuration, weights: Weights, device: torch.device) -> _HistoryTraining:
         cars = BatchedCars(configuration, device)
         generator = cars.generator(configuration.seed * 10 + _STREAM)
         networks = affine_networks(weights).requires_grad_(False).to(device)
@@ -98,7 +98,7 @@ class _Training:
             seed = configuration.seed * 10 + _STREAM
             count = max(1, round(configuration.phase_2.driven * configuration.phase_2.cars))
             driving = task_of(configuration.robot).practice(configuration, weights, count, seed, 0.0, True)
-        return _Training(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
+        return _HistoryTraining(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
 
     def add_drives(self) -> None:
         """One more round, driven with phi as it is now."""
@@ -106,7 +106,7 @@ class _Training:
         self.known = [*self.known, self._lived(phase.cars)][-phase.kept :]
         self.pairs += len(self.known[-1].rows)
 
-    def _lived(self, count: int) -> Lived:
+    def _lived(self, count: int) -> TransitionSequence:
         """Some cars drive to goals by the policy with phi's latent, if there is one; the others at random."""
         phase = self.configuration.phase_2
         driving, parts = self.driving, []
@@ -167,7 +167,7 @@ class _Training:
                 "learning_curve": self.losses,
             }
 
-    def _errors(self, lived: Lived, index: Tensor, latent: Tensor) -> list[float]:
+    def _errors(self, lived: TransitionSequence, index: Tensor, latent: Tensor) -> list[float]:
         """Root mean square of the scaled one-step error, for each state."""
         states, following, actions = lived.states[index], lived.following[index], lived.actions[index]
         increment = self.networks.frame.own_increment(states, following) / self.networks.increment_scale

@@ -31,7 +31,7 @@ from safedpa.records import Run, Stretch
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
 from safedpa_sim.training.grounded_simulator import ground_simulator, grounded_configuration
-from safedpa_sim.training.histories import Lived, joined, lived
+from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
 from safedpa_sim.training.networks import (
     AffineNetworks,
     HistoryNetwork,
@@ -43,7 +43,7 @@ from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.prediction import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import HORIZON, Drive, drives_of, load_tuning_runs, record_circles, split
+from safedpa_sim.training.tuning_data import HORIZON, TuningDrive, drives_of, load_tuning_runs, record_circles, split
 
 __all__ = ["WHAT", "tune", "tune_on_drives", "tune_on_runs"]
 
@@ -102,7 +102,7 @@ def tune_on_runs(
 def tune_on_drives(
     configuration: Configuration,
     weights: Weights,
-    drives: Sequence[Drive],
+    drives: Sequence[TuningDrive],
     what: What = "all",
     tell: Tell = silent,
     device: str = "cpu",
@@ -149,19 +149,19 @@ class _Tuning:
     untuned: Weights
     networks: AffineNetworks
     encoder: HistoryNetwork
-    drives: Sequence[Drive]
+    drives: Sequence[TuningDrive]
     """The recorded ones that are fitted to."""
-    recorded: Lived
-    held_out: Lived
+    recorded: TransitionSequence
+    held_out: TransitionSequence
     fitted: list[nn.Parameter]
     generator: torch.Generator
-    simulated: Lived | None = None
-    judges: list[Lived] = field(default_factory=list)
+    simulated: TransitionSequence | None = None
+    judges: list[TransitionSequence] = field(default_factory=list)
     """What nothing is fitted to: the held-out part of the recorded data, and of the simulated."""
 
     @staticmethod
     def begin(
-        configuration: Configuration, weights: Weights, drives: Sequence[Drive], what: What, device: torch.device
+        configuration: Configuration, weights: Weights, drives: Sequence[TuningDrive], what: What, device: torch.device
     ) -> _Tuning:
         networks, encoder = affine_networks(weights).to(device), history_network(weights).to(device)
         networks.requires_grad_(False)
@@ -231,7 +231,7 @@ class _Tuning:
                     best, kept = judged, self._state()
         self._restore(kept)
 
-    def _loss(self, part: Lived, share: float, rollouts: bool) -> Tensor:
+    def _loss(self, part: TransitionSequence, share: float, rollouts: bool) -> Tensor:
         """The loss over a part of the batch, weighed by its share of it."""
         phase, history = self.configuration.phase_3, self.history
         segments = max(1, round(share * phase.batch / ALONG))
@@ -310,11 +310,11 @@ def _fitted(networks: AffineNetworks, encoder: HistoryNetwork, what: What) -> li
     return [*networks.f.parameters(), *networks.g.parameters(), *encoder.parameters()]
 
 
-def _lived(networks: AffineNetworks, drive: Drive, device: torch.device) -> Lived:
+def _lived(networks: AffineNetworks, drive: TuningDrive, device: torch.device) -> TransitionSequence:
     states, actions = (
         torch.as_tensor(part, dtype=torch.float32, device=device).unsqueeze(0) for part in (drive.states, drive.actions)
     )
-    return lived(networks, states, actions)
+    return transition_sequence(networks, states, actions)
 
 
 def _rate(done: float, highest: float, last: float) -> float:

@@ -16,7 +16,7 @@ from safedpa.networks import Weights, load_weights, save_weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.progress import Tell, read_record, silent, write_record
-from safedpa_sim.training.stages import Stage, phase_function, stages_of
+from safedpa_sim.training.stages import TrainingStage, phase_function, stages_of
 from safedpa_sim.training.weights_export import export_model
 
 __all__ = ["run_pipeline", "tune_on_runs"]
@@ -67,7 +67,7 @@ def tune_on_runs(
     return dict(summary)
 
 
-def _run(stage: Stage, configuration: Configuration, out: Path, tell: Tell, device: str) -> dict[str, Any]:
+def _run(stage: TrainingStage, configuration: Configuration, out: Path, tell: Tell, device: str) -> dict[str, Any]:
     target = out / f"{stage.target.format(robot=configuration.robot)}.toml"
     given = _given(stage, configuration, out)
     digest = configuration.digest(*stage.sections)
@@ -97,7 +97,7 @@ def _run(stage: Stage, configuration: Configuration, out: Path, tell: Tell, devi
     return record
 
 
-def _given(stage: Stage, configuration: Configuration, out: Path) -> Weights | None:
+def _given(stage: TrainingStage, configuration: Configuration, out: Path) -> Weights | None:
     """The weights that a stage begins with, without what it makes itself and what comes after it."""
     if not stage.source:
         return None
@@ -114,7 +114,7 @@ def _given(stage: Stage, configuration: Configuration, out: Path) -> Weights | N
     return Weights(kept, replace(weights.description, history=configuration.history))  # how phi is about to look back
 
 
-def _is_there(model_file: Path, stage: Stage) -> bool:
+def _is_there(model_file: Path, stage: TrainingStage) -> bool:
     weights = model_file.with_suffix(".safetensors")
     there = weights.exists() and (model_file.exists() or not stage.modelled)
     return there and all(load_weights(weights).has(name) for name in stage.adds)

@@ -9,17 +9,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from safedpa.arrays import Float32Array
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.histories import Lived
+from safedpa_sim.training.histories import TransitionSequence
 from safedpa_sim.training.networks import AffineNetworks
-from safedpa_sim.training.one_period import Moved
+from safedpa_sim.training.one_period import PeriodResult
 from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["PolicyTask", "Practice", "has_task", "task_of"]
-
-Floats = NDArray[np.float32]
 
 
 class Practice(Protocol):
@@ -30,13 +29,13 @@ class Practice(Protocol):
     def restart(self, which: NDArray[np.intp]) -> None:
         """New episodes for the robots of those indices."""
 
-    def observation(self, which: NDArray[np.intp] | slice = ...) -> Floats:
+    def observation(self, which: NDArray[np.intp] | slice = ...) -> Float32Array:
         """What the policy sees of the robots of those indices, all of them without (count, observations)."""
 
-    def exploring(self, random: np.random.Generator) -> Floats:
+    def exploring(self, random: np.random.Generator) -> Float32Array:
         """Actions at random (count, actions) in [-1, 1], for the scales of what is observed."""
 
-    def advance(self, chosen: Floats) -> Moved:
+    def advance(self, chosen: Float32Array) -> PeriodResult:
         """One period under ``chosen`` (count, actions), each entry in [-1, 1] over the range of commands."""
 
 
@@ -61,7 +60,7 @@ class PolicyTask(Protocol):
         steps: int,
         change: float,
         generator: torch.Generator,
-    ) -> Lived:
+    ) -> TransitionSequence:
         """Histories of ``count`` robots under actions at random; environments change with probability ``change``."""
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from safedpa.networks.weights import STRIDE
-from safedpa_sim.training.histories import Lived, history_rows
+from safedpa_sim.training.histories import TransitionSequence, history_rows
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
 
 __all__ = ["ALONG", "along", "errors", "latents_along", "one_step_loss", "rollout_errors", "rollout_loss"]
@@ -17,7 +17,7 @@ ALONG = 8
 """Histories that training encodes together, ``STRIDE`` transitions apart: see ``latents_along``."""
 
 
-def one_step_loss(networks: AffineNetworks, latent: Tensor, lived: Lived, index: Tensor) -> Tensor:
+def one_step_loss(networks: AffineNetworks, latent: Tensor, lived: TransitionSequence, index: Tensor) -> Tensor:
     """mean(((increment - f - g a) / increment_scale)^2) of transitions (batch,) with latents (batch, latents)."""
     states, following = lived.states[index], lived.following[index]
     increment = networks.frame.own_increment(states, following) / networks.increment_scale
@@ -51,7 +51,12 @@ def latents_along(encoder: HistoryNetwork, rows: Tensor, count: int) -> Tensor:
 
 
 def rollout_errors(
-    networks: AffineNetworks, encoder: HistoryNetwork, lived: Lived, index: Tensor, steps: int, history: int
+    networks: AffineNetworks,
+    encoder: HistoryNetwork,
+    lived: TransitionSequence,
+    index: Tensor,
+    steps: int,
+    history: int,
 ) -> Tensor:
     """Scaled errors (steps, batch, states) of predictions from transitions (batch,) on, 1 to ``steps`` periods ahead.
 
@@ -73,7 +78,12 @@ def rollout_errors(
 
 
 def rollout_loss(
-    networks: AffineNetworks, encoder: HistoryNetwork, lived: Lived, index: Tensor, steps: int, history: int
+    networks: AffineNetworks,
+    encoder: HistoryNetwork,
+    lived: TransitionSequence,
+    index: Tensor,
+    steps: int,
+    history: int,
 ) -> Tensor:
     """mean over s of mean((error after s steps / s)^2): late errors are larger, and count alike."""
     found = rollout_errors(networks, encoder, lived, index, steps, history)
@@ -82,7 +92,12 @@ def rollout_loss(
 
 
 def errors(
-    networks: AffineNetworks, encoder: HistoryNetwork, lived: Lived, steps: int, history: int, most: int = 4000
+    networks: AffineNetworks,
+    encoder: HistoryNetwork,
+    lived: TransitionSequence,
+    steps: int,
+    history: int,
+    most: int = 4000,
 ) -> tuple[Tensor, Tensor]:
     """Root mean square of the scaled errors after one step and after ``steps``, (states,) each, without gradients.
 

@@ -17,7 +17,7 @@ import torch
 
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
-from safedpa_sim.training.histories import Lived, history_rows
+from safedpa_sim.training.histories import TransitionSequence, history_rows
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, history_network
 from safedpa_sim.training.prediction import ALONG, along, latents_along
 from safedpa_sim.training.reference_point import ReferencePoint
@@ -26,8 +26,8 @@ from safedpa_sim.training.simulator import BatchedCars
 __all__ = [
     "AbstractPredictor",
     "NetworkPredictor",
+    "PredictorDrives",
     "ResidualPredictor",
-    "Seen",
     "one_step_errors",
     "open_loop_errors",
     "spread_latents",
@@ -40,10 +40,10 @@ _BEYOND = 0.1
 """Share of the latent's range by which it may go beyond what was seen in tuning."""
 
 
-class Seen(NamedTuple):
+class PredictorDrives(NamedTuple):
     """Drives as one predictor sees them."""
 
-    lived: Lived
+    lived: TransitionSequence
     """Its rows are those of the predictor."""
     base: Tensor
     """(n, states): the own-frame increment in SI units that it knows without networks."""
@@ -58,11 +58,11 @@ class AbstractPredictor(ABC):
         """C (m row, states), in scaled units; None: there is none."""
 
     @abstractmethod
-    def seen(self, lived: Lived) -> Seen:
+    def seen(self, lived: TransitionSequence) -> PredictorDrives:
         """The drives with this predictor's own rows and base."""
 
     @abstractmethod
-    def memory(self, lived: Lived, index: Tensor) -> Any:
+    def memory(self, lived: TransitionSequence, index: Tensor) -> Any:
         """What the actuators remember before transitions (batch,)."""
 
     @abstractmethod
@@ -92,11 +92,11 @@ class NetworkPredictor(AbstractPredictor):
         self.point = point
         """Of which the networks speak; None: of the axle itself."""
 
-    def seen(self, lived: Lived) -> Seen:  # noqa: D102
+    def seen(self, lived: TransitionSequence) -> PredictorDrives:  # noqa: D102
         rows = self._row(lived.states, lived.actions, lived.following)
-        return Seen(lived._replace(rows=rows), torch.zeros_like(lived.states))
+        return PredictorDrives(lived._replace(rows=rows), torch.zeros_like(lived.states))
 
-    def memory(self, lived: Lived, index: Tensor) -> Any:  # noqa: D102
+    def memory(self, lived: TransitionSequence, index: Tensor) -> Any:  # noqa: D102
         del lived, index
 
     def step(self, state: Tensor, action: Tensor, rows: Tensor, memory: Any) -> tuple[Tensor, Tensor, Any]:  # noqa: D102
@@ -124,15 +124,15 @@ class ResidualPredictor(AbstractPredictor):
         super().__init__(networks, encoder, history)
         self.physics = physics
 
-    def seen(self, lived: Lived) -> Seen:  # noqa: D102
+    def seen(self, lived: TransitionSequence) -> PredictorDrives:  # noqa: D102
         index = torch.arange(len(lived.states))
         with torch.no_grad():
             after, _ = self._advance(lived.states, lived.actions, self.memory(lived, index))
             base = self.networks.frame.own_increment(lived.states, after)
             left = self.networks.frame.own_increment(lived.states, lived.following) - base
-        return Seen(lived._replace(rows=self._row(lived.states, lived.actions, left)), base)
+        return PredictorDrives(lived._replace(rows=self._row(lived.states, lived.actions, left)), base)
 
-    def memory(self, lived: Lived, index: Tensor) -> Any:  # noqa: D102
+    def memory(self, lived: TransitionSequence, index: Tensor) -> Any:  # noqa: D102
         first = lived.first[index]
         memory = self.physics.settled(lived.actions[(index - _SETTLED).maximum(first)], self._nothing(len(index)))
         with torch.no_grad():
@@ -160,7 +160,7 @@ class ResidualPredictor(AbstractPredictor):
         return torch.cat((features, left / networks.increment_scale, networks.scaled_action(action)), dim=-1)
 
 
-def one_step_errors(predictor: AbstractPredictor, seen: Seen, start: Tensor) -> tuple[Tensor, Tensor]:
+def one_step_errors(predictor: AbstractPredictor, seen: PredictorDrives, start: Tensor) -> tuple[Tensor, Tensor]:
     """Own-frame errors (batch, states) in SI units over one step, of ``ALONG`` transitions from each start on, and z.
 
     Only for predictors of the axle itself; z is not held within its range, so that gradients flow.
@@ -174,7 +174,7 @@ def one_step_errors(predictor: AbstractPredictor, seen: Seen, start: Tensor) -> 
     return predicted - left, latent
 
 
-def open_loop_errors(predictor: AbstractPredictor, seen: Seen, index: Tensor, steps: int) -> Tensor:
+def open_loop_errors(predictor: AbstractPredictor, seen: PredictorDrives, index: Tensor, steps: int) -> Tensor:
     """Errors (steps, batch, states) in SI units of predictions from transitions (batch,) on, 1 to ``steps`` ahead.
 
     An error is the way from the measured to the predicted state, in the frame of the measured one.
@@ -189,7 +189,9 @@ def open_loop_errors(predictor: AbstractPredictor, seen: Seen, index: Tensor, st
     return torch.stack(found)
 
 
-def spread_latents(predictor: AbstractPredictor, data: list[Seen], generator: torch.Generator, count: int) -> None:
+def spread_latents(
+    predictor: AbstractPredictor, data: list[PredictorDrives], generator: torch.Generator, count: int
+) -> None:
     """Sets the latent's range to what phi says of ``count`` transitions of each part, and a tenth more; 0 lies within.
 
     Its rest becomes the mean over the first part.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.errors import InputError
-from safedpa.records.atomic import atomic_path
+from safedpa.records.writers.tables import atomic_path
 
 __all__ = ["RECORD", "Tell", "read_record", "silent", "write_record"]
 

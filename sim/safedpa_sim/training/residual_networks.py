@@ -37,15 +37,15 @@ from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.prediction import ALONG
 from safedpa_sim.training.predictors import (
     AbstractPredictor,
+    PredictorDrives,
     ResidualPredictor,
-    Seen,
     one_step_errors,
     open_loop_errors,
     spread_latents,
 )
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import HORIZON, Drive, split
+from safedpa_sim.training.tuning_data import HORIZON, TuningDrive, split
 
 __all__ = [
     "ResidualTuning",
@@ -135,7 +135,7 @@ def learn_residual(
     configuration: Configuration,
     mended: PhysicsModel,
     weights: Weights,
-    drives: Sequence[Drive],
+    drives: Sequence[TuningDrive],
     tuning: ResidualTuning | None = None,
     tell: Tell = silent,
 ) -> ResidualPredictor:
@@ -153,13 +153,15 @@ def learn_residual(
         )
     scale = predictor.networks.increment_scale.clone()
     recorded, held_out, simulated, judge = _scaled(predictor, lived)
-    training = _Training(predictor, scale, tuning, generator)
+    training = _ResidualTraining(predictor, scale, tuning, generator)
     training.learn([(recorded, tuning.recorded), (simulated, 1.0 - tuning.recorded)], [held_out, judge], tell)
     spread_latents(predictor, [recorded, simulated], generator, _SAMPLES)
     return predictor
 
 
-def judged_error(predictor: AbstractPredictor, data: Sequence[Seen], scale: Tensor, most: int = 256) -> float:
+def judged_error(
+    predictor: AbstractPredictor, data: Sequence[PredictorDrives], scale: Tensor, most: int = 256
+) -> float:
     """Scaled root mean square error after one step, plus a ``HORIZON``-th of that after ``HORIZON``, mean over parts.
 
     Each of them is a mean over the states, from at most ``most`` starts that are evenly spread.
@@ -179,13 +181,15 @@ def judged_error(predictor: AbstractPredictor, data: Sequence[Seen], scale: Tens
 
 @final
 @dataclass
-class _Training:
+class _ResidualTraining:
     predictor: AbstractPredictor
     scale: Tensor
     tuning: ResidualTuning
     generator: torch.Generator
 
-    def learn(self, parts: Sequence[tuple[Seen, float]], judges: Sequence[Seen], tell: Tell) -> None:
+    def learn(
+        self, parts: Sequence[tuple[PredictorDrives, float]], judges: Sequence[PredictorDrives], tell: Tell
+    ) -> None:
         """Adam; ends with the state whose error on the judges was least."""
         tuning, networks, encoder = self.tuning, self.predictor.networks, self.predictor.encoder
         fitted = [*networks.f.parameters(), *networks.g.parameters(), *encoder.parameters()]
@@ -209,7 +213,7 @@ class _Training:
         networks.load_state_dict(kept[0])
         encoder.load_state_dict(kept[1])
 
-    def _loss(self, part: Seen, share: float, *, far: bool) -> Tensor:
+    def _loss(self, part: PredictorDrives, share: float, *, far: bool) -> Tensor:
         tuning = self.tuning
         segments = max(1, round(share * tuning.batch / ALONG))
         start = part.lived.draw(segments, self.generator, ahead=(ALONG - 1) * STRIDE + 1)
@@ -223,7 +227,7 @@ class _Training:
         return loss
 
 
-def _scaled(predictor: ResidualPredictor, lived: Sequence[Any]) -> list[Seen]:
+def _scaled(predictor: ResidualPredictor, lived: Sequence[Any]) -> list[PredictorDrives]:
     """The drives, with ``increment_scale`` set to the deviation of what physics leaves of the simulated ones."""
     networks = predictor.networks
     seen = predictor.seen(lived[2])

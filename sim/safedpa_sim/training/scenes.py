@@ -6,19 +6,17 @@ The rules are those of ``safedpa_sim.robots.scene``; the scenes are others than 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import AnyFloatArray, BoolArray, Float32Array
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.loads import LOADS
 
 __all__ = ["FOOTPRINTS", "MOST_OBSTACLES", "ScenePool", "draw_scenes"]
 
-Floats = NDArray[np.float32]
-Values = NDArray[np.floating[Any]]
-Flags = NDArray[np.bool_]
 
 MOST_OBSTACLES = 6
 FOOTPRINTS = tuple(footprint(load) for load in (None, *LOADS.values()))
@@ -51,12 +49,12 @@ _FAR_AWAY = 1e4
 class ScenePool:
     """Arrays over scenes: start (n, 3), goal (n, 2), obstacles (n, 6, 3), field (n, 4), footprint (n, 3); m and rad."""
 
-    start: Floats
-    goal: Floats
-    obstacles: Floats
+    start: Float32Array
+    goal: Float32Array
+    obstacles: Float32Array
     """x, y, radius; rows that are not used lie far away."""
-    field: Floats
-    footprint: Floats
+    field: Float32Array
+    footprint: Float32Array
 
     def __len__(self) -> int:
         return len(self.start)
@@ -89,12 +87,14 @@ def draw_scenes(random: np.random.Generator, count: int, *, loads: bool = True) 
     return ScenePool(*(array.astype(np.float32) for array in arrays))
 
 
-def _footprint_radii(random: np.random.Generator, count: int) -> Values:
+def _footprint_radii(random: np.random.Generator, count: int) -> AnyFloatArray:
     known = np.array([item[2] for item in FOOTPRINTS])[random.integers(0, len(FOOTPRINTS), count)]
     return np.where(random.random(count) < _ANY_RADIUS, random.uniform(*_RADII, count), known)
 
 
-def _ends(random: np.random.Generator, radius: Values, half: Values, crossing: Flags) -> tuple[Values, Values]:
+def _ends(
+    random: np.random.Generator, radius: AnyFloatArray, half: AnyFloatArray, crossing: BoolArray
+) -> tuple[AnyFloatArray, AnyFloatArray]:
     """Start (n, 3) and goal (n, 2): from south to north across the middle, or anywhere, at least a leg apart."""
     count = len(radius)
     inner = (half - radius - _WALL_CLEARANCE)[:, np.newaxis, np.newaxis]
@@ -116,8 +116,13 @@ def _ends(random: np.random.Generator, radius: Values, half: Values, crossing: F
 
 
 def _obstacles(
-    random: np.random.Generator, radius: Values, half: Values, crossing: Flags, start: Values, goal: Values
-) -> Values:
+    random: np.random.Generator,
+    radius: AnyFloatArray,
+    half: AnyFloatArray,
+    crossing: BoolArray,
+    start: AnyFloatArray,
+    goal: AnyFloatArray,
+) -> AnyFloatArray:
     """Obstacles (n, 6, 3), placed one after the other; one that finds no place is left out."""
     count = len(radius)
     wanted = np.where(crossing, random.integers(3, 6, count), random.integers(0, MOST_OBSTACLES + 1, count))
@@ -140,13 +145,13 @@ def _obstacles(
 
 def _candidates(
     random: np.random.Generator,
-    radius: Values,
-    half: Values,
-    crossing: Flags,
-    start: Values,
-    goal: Values,
-    behind: Flags,
-) -> Values:
+    radius: AnyFloatArray,
+    half: AnyFloatArray,
+    crossing: BoolArray,
+    start: AnyFloatArray,
+    goal: AnyFloatArray,
+    behind: BoolArray,
+) -> AnyFloatArray:
     """Obstacles (n, tries, 3) that may or may not find a place; across the straight way where ``behind``."""
     shape = (len(radius), _TRIES)
     size = random.uniform(*_OBSTACLE_RADII, shape)
@@ -162,14 +167,14 @@ def _candidates(
     return np.concatenate((places, size[..., np.newaxis]), axis=-1)
 
 
-def _room(drawn: Values, placed: Values) -> Values:
+def _room(drawn: AnyFloatArray, placed: AnyFloatArray) -> AnyFloatArray:
     """Between the surfaces of each candidate and the nearest obstacle that stands already, (n, tries) [m]."""
     between = _length(drawn[:, :, np.newaxis, :2] - placed[:, np.newaxis, :, :2])
-    room: Values = (between - drawn[:, :, np.newaxis, 2] - placed[:, np.newaxis, :, 2]).min(axis=-1)
+    room: AnyFloatArray = (between - drawn[:, :, np.newaxis, 2] - placed[:, np.newaxis, :, 2]).min(axis=-1)
     return room
 
 
-def _ends_free(drawn: Values, radius: Values, start: Values, goal: Values) -> Values:
+def _ends_free(drawn: AnyFloatArray, radius: AnyFloatArray, start: AnyFloatArray, goal: AnyFloatArray) -> AnyFloatArray:
     """Whether a candidate leaves start, the way out of it, and goal free, (n, tries)."""
     heading = np.stack((np.cos(start[:, 2]), np.sin(start[:, 2])), axis=1)
     ends = [start[:, :2] + reach * heading for reach in (-0.5, 0.0, _FRONT, _FRONT + 0.4)]
@@ -180,11 +185,11 @@ def _ends_free(drawn: Values, radius: Values, start: Values, goal: Values) -> Va
     return free
 
 
-def _turned(places: Values, angle: Values) -> Values:
+def _turned(places: AnyFloatArray, angle: AnyFloatArray) -> AnyFloatArray:
     x, y, cosine, sine = places[..., 0], places[..., 1], np.cos(angle), np.sin(angle)
     return np.stack((cosine * x - sine * y, sine * x + cosine * y), axis=-1)
 
 
-def _length(offset: Values) -> Values:
-    length: Values = np.hypot(offset[..., 0], offset[..., 1])
+def _length(offset: AnyFloatArray) -> AnyFloatArray:
+    length: AnyFloatArray = np.hypot(offset[..., 0], offset[..., 1])
     return length

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from safedpa.networks import Description, Weights
 from safedpa_sim.point.body import POINT_BODY
@@ -25,7 +24,7 @@ from safedpa_sim.point.sensed import ENTRIES, GROUPS, SENSED_FRAME, sensed, with
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.explained_motion import evaluate, explained
-from safedpa_sim.training.histories import Lived, joined, lived
+from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.progress import Tell, silent
@@ -35,7 +34,6 @@ from safedpa_sim.training.weights_export import normalise_latent
 
 __all__ = ["draw_sensed", "train_sensed"]
 
-Floats = NDArray[np.float64]
 Tensor = torch.Tensor
 
 _SAMPLES: Final = 20_000
@@ -218,7 +216,7 @@ def _learn_histories(
 
 def _drives(
     networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, random: np.random.Generator
-) -> Lived:
+) -> TransitionSequence:
     """Drives side by side, without goals: half under actions at random, half that hold speeds drawn at random."""
     phase = configuration.phase_2
     count, limits = phase.cars, np.array([POINT_BODY.largest_thrust, LARGEST_TURN])
@@ -245,4 +243,6 @@ def _drives(
         winds.append(wind.T.copy())
     states, actions, environments = (torch.from_numpy(np.stack(part, axis=1)).float() for part in (seen, done, winds))
     with torch.inference_mode():
-        return Lived(*(part.clone() for part in lived(networks, states, actions, environments)))
+        return TransitionSequence(
+            *(part.clone() for part in transition_sequence(networks, states, actions, environments))
+        )

@@ -16,7 +16,7 @@ from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.progress import Tell, read_record
 
-__all__ = ["Stage", "Trained", "phase_function", "stages_of"]
+__all__ = ["Trained", "TrainingStage", "phase_function", "stages_of"]
 
 Trained = tuple[Weights, dict[str, Any]]
 """Weights, and what is worth recording."""
@@ -26,7 +26,7 @@ Train = Callable[[Configuration, Weights, Path, Tell, str], Trained]
 
 @final
 @dataclass(frozen=True)
-class Stage:
+class TrainingStage:
     """One thing that is trained: from which weights, into which, and by whom."""
 
     name: str
@@ -46,7 +46,7 @@ class Stage:
     """Whether the weights are of the robot's own state, so that a model file stands beside them."""
 
 
-def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[Stage, ...]]:
+def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[TrainingStage, ...]]:
     """The stages of each phase, in order: of a robot without a task for its policy, dynamics and history alone.
 
     With ``penalties`` a car's ablations are PPO without a latent as well, and RMA-P as the best of a grid. Raises
@@ -94,28 +94,28 @@ _ALONE = ("phase_1a", "ablations")
 _POLICY = ("policy.", "observation_")
 
 
-def _common(last: str) -> dict[str, tuple[Stage, ...]]:
+def _common(last: str) -> dict[str, tuple[TrainingStage, ...]]:
     """Phases 1a, 1b and 2; ``last`` is the file that phase 2 writes."""
     train_policy = _later("phase_1b", "train_policy")
     encode = _later("phase_2", "train_history_encoder")
     drops = (*_POLICY, "phi.")
     return {
-        "1a": (Stage("1a", ("phase_1a",), "", _SIMULATED, ("mu", "f", "g"), _affine("1a")),),
-        "1b": (Stage("1b", _TO_POLICY, _SIMULATED, _SIMULATED, ("policy",), train_policy, drops=drops),),
-        "2": (Stage("2", _TO_HISTORY, _SIMULATED, last, ("phi",), encode, ("policy",), ("phi.",)),),
+        "1a": (TrainingStage("1a", ("phase_1a",), "", _SIMULATED, ("mu", "f", "g"), _affine("1a")),),
+        "1b": (TrainingStage("1b", _TO_POLICY, _SIMULATED, _SIMULATED, ("policy",), train_policy, drops=drops),),
+        "2": (TrainingStage("2", _TO_HISTORY, _SIMULATED, last, ("phi",), encode, ("policy",), ("phi.",)),),
     }
 
 
-def _with_penalty(name: str, source: str, train: Train) -> Stage:
+def _with_penalty(name: str, source: str, train: Train) -> TrainingStage:
     sections, target = (*_TO_HISTORY, "ablations"), f"{{robot}}_{name}"
-    return Stage(name, sections, source, target, ("policy", "phi"), train, ("policy", "phi"), _POLICY)
+    return TrainingStage(name, sections, source, target, ("policy", "phi"), train, ("policy", "phi"), _POLICY)
 
 
-def _alone(name: str, environment: Mapping[str, float] | None = None) -> Stage:
-    return Stage(name, _ALONE, "", f"{{robot}}_{name}", ("f", "g"), _affine(name, environment))
+def _alone(name: str, environment: Mapping[str, float] | None = None) -> TrainingStage:
+    return TrainingStage(name, _ALONE, "", f"{{robot}}_{name}", ("f", "g"), _affine(name, environment))
 
 
-def _in_wind(direction: int, strength: float = 4.0) -> Stage:
+def _in_wind(direction: int, strength: float = 4.0) -> TrainingStage:
     """Fix for the pendulum: it knows the wind of one direction [degrees] alone."""
     from math import cos, sin
 
@@ -124,7 +124,7 @@ def _in_wind(direction: int, strength: float = 4.0) -> Stage:
     return _alone(f"fix_{direction}", wind)
 
 
-def _in_force(direction: int, strength: float = 1.54) -> Stage:
+def _in_force(direction: int, strength: float = 1.54) -> TrainingStage:
     """Fix for the point robot: it knows the force [m/s2 over its mass] of one direction [degrees] alone."""
     from math import cos, sin
 
@@ -133,21 +133,21 @@ def _in_force(direction: int, strength: float = 1.54) -> Stage:
     return _alone(f"fix_{direction}", force)
 
 
-def _punished(penalty: float, source: str = _LEARNED) -> Stage:
+def _punished(penalty: float, source: str = _LEARNED) -> TrainingStage:
     """RMA-P with a penalty of its own; RMA without one."""
     name = f"rma_p_{penalty:g}".replace(".", "_") if penalty else "rma"
     train = _later("phase_1b", "train_policy", name=name, penalty=penalty, sheltered=False)
     return _with_penalty(name, source, train)
 
 
-def _grid(penalties: tuple[float, ...]) -> tuple[Stage, ...]:
+def _grid(penalties: tuple[float, ...]) -> tuple[TrainingStage, ...]:
     """A car's Fix and Mix, PPO on the latter, RMA-P for each penalty, and the best of those with a phi of its own."""
     members = tuple(_punished(penalty, _SIMULATED) for penalty in penalties)
     best = _with_penalty("rma_p", _SIMULATED, _best_of(members))
     return (_alone("fix", {}), _alone("mix"), _PPO, *members, replace(best, drops=(*_POLICY, "phi.")))
 
 
-def _best_of(members: tuple[Stage, ...]) -> Train:
+def _best_of(members: tuple[TrainingStage, ...]) -> Train:
     """The member of the highest score on development drives, and a history encoder taught on its drives."""
 
     def train(configuration: Configuration, given: Weights, out: Path, tell: Tell, device: str) -> Trained:
@@ -162,7 +162,7 @@ def _best_of(members: tuple[Stage, ...]) -> Train:
     return train
 
 
-_PPO = Stage(
+_PPO = TrainingStage(
     "ppo",
     (*_TO_POLICY, "ablations"),
     "{robot}_mix",
@@ -171,7 +171,7 @@ _PPO = Stage(
     _later("phase_1b", "train_policy", name="ppo", sheltered=False),
 )
 """A policy that knows no latent, in all environments."""
-_SENSED = Stage(
+_SENSED = TrainingStage(
     "17",
     ("phase_1a", "phase_2"),
     "",
@@ -185,7 +185,7 @@ _STAGES: Final = {
     "car": {
         **_common(_SIMULATED),
         "3": (
-            Stage(
+            TrainingStage(
                 "3",
                 (*_TO_HISTORY, "phase_3"),
                 _SIMULATED,

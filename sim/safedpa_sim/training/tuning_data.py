@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.networks import Description, Weights, frame_of
 from safedpa.records import Run, Stretch, load_column_map, load_run
@@ -24,7 +24,7 @@ from safedpa.systems import System
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["HORIZON", "PERIOD", "Drive", "drives_of", "load_tuning_runs", "record_circles", "split"]
+__all__ = ["HORIZON", "PERIOD", "TuningDrive", "drives_of", "load_tuning_runs", "record_circles", "split"]
 
 PERIOD = 0.05
 """s."""
@@ -57,7 +57,7 @@ def record_circles(
     return tuple(runs)
 
 
-def _circle_commands(random: np.random.Generator, rows: int) -> Floats:
+def _circle_commands(random: np.random.Generator, rows: int) -> FloatArray:
     """Actions (rows, 2): target speed [m/s] and steer [rad], held for 1 to 3 s each."""
     car = CAR_PARAMETERS
     actions = np.empty((rows, 2))
@@ -97,23 +97,23 @@ _STILL = 0.02
 _PERIOD = 0.05
 """Share by which a run's period may differ from the networks'."""
 
-Floats = NDArray[np.float64]
 
-
-class Drive(NamedTuple):
+class TuningDrive(NamedTuple):
     """States (n + 1, states) and actions (n, actions), one period apart, without a gap."""
 
-    states: Floats
-    actions: Floats
+    states: FloatArray
+    actions: FloatArray
 
 
-def load_tuning_runs(paths: Sequence[Path], columns: Path | None, system: System, weights: Weights) -> list[Drive]:
+def load_tuning_runs(
+    paths: Sequence[Path], columns: Path | None, system: System, weights: Weights
+) -> list[TuningDrive]:
     """The drives in recorded files. Raises InputError naming the file and what is missing in it."""
     mapping = load_column_map(columns) if columns is not None else None
     return drives_of([load_run(path, system, mapping) for path in paths], weights)
 
 
-def drives_of(runs: Sequence[Run], weights: Weights) -> list[Drive]:
+def drives_of(runs: Sequence[Run], weights: Weights) -> list[TuningDrive]:
     """The stretches of runs that are long enough for the history.
 
     Raises InputError when a run has another period, when no stretch is longer than the history and a second to predict,
@@ -124,7 +124,7 @@ def drives_of(runs: Sequence[Run], weights: Weights) -> list[Drive]:
     drives = []
     for run in runs:
         _check_period(run, described)
-        parts = [Drive(states, actions[:-1]) for _, states, actions in run.parts() if len(states) > needed]
+        parts = [TuningDrive(states, actions[:-1]) for _, states, actions in run.parts() if len(states) > needed]
         if not parts:
             longest = max((len(part) for part in run.stretches), default=0)
             raise InputError(
@@ -141,7 +141,7 @@ def drives_of(runs: Sequence[Run], weights: Weights) -> list[Drive]:
     return drives
 
 
-def split(drives: Sequence[Drive], history: int) -> tuple[list[Drive], list[Drive]]:
+def split(drives: Sequence[TuningDrive], history: int) -> tuple[list[TuningDrive], list[TuningDrive]]:
     """Drives to fit, and drives to judge by: whole ones where there are several, else the end of the one.
 
     Raises InputError when a single drive is too short to be divided.
@@ -158,7 +158,7 @@ def split(drives: Sequence[Drive], history: int) -> tuple[list[Drive], list[Driv
             f"runs: one stretch of {len(states)} rows, wanted more than {2 * needed}: one part to tune on and one to "
             "judge by; record longer, or give a second run"
         )
-    return [Drive(states[: first + 1], actions[:first])], [Drive(states[first:], actions[first:])]
+    return [TuningDrive(states[: first + 1], actions[:first])], [TuningDrive(states[first:], actions[first:])]
 
 
 def _check_period(run: Run, described: Description) -> None:
@@ -177,7 +177,7 @@ def _check_period(run: Run, described: Description) -> None:
         )
 
 
-def _check_range(name: str, drive: Drive, weights: Weights) -> None:
+def _check_range(name: str, drive: TuningDrive, weights: Weights) -> None:
     scaled = (drive.actions - weights["action_middle"]) / weights["action_scale"]
     outside = np.abs(scaled) > 1.0 + 2.0 * _BEYOND
     for index, action in enumerate(weights.description.actions):
@@ -192,7 +192,7 @@ def _check_range(name: str, drive: Drive, weights: Weights) -> None:
             )
 
 
-def _check_excitation(drives: Sequence[Drive], weights: Weights) -> None:
+def _check_excitation(drives: Sequence[TuningDrive], weights: Weights) -> None:
     """Every action and everything that the networks see of the state must vary over all drives together."""
     frame = frame_of(weights.description.robot)
     actions = np.concatenate([drive.actions for drive in drives])

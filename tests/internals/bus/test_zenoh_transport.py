@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.security.certificates import Card
-from safedpa.bus.transport import zenoh_transport as module
+from safedpa.bus.security.certificates import PemCredentials
+from safedpa.bus.transport import zenoh as module
 
-CARD = Card("router", b"", b"", b"")
+CARD = PemCredentials("router", b"", b"", b"")
 
 
 @pytest.mark.parametrize(
@@ -29,11 +29,11 @@ def test_a_plain_text_port_that_was_asked_for_is_guarded(
     """At all its ports the kernel holds back silent connections; ports of other sessions of the process are left."""
     others, deferred, kept = {7000}, list[set[int]](), list[set[int]]()
     ports = iter([others, others | opened])
-    monkeypatch.setattr(module, "configuration_of", lambda _: None)
+    monkeypatch.setattr(module, "zenoh_session_configuration", lambda _: None)
     monkeypatch.setattr(module, "open_session", lambda _: SimpleNamespace())
     monkeypatch.setattr(module, "listening_ports", lambda: next(ports))
     monkeypatch.setattr(module, "defer_accept", deferred.append)
-    monkeypatch.setattr(module, "Doorkeeper", lambda found, _: kept.append(found))
+    monkeypatch.setattr(module, "ConnectionReaper", lambda found, _: kept.append(found))
     ZenohTransport(settings)
     assert deferred == [opened]
     assert kept == ([opened] if guarded else [])

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import StateMessage, VerdictMessage
-from safedpa.bus.overview.robot import RobotOverview
+from safedpa.bus.monitor.fleet_state import RobotOverview
 from safedpa_services.command_line import stop_orders
 
 STAMP: dict[str, Any] = {"epoch": 7, "tick": 1, "robot_time": 0.05, "publish_time": 0.0}

@@ -4,8 +4,8 @@ import pytest
 
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.look import look_of
-from safedpa_services.dashboard.painter import Painter
+from safedpa_services.dashboard.look import display_settings
+from safedpa_services.dashboard.painter import RerunRecording
 
 
 class Slow:
@@ -25,8 +25,8 @@ class Slow:
 
 @pytest.mark.parametrize("never", [False, True])
 def test_pending_rows_are_written_first_for_a_second_at_most_and_then_all_is_closed(never: bool) -> None:
-    look = look_of(load_model("car"), FilterSettings())
-    painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
+    look = display_settings(load_model("car"), FilterSettings())
+    painter = RerunRecording(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
     painter._stream = stream = Slow(never)
     painter.close()
     assert stream.done == [("flush", 1.0), ("disconnect", 0.0)]

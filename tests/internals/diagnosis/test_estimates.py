@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis import detectable
-from safedpa.diagnosis.fit import refinement
-from safedpa.diagnosis.fit.heldout import heldout_of
-from safedpa.diagnosis.fit.innovations import _whitened
-from safedpa.diagnosis.fit.shooting import _counts, _robust, shooting_of
-from safedpa.diagnosis.fit.trial import tried
-from safedpa.diagnosis.remains.by_name import _sure
-from safedpa.diagnosis.remains.dependence import Dependences
-from safedpa.diagnosis.remains.weak_form import _sizes
-from safedpa.diagnosis.search.acceptance import accept
-from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.condition_screen import Proposal, _Sums
-from safedpa.diagnosis.search.conditions import _fitted
+from safedpa.diagnosis.fit import prediction_error_method
+from safedpa.diagnosis.fit.cross_validation import heldout_of
+from safedpa.diagnosis.fit.kalman import _whitened
+from safedpa.diagnosis.fit.multiple_shooting import _counts, _robust, shooting_of
+from safedpa.diagnosis.fit.trial import fit_trial
+from safedpa.diagnosis.residuals.dependence import Dependences
+from safedpa.diagnosis.residuals.match_effects import _sure
+from safedpa.diagnosis.residuals.weak_sindy import _sizes
+from safedpa.diagnosis.search.accepted_trial import accept_trial
+from safedpa.diagnosis.search.conditional import _fitted
+from safedpa.diagnosis.search.conditional_screen import ConditionalCandidate, _NormalEquations
+from safedpa.diagnosis.search.initial_model import initial_search
 from safedpa.dynamics import load_model
 from safedpa.effects import Where, effect
 from safedpa.records import load_run
@@ -54,7 +54,7 @@ def test_the_first_noise_is_that_of_the_rows(level: float) -> None:
     states = np.column_stack([np.arange(rows) * 0.1, np.full(rows, 2.0)]) + level * random.normal(size=(rows, 2))
     state = (SimpleNamespace(name="x"), SimpleNamespace(name="speed"))
     system = SimpleNamespace(difference=lambda one, other: one - other, state=state)
-    noise = refinement._first_noise(None, SimpleNamespace(states=states, system=system))  # type: ignore[arg-type]
+    noise = prediction_error_method._first_noise(None, SimpleNamespace(states=states, system=system))  # type: ignore[arg-type]
     np.testing.assert_allclose(noise.measured, [[level, level]], rtol=0.04)
     np.testing.assert_allclose(noise.pushes, 3.0 * noise.measured[:, 1:])
     assert noise.seconds.tolist() == [1.0]
@@ -74,10 +74,10 @@ def test_a_deviation_is_the_largest_of_the_filter_and_of_sandwiches_over_pieces_
     """Six pieces of one innovation and one number: curvature 6 * 4 = 24; scores are slope times innovation."""
     scores = np.array([2.0, 1.0, -1.0, 3.0, 1.0, 2.0])
     innovations: Any = SimpleNamespace(columns=np.full((6, 1, 1), 2.0), white=scores[:, None] / 2.0)
-    monkeypatch.setattr(refinement, "_prior", lambda *_: np.zeros((1, 1)))
-    monkeypatch.setattr(refinement, "_FEWEST_RUNS", 3)
+    monkeypatch.setattr(prediction_error_method, "_prior", lambda *_: np.zeros((1, 1)))
+    monkeypatch.setattr(prediction_error_method, "_FEWEST_RUNS", 3)
     given = None if runs is None else np.array(runs)
-    found = refinement._deviations(None, ("a.x",), innovations, given)  # type: ignore[arg-type]
+    found = prediction_error_method._deviations(None, ("a.x",), innovations, given)  # type: ignore[arg-type]
     assert found.tolist() == pytest.approx([math.sqrt(max(square, 1 / 24))])
 
 
@@ -88,9 +88,9 @@ def test_numbers_are_settled_where_none_moves_by_a_tenth_of_its_deviation(
     def model(**values: float) -> Any:
         return SimpleNamespace(settings={name: SimpleNamespace(value=value) for name, value in values.items()})
 
-    monkeypatch.setattr(refinement, "_deviations", lambda *_: np.array([1.0, 10.0]))
+    monkeypatch.setattr(prediction_error_method, "_deviations", lambda *_: np.array([1.0, 10.0]))
     before, after = model(a=1.0, b=5.0), model(a=1.0 + change, b=5.5)
-    assert refinement._settled(before, after, ("a", "b"), None) is settled  # type: ignore[arg-type]
+    assert prediction_error_method._settled(before, after, ("a", "b"), None) is settled  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -121,8 +121,8 @@ def test_the_smallest_detectable_size_passes_by_its_squares_and_by_its_fall(
     error: Any = SimpleNamespace(per_state=np.array([3.0, math.nan]))
     assert detectable._passing(moved, null, shooting, error, 1.0) == enough
     falls = {size: 1.0 - 3.0 / (math.sqrt(9.0 + 16.0 * size**2) + size) for size in sizes}
-    tried = [size for size in sizes if falls[size] > little and (enough is None or size <= enough)]
-    assert asked == [([5.0 * size**2], [10.0 * size]) for size in tried]
+    fit_trial = [size for size in sizes if falls[size] > little and (enough is None or size <= enough)]
+    assert asked == [([5.0 * size**2], [10.0 * size]) for size in fit_trial]
 
 
 def weights(pushes: dict[int, tuple[float, float]], *, short: tuple[int, ...] = ()) -> Any:
@@ -176,8 +176,8 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> Any:
     model = load_model(str(log.model))
     runs = [load_run(path, model.system) for path in log.runs]
     heldout = heldout_of(runs, 1.0)
-    search = begun(model, shooting_of(runs, 1.0), heldout)
-    accept(search, tried(search.current, [effect("car", "rolling_resistance")], search.shooting), heldout)
+    search = initial_search(model, shooting_of(runs, 1.0), heldout)
+    accept_trial(search, fit_trial(search.current, [effect("car", "rolling_resistance")], search.shooting), heldout)
     return search
 
 
@@ -185,7 +185,7 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_law_is_not_fitted_with_the_slope_of_the_number_without_it(floor: Any, begin: tuple[float, float]) -> None:
     start = dict(zip(("x_above", "deceleration"), begin, strict=True))
     item = effect("car", "rolling_resistance")
-    found = _fitted(floor, Proposal(item, Where("above", "x", 0.05), start, 0.0, 0.0))
+    found = _fitted(floor, ConditionalCandidate(item, Where("above", "x", 0.05), start, 0.0, 0.0))
     settings = found.fit.model.settings  # type: ignore[union-attr]
     assert settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.1)
     assert settings["rolling_resistance.deceleration"].value == pytest.approx(0.9, abs=0.05)
@@ -198,7 +198,7 @@ def test_laws_are_judged_as_a_fit_of_each_would_be(paths: int) -> None:
     columns, column, residual = (random.normal(size=(24, 9, *more)) for more in ((paths,), (), ()))
     laws, fold = random.random((3, 24)), np.arange(24) % 4
     null: Any = SimpleNamespace(fit=SimpleNamespace(residual=residual, columns=columns))
-    falls, values = _Sums(null, SimpleNamespace(fold=fold)).judged(column, laws)  # type: ignore[arg-type]
+    falls, values = _NormalEquations(null, SimpleNamespace(fold=fold)).judged(column, laws)  # type: ignore[arg-type]
     assert values.shape == (3, paths + 1)
     for law in range(3):
         wide = np.concatenate([columns, (laws[law][:, None] * column)[..., None]], axis=-1)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from safedpa.diagnosis.fit import heldout as held
-from safedpa.diagnosis.fit.elimination import Elimination
-from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with, heldout_of
-from safedpa.diagnosis.fit.least_squares import Fit, inverse_of, objectives
-from safedpa.diagnosis.fit.trial import deviates_of
-from safedpa.diagnosis.search import acceptance
-from safedpa.diagnosis.search.acceptance import accept
+from safedpa.diagnosis.fit import cross_validation as held
+from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.fit.least_squares import Fit, objectives, regularized_inverse
+from safedpa.diagnosis.fit.trial import standardized_gains
+from safedpa.diagnosis.fit.variable_projection import VariableProjection
+from safedpa.diagnosis.search import accepted_trial
+from safedpa.diagnosis.search.accepted_trial import accept_trial
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
@@ -56,7 +56,7 @@ def predicting(monkeypatch: pytest.MonkeyPatch) -> None:
         return [windows.states[windows.end] + model * np.array([0.01, 0.02])]
 
     monkeypatch.setattr(held, "rollout_at", rollout_at)
-    monkeypatch.setattr(held, "moved", lambda model, values: values["p"])
+    monkeypatch.setattr(held, "with_values", lambda model, values: values["p"])
 
 
 @pytest.mark.usefixtures("predicting")
@@ -115,13 +115,13 @@ def test_the_standard_error_is_that_of_the_mean_over_the_folds(folds: tuple[floa
 
 
 def test_an_accepted_trial_is_fitted_to_the_end_around_its_own_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(acceptance, "fit", lambda *arguments: ("fitted", *arguments))
-    monkeypatch.setattr(acceptance, "trial_of", lambda *arguments: ("trial", *arguments))
-    monkeypatch.setattr(acceptance, "error_with", lambda *arguments: ("error", *arguments))
+    monkeypatch.setattr(accepted_trial, "fit", lambda *arguments: ("fitted", *arguments))
+    monkeypatch.setattr(accepted_trial, "trial_of", lambda *arguments: ("trial", *arguments))
+    monkeypatch.setattr(accepted_trial, "error_with", lambda *arguments: ("error", *arguments))
     windows = SimpleNamespace(around=lambda model: f"windows around {model}")
     search: Any = SimpleNamespace(added=["drag"], shooting=windows, current=None, error=None)
     own = SimpleNamespace(model="the model with lag", paths=("drag.c", "lag.t"), scale="scale")
-    accept(search, SimpleNamespace(effects=("drag", "lag"), fit=own), "held out")  # type: ignore[arg-type]
+    accept_trial(search, SimpleNamespace(effects=("drag", "lag"), fit=own), "held out")  # type: ignore[arg-type]
     around = "windows around the model with lag"
     fitted = ("fitted", "the model with lag", ("drag.c", "lag.t"), around, "scale")
     assert (search.added, search.shooting) == (["drag", "lag"], around)
@@ -198,7 +198,7 @@ def test_the_objective_is_the_mean_logarithm_of_the_root_mean_square_of_each_sta
 def test_an_inverse_does_not_depend_on_units(sizes: tuple[float, float]) -> None:
     """Of [[2, 1], [1, 3]] it is [[3, -1], [-1, 2]] / 5; in other units each entry is divided by both."""
     outer = np.outer(sizes, sizes)
-    found = inverse_of(np.array([[2.0, 1.0], [1.0, 3.0]]) * outer)
+    found = regularized_inverse(np.array([[2.0, 1.0], [1.0, 3.0]]) * outer)
     np.testing.assert_allclose(found, np.array([[0.6, -0.2], [-0.2, 0.4]]) / outer, rtol=1e-6)
 
 
@@ -212,7 +212,7 @@ def test_reduced_residuals_are_what_least_squares_leaves_in_each_window(
     weights = np.ones((3, 5, 2))
     weights[1, 2:] = counts
     tangent, columns = random.normal(size=(3, 5, 2, 2)), random.normal(size=(3, 5, 2, 4))
-    made = Elimination(weights, tangent)
+    made = VariableProjection(weights, tangent)
     reduced = made.reduced(columns, scales)
     left = np.zeros((3, 5, 2, 4))
     for window in range(3):
@@ -231,7 +231,7 @@ def test_the_gain_of_blocks_of_windows_is_the_deviate_of_students_law(seed: int)
     size, blocks = 10, 12
     differences = np.random.default_rng(seed).normal(3.0, 4.0, size * blocks)
     shooting: Any = SimpleNamespace(first_of_block=np.arange(0, size * blocks, size), by_block=np.arange(size * blocks))
-    (found,) = deviates_of(differences[None], shooting)
+    (found,) = standardized_gains(differences[None], shooting)
     t = stats.ttest_1samp(differences.reshape(blocks, size).sum(axis=1), 0.0)
     assert found == pytest.approx(stats.norm.isf(t.pvalue / 2.0) * np.sign(t.statistic), rel=0.02)
-    assert deviates_of(-differences[None], shooting)[0] == pytest.approx(-found)
+    assert standardized_gains(-differences[None], shooting)[0] == pytest.approx(-found)

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.fit.trial import Trial
-from safedpa.diagnosis.search import judgement
-from safedpa.diagnosis.search.judgement import (
-    Stage,
-    farthest,
-    feigned_lateness,
-    inside,
-    judged,
-    likely,
+from safedpa.diagnosis.fit.trial import EffectTrial
+from safedpa.diagnosis.search import acceptance
+from safedpa.diagnosis.search.acceptance import (
+    SearchStage,
+    fewest_parameters,
+    is_promising,
+    is_spurious_delay,
+    judge_trial,
+    order_by_heldout_gain,
     passes,
-    plainest,
-    preferred,
+    simplest_equivalent,
     with_reason,
+    within_bounds,
 )
 from safedpa.effects import effect
 
@@ -35,7 +35,7 @@ def trial(*effects: str, loss: float = 0.0, paths: int = 1, free: Any = True, ex
     model = SimpleNamespace(system=SimpleNamespace(action_names=()), effects=(), settings={})
     names = tuple(f"{effects[0]}.{number}" for number in range(paths))
     fit: Any = SimpleNamespace(model=model, paths=names, free=np.full(paths, free), **more)
-    return Trial(effects, fit, np.zeros(1), np.asarray(explained, dtype=float), loss)
+    return EffectTrial(effects, fit, np.zeros(1), np.asarray(explained, dtype=float), loss)
 
 
 def searching(value: float = 0.1, loss: float = 0.0, paths: Any = (), patch: Any = None) -> Any:
@@ -44,14 +44,14 @@ def searching(value: float = 0.1, loss: float = 0.0, paths: Any = (), patch: Any
     return SimpleNamespace(shooting=shooting, current=current, error=error(value), patch=patch)
 
 
-def of(trials: list[Any], gain: float = 0.0, errors: Any = None, **more: Any) -> Stage:
-    return Stage(4, trials, {one.effects: gain for one in trials}, {} if errors is None else errors, **more)
+def of(trials: list[Any], gain: float = 0.0, errors: Any = None, **more: Any) -> SearchStage:
+    return SearchStage(4, trials, {one.effects: gain for one in trials}, {} if errors is None else errors, **more)
 
 
 def by_table(monkeypatch: pytest.MonkeyPatch, gains: dict[tuple[str, str], float], alike: float = 0.0) -> None:
     """``gains[one, other]``: how much better the other predicts."""
-    monkeypatch.setattr(judgement, "block_gain", lambda one, other, _: gains[one.name, other.name])
-    monkeypatch.setattr(judgement, "likeness", lambda *_: alike)
+    monkeypatch.setattr(acceptance, "block_gain", lambda one, other, _: gains[one.name, other.name])
+    monkeypatch.setattr(acceptance, "explanation_correlation", lambda *_: alike)
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,8 @@ def test_a_trial_passes_with_3_standard_errors_and_3_percent_or_4_5_and_0_4_perc
     assert passes(gain, error(after), error(before)) is added
     assert not passes(gain, None, error(before))
     one = trial("drag")
-    assert Stage(0, [one], {("drag",): gain}, {("drag",): error(after)}).passes(one, error(before)) is added
-    assert not Stage(0, [one], {("drag",): gain}, {}).passes(one, error(before))
+    assert SearchStage(0, [one], {("drag",): gain}, {("drag",): error(after)}).passes(one, error(before)) is added
+    assert not SearchStage(0, [one], {("drag",): gain}, {}).passes(one, error(before))
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ def test_a_trial_passes_with_3_standard_errors_and_3_percent_or_4_5_and_0_4_perc
 def test_a_trial_is_likely_with_1_5_standard_errors_and_3_percent(gain: float, after: float, found: bool) -> None:
     one = trial("drag")
     for size in (1.0, 4.0):
-        assert likely(one, of([one], gain, {("drag",): error(size * after)}), error(size)) is found
-    assert not likely(one, of([one], gain), error(1.0))
+        assert is_promising(one, of([one], gain, {("drag",): error(size * after)}), error(size)) is found
+    assert not is_promising(one, of([one], gain), error(1.0))
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_lag_below_one_row_or_next_to_another_is_feigned_without_a_fall_of_15_
     system = SimpleNamespace(action_names=("throttle", "steer"))
     model = SimpleNamespace(system=system, effects=tuple(items.values()), settings=settings)
     one: Any = SimpleNamespace(effects=tuple(values)[:own], fit=SimpleNamespace(model=model))
-    assert feigned_lateness(one, None if after is None else error(after), error(1.0), row) is feigned
+    assert is_spurious_delay(one, None if after is None else error(after), error(1.0), row) is feigned
 
 
 @pytest.mark.parametrize(
@@ -119,20 +119,20 @@ def test_the_simplest_trial_within_two_standard_errors_of_the_best_is_preferred(
 ) -> None:
     best, other, third = trial("a", loss=-3, paths=3), trial("b", loss=-2, paths=2), trial("c", loss=-1, paths=1)
     by_table(monkeypatch, {("a", "a"): 0.0, ("b", "a"): b_behind, ("c", "a"): c_behind})
-    assert preferred([best, other, third], searching()).name == chosen  # type: ignore[union-attr]
+    assert simplest_equivalent([best, other, third], searching()).name == chosen  # type: ignore[union-attr]
 
 
 def test_only_free_trials_that_fit_better_than_the_present_model_are_preferred(monkeypatch: pytest.MonkeyPatch) -> None:
     by_table(monkeypatch, dict.fromkeys([("a", "a"), ("b", "a"), ("b", "b")], 0.0))
     one, two = trial("a", loss=-2.0), trial("b", loss=-1.0)
-    assert preferred([one, two], searching()) is one
-    assert preferred([one, two], searching(loss=-2.0)) is None
-    assert preferred([one, two], searching(loss=-1.5)) is one
-    assert preferred([], searching()) is None
-    assert preferred([trial("a", loss=-2.0, free=False), two], searching()) is two
+    assert simplest_equivalent([one, two], searching()) is one
+    assert simplest_equivalent([one, two], searching(loss=-2.0)) is None
+    assert simplest_equivalent([one, two], searching(loss=-1.5)) is one
+    assert simplest_equivalent([], searching()) is None
+    assert simplest_equivalent([trial("a", loss=-2.0, free=False), two], searching()) is two
     many = [trial(f"t{number}", loss=-20.0 + number, paths=20 - number) for number in range(12)]
     by_table(monkeypatch, {(one.name, "t0"): 0.0 for one in many})
-    assert preferred(many, searching()) is many[7], "the best eight are compared"
+    assert simplest_equivalent(many, searching()) is many[7], "the best eight are compared"
 
 
 @pytest.mark.parametrize(
@@ -147,10 +147,12 @@ def test_while_a_quarter_is_missing_a_trial_that_takes_15_percent_more_off_comes
 ) -> None:
     one, middle, other = trial("a"), trial("b"), trial("c")
     errors = {("a",): error(first), ("b",): error(least + 0.001), ("c",): error(least)}
-    found = farthest([one, middle, other], of([one, middle, other], errors=errors), error(before))
+    found = order_by_heldout_gain([one, middle, other], of([one, middle, other], errors=errors), error(before))
     assert found == ([other, one, middle] if turned else [one, middle, other])
-    assert farthest([one, other], of([one], errors=errors), error(before)) == ([other, one] if turned else [one, other])
-    assert farthest([one], of([one], errors={}), error(before)) == [one]
+    assert order_by_heldout_gain([one, other], of([one], errors=errors), error(before)) == (
+        [other, one] if turned else [one, other]
+    )
+    assert order_by_heldout_gain([one], of([one], errors={}), error(before)) == [one]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +168,7 @@ def test_an_effect_at_a_bound_is_refused_unless_half_is_missing(
 ) -> None:
     pushed = trial("a", paths=3)
     pushed.fit.free[:] = free
-    assert inside(pushed, searching(value=value, paths=paths)) is told
+    assert within_bounds(pushed, searching(value=value, paths=paths)) is told
 
 
 def test_the_plainest_trial_explains_the_same_with_the_fewest_numbers() -> None:
@@ -175,9 +177,9 @@ def test_the_plainest_trial_explains_the_same_with_the_fewest_numbers() -> None:
     alike = trial("alike", loss=-1, paths=1, explained=explained + np.array([0.0, 0.3]))
     as_many, worse = trial("as", loss=-1, paths=3, explained=explained), trial("w", loss=0, explained=explained)
     pushed = trial("pushed", loss=-1, free=False, explained=explained)
-    assert plainest(big, [big, two, one], searching()) is one
-    assert plainest(big, [big, two, alike], searching()) is two
-    assert plainest(big, [as_many, worse, pushed, alike], searching()) is big
+    assert fewest_parameters(big, [big, two, one], searching()) is one
+    assert fewest_parameters(big, [big, two, alike], searching()) is two
+    assert fewest_parameters(big, [as_many, worse, pushed, alike], searching()) is big
 
 
 @pytest.mark.parametrize(
@@ -192,7 +194,7 @@ def test_two_trials_explain_the_same_up_to_a_500th_of_the_smaller_square(
 ) -> None:
     """25 / 500 = 0.05 = 0.22361^2; a 500th of the larger one would be 2.006 in the last case."""
     big, one = trial("big", paths=2, loss=-1, explained=whole), trial("one", loss=-1, explained=other)
-    assert (plainest(big, [one], searching()) is one) is same
+    assert (fewest_parameters(big, [one], searching()) is one) is same
 
 
 @pytest.mark.parametrize(
@@ -210,7 +212,7 @@ def test_the_verdict_on_the_best_trial(
 ) -> None:
     one = trial("a")
     stage = of([one], gain, {} if after is None else {("a",): error(after)})
-    found = judged(searching(), stage, one, one, passed)
+    found = judge_trial(searching(), stage, one, one, passed)
     assert (found.decision, found.reason) == (decision, f"{BASE} {reason}")
     assert (found.stage, found.trial, found.gain, found.before, found.equals) == (4, one, gain, 0.1, ())
     assert (found.error.value if found.error else None) == after
@@ -221,13 +223,13 @@ def test_the_verdict_on_the_best_trial(
 
 def test_a_trial_is_suspected_where_a_place_explains_more_or_the_filter_doubts_it() -> None:
     one, errors = trial("a"), {("a",): error(0.05)}
-    found = judged(searching(patch=object()), of([one], 5.0, errors), one, one, False)
+    found = judge_trial(searching(patch=object()), of([one], 5.0, errors), one, one, False)
     assert found.decision == "suspected"
     assert found.reason.endswith("changes by -50.0 %; but a place explains more")
-    found = judged(searching(patch=object()), of([one], 5.0, errors), one, None, False)
+    found = judge_trial(searching(patch=object()), of([one], 5.0, errors), one, None, False)
     assert found.reason.endswith("too little to be worth it"), "it is not the best"
     doubted = of([one], 5.0, errors, doubted=frozenset({("a",)}))
-    found = judged(searching(), doubted, one, None, False)
+    found = judge_trial(searching(), doubted, one, None, False)
     assert found.decision == "suspected"
     assert found.reason.endswith("but a filter that knows lasting pushes does not confirm it")
 
@@ -244,7 +246,7 @@ def test_a_trial_that_the_data_cannot_tell_from_the_accepted_one_is_suspected(
 ) -> None:
     one, best = trial("a", loss=-1.0), trial("b", loss=-2.0)
     by_table(monkeypatch, {("a", "b"): behind, ("b", "a"): -behind}, alike)
-    found = judged(searching(), of([best, one], gain), one, best, True)
+    found = judge_trial(searching(), of([best, one], gain), one, best, True)
     assert found.decision == decision
     assert found.reason == f"{BASE} {gain:.1f} standard errors; {behind:.1f} standard errors behind b"
     assert found.equals == (("b",) if alike and gain > 1.5 else ())
@@ -263,18 +265,18 @@ def test_two_trials_are_equal_if_they_predict_close_and_explain_alike(
 ) -> None:
     one, other = trial("a", loss=-1.0), trial("b", loss=-2.0)
     by_table(monkeypatch, {("b", "a"): apart}, alike)
-    assert judged(searching(), of([one, other], 2.0), one, None, False).equals == (("b",) if equal else ())
+    assert judge_trial(searching(), of([one, other], 2.0), one, None, False).equals == (("b",) if equal else ())
 
 
 def test_the_best_ten_that_fit_better_and_share_no_effect_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     by_table(monkeypatch, {("b", "a"): 9.0, ("c", "a"): 0.0, ("a + d", "a"): 0.0}, 0.6)
     one, other = (trial(name, loss=-1.0, explained=[1.0, 2.0]) for name in "ab")
     every = [one, other, trial("c", loss=0.0), trial("a", "d", loss=-1.0)]
-    assert judged(searching(), of(every, 1.6), one, None, False).equals == ("b",), "it explains the same"
-    assert judged(searching(), of(every, 1.5), one, None, False).equals == ()
+    assert judge_trial(searching(), of(every, 1.6), one, None, False).equals == ("b",), "it explains the same"
+    assert judge_trial(searching(), of(every, 1.5), one, None, False).equals == ()
     trials = [trial(f"t{number:02d}", loss=-1.0) for number in range(14)]
     by_table(monkeypatch, {(one.name, "t00"): 0.0 for one in trials}, 0.6)
-    found = judged(searching(), of(trials, 2.0), trials[0], None, False).equals
+    found = judge_trial(searching(), of(trials, 2.0), trials[0], None, False).equals
     assert found == tuple(f"t{number:02d}" for number in range(1, 10))
 
 
@@ -302,7 +304,7 @@ def test_an_effect_that_free_numbers_do_already_is_rejected_with_the_most_alike_
 ) -> None:
     item = trial(*effects, columns=np.column_stack([*known, *new])[:, None, :])
     search = searching(paths=[f"base.{name}" for name in "pq"[: len(known)]])
-    found = judged(search, of([item], 9.0), item, item, True)
+    found = judge_trial(search, of([item], 9.0), item, item, True)
     if base:
         assert (found.decision, found.equals) == ("rejected", (f"base.{base}",))
         assert found.reason == f"the free base.{base} does the same"

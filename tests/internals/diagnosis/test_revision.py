@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.fit import trial as trials
-from safedpa.diagnosis.fit.heldout import HeldoutError
-from safedpa.diagnosis.fit.trial import Trial, starts_of
-from safedpa.diagnosis.search import revision
-from safedpa.diagnosis.search.judgement import Judged
+from safedpa.diagnosis.fit.cross_validation import HeldoutError
+from safedpa.diagnosis.fit.trial import EffectTrial, initial_values
+from safedpa.diagnosis.search import backward_revision
+from safedpa.diagnosis.search.acceptance import JudgedTrial
 from safedpa.effects import Parameter
 
 NOTHING: Any = None
@@ -22,7 +22,7 @@ def trial(*names: str, held: tuple[str, ...] = (), loss: float = 0.9) -> Any:
         value=-3.0, free=np.array([name not in held for name in names]), paths=tuple(f"{name}.a" for name in names),
         model=SimpleNamespace(effects=[SimpleNamespace(name=name) for name in names]),
     )  # fmt: skip
-    return replace(Trial(names, NOTHING, NOTHING, NOTHING, loss), fit=fit)
+    return replace(EffectTrial(names, NOTHING, NOTHING, NOTHING, loss), fit=fit)
 
 
 @pytest.fixture
@@ -31,13 +31,15 @@ def searching(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def make(added: str, rivals: dict[str, str], held: str = "", gain: float = 9.0) -> Any:
         library = {name: SimpleNamespace(name=name) for name in "abcdef"}
-        monkeypatch.setattr(revision, "known_effects", lambda *_: library)
+        monkeypatch.setattr(backward_revision, "known_effects", lambda *_: library)
         monkeypatch.setattr(
-            revision, "refit", lambda _, items, *__: trial(*[item.name for item in items], held=tuple(held))
+            backward_revision,
+            "refit_effects",
+            lambda _, items, *__: trial(*[item.name for item in items], held=tuple(held)),
         )
-        monkeypatch.setattr(revision, "error_with", lambda *_: SimpleNamespace(value=0.1))
-        monkeypatch.setattr(revision, "block_gain", lambda *_: gain)
-        monkeypatch.setattr(revision, "passes", lambda found, *_: found > 3.0)
+        monkeypatch.setattr(backward_revision, "error_with", lambda *_: SimpleNamespace(value=0.1))
+        monkeypatch.setattr(backward_revision, "block_gain", lambda *_: gain)
+        monkeypatch.setattr(backward_revision, "passes", lambda found, *_: found > 3.0)
         return SimpleNamespace(
             added=list(added), candidates=[], error=SimpleNamespace(value=0.2), shooting=None,
             rivals={name: list(own) for name, own in rivals.items()},
@@ -62,7 +64,7 @@ def test_an_effect_gives_way_to_two_of_its_rivals_that_pass_and_are_free(
     searching: Any, added: str, rivals: Any, held: str, gain: float, left: str
 ) -> None:
     search = searching(added, rivals, held, gain)
-    revision.split(search, [], NOTHING)
+    backward_revision.split_effect(search, [], NOTHING)
     assert "".join(search.added) == left
     if left != added:
         assert search.error.value == 0.1
@@ -82,9 +84,9 @@ def test_a_rival_with_one_more_number_takes_a_place_if_it_fits_better_by_one_uni
     search.shooting = SimpleNamespace(size=np.array([500.0, 500.0]))
     search.current.fit.paths = ("b.a",)
     search.current.fit.value = -3.0 + fall
-    monkeypatch.setattr(revision, "given_names", lambda _: [])
-    monkeypatch.setattr(revision, "feigned_lateness", lambda *_: late)
-    revision.exchange(search, [], NOTHING)
+    monkeypatch.setattr(backward_revision, "given_effect_names", lambda _: [])
+    monkeypatch.setattr(backward_revision, "is_spurious_delay", lambda *_: late)
+    backward_revision.exchange_effects(search, [], NOTHING)
     assert "".join(search.added) == left
 
 
@@ -92,8 +94,8 @@ def test_only_accepted_candidates_are_reported_as_replaced(searching: Any) -> No
     search = searching("ab", {})
     for stage, decision in enumerate(("rejected", "accepted")):
         for names in (("a",), ("b",)):
-            search.candidates.append(Judged(stage, trial(*names), 4.0, NOTHING, decision, f"stage {stage}", ()))
-    revision._replaced(search, ("a",), ("d",), trial("d", "b"), NOTHING)
+            search.candidates.append(JudgedTrial(stage, trial(*names), 4.0, NOTHING, decision, f"stage {stage}", ()))
+    backward_revision._replaced(search, ("a",), ("d",), trial("d", "b"), NOTHING)
     assert search.added == ["d", "b"]
     found = [(item.stage, item.trial.effects, item.decision) for item in search.candidates]
     assert found == [
@@ -125,12 +127,16 @@ def test_an_effect_that_helps_whole_runs_by_less_than_one_standard_error_is_take
         return HeldoutError(value, np.full(4, value), by_run, np.tile(by_run[:, None], 4), by_run, np.zeros((1, 4)))
 
     search: Any = SimpleNamespace(added=list("dls"), candidates=[], shooting=None, without={}, error=error_of("dls"))
-    monkeypatch.setattr(revision, "refit", lambda _, items, *__: SimpleNamespace(fit=[item.name for item in items]))
-    monkeypatch.setattr(revision, "_feigned", lambda *_: False)
-    monkeypatch.setattr(revision, "_pushed", lambda *_: False)
-    monkeypatch.setattr(revision, "error_with", lambda names, *_: error_of(names))
-    monkeypatch.setattr(revision, "known_effects", lambda *_: {name: SimpleNamespace(name=name) for name in "dls"})
-    revision.smallest(search, [], NOTHING)
+    monkeypatch.setattr(
+        backward_revision, "refit_effects", lambda _, items, *__: SimpleNamespace(fit=[item.name for item in items])
+    )
+    monkeypatch.setattr(backward_revision, "_feigned", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "_pushed", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "error_with", lambda names, *_: error_of(names))
+    monkeypatch.setattr(
+        backward_revision, "known_effects", lambda *_: {name: SimpleNamespace(name=name) for name in "dls"}
+    )
+    backward_revision.select_smallest_model(search, [], NOTHING)
     assert "".join(search.added) == left
     assert set(search.without) == set(left)
 
@@ -150,11 +156,11 @@ def test_an_effect_whose_part_another_takes_over_at_its_bound_is_not_taken_out(m
         added=list(library), candidates=[], shooting=None, without={}, error=error(0.2),
         current=left(None, [library["viscous_drag"]]),
     )  # fmt: skip
-    monkeypatch.setattr(revision, "refit", left)
-    monkeypatch.setattr(revision, "known_effects", lambda *_: library)
-    monkeypatch.setattr(revision, "_feigned", lambda *_: False)
-    monkeypatch.setattr(revision, "error_with", lambda fit, *_: error(0.4 if fit.free.all() else 0.21))
-    revision.smallest(search, [], NOTHING)
+    monkeypatch.setattr(backward_revision, "refit_effects", left)
+    monkeypatch.setattr(backward_revision, "known_effects", lambda *_: library)
+    monkeypatch.setattr(backward_revision, "_feigned", lambda *_: False)
+    monkeypatch.setattr(backward_revision, "error_with", lambda fit, *_: error(0.4 if fit.free.all() else 0.21))
+    backward_revision.select_smallest_model(search, [], NOTHING)
     assert search.added == ["turning_drag", "viscous_drag"]
 
 
@@ -166,9 +172,9 @@ def test_effects_are_grouped_where_their_numbers_are_correlated(correlated: floa
     columns = np.linalg.cholesky(np.linalg.inv(covariance)).T[None]
     fitted = SimpleNamespace(columns=columns, paths=("a.x", "b.y", "c.z"))
     search: Any = SimpleNamespace(added=["a", "b", "c"], current=SimpleNamespace(fit=fitted))
-    assert revision._groups(search) == [("a",), ("b",), ("c",), *pairs]
+    assert backward_revision._groups(search) == [("a",), ("b",), ("c",), *pairs]
     search.added = ["a", "b"]
-    assert revision._groups(search) == [("a",), ("b",)], "never all of them"
+    assert backward_revision._groups(search) == [("a",), ("b",)], "never all of them"
 
 
 @pytest.mark.parametrize(
@@ -182,7 +188,7 @@ def test_effects_are_grouped_where_their_numbers_are_correlated(correlated: floa
 )  # fmt: skip
 def test_a_fit_begins_within_the_bounds_and_where_the_effect_does_something(parameter: Parameter) -> None:
     item: Any = SimpleNamespace(parameters=(parameter,))
-    found = [start["a"] for start in starts_of(item)]
+    found = [start["a"] for start in initial_values(item)]
     assert len(set(found)) >= (2 if parameter.high - parameter.low > 0.1 else 1)
     assert all(parameter.low <= value <= parameter.high for value in found)
     if parameter.high - parameter.low > 0.1:
@@ -195,7 +201,7 @@ def test_of_more_than_16_starts_9_are_spread_from_the_first_to_the_last(
 ) -> None:
     item: Any = SimpleNamespace(parameters=[SimpleNamespace(name=f"p{n}") for n in range(len(each))])
     monkeypatch.setattr(trials, "_grid", lambda parameter, _: list(range(each[int(parameter.name[1:])])))
-    every = [tuple(one.values()) for one in starts_of(item)]
+    every = [tuple(one.values()) for one in initial_values(item)]
     assert len(every) == left
     assert every == sorted(set(every))
     assert (every[0], every[-1]) == ((0,) * len(each), tuple(count - 1 for count in each))

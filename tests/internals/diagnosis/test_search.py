@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.diagnosis import diagnose, stepwise
-from safedpa.diagnosis.document import Unexplained, Value
-from safedpa.diagnosis.remains import remaining
-from safedpa.diagnosis.remains.weak_form import Selected
-from safedpa.diagnosis.search import conditions, patch, where_none_passes
-from safedpa.diagnosis.search import search as searching
-from safedpa.diagnosis.search.progress import Judged, Search
+from safedpa.diagnosis import diagnose, interactive
+from safedpa.diagnosis.report_schema import FittedValue, Unexplained
+from safedpa.diagnosis.residuals import unmodelled
+from safedpa.diagnosis.residuals.weak_sindy import SelectedTerms
+from safedpa.diagnosis.search import conditional, pairs, regions
+from safedpa.diagnosis.search import forward_selection as searching
+from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect, effects_of
 from safedpa.errors import InputError
-from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 
 NOTHING: Any = None
 NUMBERS = {
-    "base.gain": Value(3.0, 0.1, "1"),
-    "drag.coefficient": Value(0.2, 0.01, "1/m"),
-    "drag.power": Value(2.0, 0.2, "1"),
-    "lag.seconds": Value(0.1, 0.02, "s"),
+    "base.gain": FittedValue(3.0, 0.1, "1"),
+    "drag.coefficient": FittedValue(0.2, 0.01, "1/m"),
+    "drag.power": FittedValue(2.0, 0.2, "1"),
+    "lag.seconds": FittedValue(0.1, 0.02, "s"),
 }
 
 
@@ -75,8 +75,8 @@ def test_candidates_have_their_own_numbers_and_those_that_stayed_the_final_ones(
 def test_nothing_is_explained_without_a_verdict_and_the_nearest_is_reported_only_if_data_are_few(
     monkeypatch: pytest.MonkeyPatch, *, enough: bool, wrong: bool
 ) -> None:
-    monkeypatch.setattr(diagnose, "formula_instead", lambda *_: None)
-    monkeypatch.setattr(diagnose, "remaining", lambda *_: "a formula")
+    monkeypatch.setattr(diagnose, "alternative_formula", lambda *_: None)
+    monkeypatch.setattr(diagnose, "find_unexplained_structure", lambda *_: "a formula")
     monkeypatch.setattr(diagnose, "likely_effects", lambda _: [judged("drag"), judged("lag")])
     monkeypatch.setattr(diagnose, "nearest_effects", lambda *_: ["nearest"])
     search: Any = SimpleNamespace(current=None, shooting=None, patch=None)
@@ -97,15 +97,15 @@ def test_after_a_law_the_search_makes_a_second_round(
 ) -> None:
     did: list[str] = []
     search = SimpleNamespace(added=[], error=error(0.1), current=SimpleNamespace(fit=None), shooting=None)
-    monkeypatch.setattr(searching, "begun", lambda *_: search)
+    monkeypatch.setattr(searching, "initial_search", lambda *_: search)
     monkeypatch.setattr(searching, "_so_far", lambda _: "")
     monkeypatch.setattr(searching, "_additions", lambda *_: did.append("additions"))
     monkeypatch.setattr(searching, "_second_thoughts", lambda *_: did.append("second thoughts"))
-    monkeypatch.setattr(searching, "conditional", lambda *_: did.append("laws") or laws)
-    monkeypatch.setattr(searching, "with_final_numbers", lambda *_: ("final", "its error"))
-    monkeypatch.setattr(searching, "with_form_in_doubt", lambda final, _: final)
+    monkeypatch.setattr(searching, "add_conditions", lambda *_: did.append("laws") or laws)
+    monkeypatch.setattr(searching, "with_final_values", lambda *_: ("final", "its error"))
+    monkeypatch.setattr(searching, "with_model_uncertainty", lambda final, _: final)
     monkeypatch.setattr(searching, "replace", lambda _, fit: fit)
-    found: Any = searching.searched(NOTHING, library, NOTHING, NOTHING)
+    found: Any = searching.run_search(NOTHING, library, NOTHING, NOTHING)
     assert found.current == "final" or not library
     once = ["additions", "second thoughts"]
     assert did == [*once, *(["laws"] if library else []), *(once if rounds == 2 else [])]
@@ -130,13 +130,13 @@ def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follo
 ) -> None:
     case: dict[str, Any] = {"names": ("one", "two"), "patch": None, "before": None} | GOOD | changes
     before = case["before"] or case["missing"]
-    monkeypatch.setattr(where_none_passes, "feigned_lateness", lambda *_: False)
-    monkeypatch.setattr(where_none_passes, "inside", lambda *_: True)
-    monkeypatch.setattr(where_none_passes, "plainest", lambda trial, *_: trial)
-    monkeypatch.setattr(where_none_passes, "accept", lambda search, trial, _: search.added.extend(trial.effects))
-    monkeypatch.setattr(where_none_passes, "known_effects", lambda *_: {})
-    monkeypatch.setattr(where_none_passes, "refit", lambda *_: None)
-    monkeypatch.setattr(where_none_passes, "block_gain", lambda *_: case["sure"])
+    monkeypatch.setattr(pairs, "is_spurious_delay", lambda *_: False)
+    monkeypatch.setattr(pairs, "within_bounds", lambda *_: True)
+    monkeypatch.setattr(pairs, "fewest_parameters", lambda trial, *_: trial)
+    monkeypatch.setattr(pairs, "accept_trial", lambda search, trial, _: search.added.extend(trial.effects))
+    monkeypatch.setattr(pairs, "known_effects", lambda *_: {})
+    monkeypatch.setattr(pairs, "refit_effects", lambda *_: None)
+    monkeypatch.setattr(pairs, "block_gain", lambda *_: case["sure"])
 
     def in_turn(search: Any, *_: Any) -> None:
         if search.added:
@@ -145,11 +145,11 @@ def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follo
     monkeypatch.setattr(searching, "_added_in_turn", in_turn)
     windows: Any = SimpleNamespace(names=case["names"], period=np.array([0.05]))
     current: Any = SimpleNamespace(name="before")
-    search = Search(SimpleNamespace(windows=windows), current, error(case["missing"]), current, error(0.8))  # type: ignore[arg-type]
+    search = SearchState(SimpleNamespace(windows=windows), current, error(case["missing"]), current, error(0.8))  # type: ignore[arg-type]
     search.patch = case["patch"]
     trial: Any = SimpleNamespace(effects=("viscous_drag",), name="viscous_drag")
     after = error((1.0 - case["fall"]) * before)
-    search.candidates = [Judged(0, trial, case["gain"], after, "rejected", "too little", (), before)]
+    search.candidates = [JudgedTrial(0, trial, case["gain"], after, "rejected", "too little", (), before)]
     searching._additions(search, [], NOTHING, lambda *_: None, lambda: ())
     assert search.added == (["viscous_drag"] if kept else [])
     assert search.error.value == (case["reached"] if kept else case["missing"])
@@ -164,15 +164,15 @@ def test_a_place_needs_unseen_blocks_a_lower_error_and_most_runs(
     gain: float, loss: float, most_runs: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = SimpleNamespace(gain=gain, trial=SimpleNamespace(loss=loss))
-    monkeypatch.setattr(patch, "in_one_room", lambda _: True)
-    monkeypatch.setattr(patch, "pushes_of", lambda *_: np.zeros((40, 1)))
-    monkeypatch.setattr(patch, "_start", lambda *_: {"x": 0.0})
-    monkeypatch.setattr(patch, "_fitted", lambda *_: found)
-    monkeypatch.setattr(patch, "_in_most_runs", lambda *_: most_runs)
+    monkeypatch.setattr(regions, "share_one_area", lambda _: True)
+    monkeypatch.setattr(regions, "residual_inputs", lambda *_: np.zeros((40, 1)))
+    monkeypatch.setattr(regions, "_start", lambda *_: {"x": 0.0})
+    monkeypatch.setattr(regions, "_fitted", lambda *_: found)
+    monkeypatch.setattr(regions, "_in_most_runs", lambda *_: most_runs)
     system = SimpleNamespace(name="car", state_names=("x", "y", "yaw", "speed"))
     windows = type("Windows", (), {"system": system, "__len__": lambda _: 40})()
     shooting: Any = SimpleNamespace(windows=windows, measured=np.zeros((40, 5, 4)))
-    assert patch.best_patch(SimpleNamespace(loss=-1.0), shooting) is (found if kept else None)  # type: ignore[arg-type]
+    assert regions.best_region(SimpleNamespace(loss=-1.0), shooting) is (found if kept else None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -186,20 +186,20 @@ def test_terms_within_their_deviations_in_the_rollouts_are_dropped_and_the_rest_
     first: list[float], second: list[float] | None, terms: list[str] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Deviations are 0.1 each."""
-    fits: list[Selected] = []
+    fits: list[SelectedTerms] = []
 
-    def fitted(selected: Selected, *_: Any) -> Any:
+    def fitted(selected: SelectedTerms, *_: Any) -> Any:
         fits.append(selected)
         values = np.array([9.0, *(first if len(fits) == 1 else second or [])])
         deviations = np.full(len(values), 0.1)
         return SimpleNamespace(fit=SimpleNamespace(values=values, deviations=lambda _: deviations), loss=-2.0)
 
-    begun: Any = Selected(("a", "b", "c"), np.array([1.0, 2.0, 3.0]), ())  # type: ignore[arg-type]
-    monkeypatch.setattr(remaining, "selected_terms", lambda *_: begun)
-    monkeypatch.setattr(remaining, "rate_states", lambda _: None)
-    monkeypatch.setattr(remaining, "_fitted", fitted)
+    begun: Any = SelectedTerms(("a", "b", "c"), np.array([1.0, 2.0, 3.0]), ())  # type: ignore[arg-type]
+    monkeypatch.setattr(unmodelled, "selected_terms", lambda *_: begun)
+    monkeypatch.setattr(unmodelled, "rate_states", lambda _: None)
+    monkeypatch.setattr(unmodelled, "_fitted", fitted)
     shooting: Any = SimpleNamespace(windows=SimpleNamespace(system=None))
-    found = remaining._formula(SimpleNamespace(loss=-1.0), shooting)  # type: ignore[arg-type]
+    found = unmodelled._formula(SimpleNamespace(loss=-1.0), shooting)  # type: ignore[arg-type]
     assert (list(found[0].terms) if found else None) == terms
     assert len(fits) == (1 if second is None else 2)
     if second is not None:
@@ -214,17 +214,17 @@ def test_a_step_explains_the_rest_by_a_formula_if_no_effect_passes(
 ) -> None:
     search: Any = SimpleNamespace(candidates=[], current=None, shooting=None, added=[], patch=None)
     did: list[Any] = []
-    monkeypatch.setattr(stepwise, "_copied", lambda _: SimpleNamespace(**vars(search)))
-    monkeypatch.setattr(stepwise, "library_for", lambda _: library)
-    monkeypatch.setattr(stepwise, "tried_in_turn", lambda *_: [])
-    monkeypatch.setattr(stepwise, "addition", lambda *given: did.append(given) or passed)
-    monkeypatch.setattr(stepwise, "remaining", lambda *_: "rest")
-    monkeypatch.setattr(stepwise, "experiment_for", lambda _: None)
+    monkeypatch.setattr(interactive, "_copied", lambda _: SimpleNamespace(**vars(search)))
+    monkeypatch.setattr(interactive, "library_for", lambda _: library)
+    monkeypatch.setattr(interactive, "fit_trials", lambda *_: [])
+    monkeypatch.setattr(interactive, "add_best_trial", lambda *given: did.append(given) or passed)
+    monkeypatch.setattr(interactive, "find_unexplained_structure", lambda *_: "rest")
+    monkeypatch.setattr(interactive, "experiment_for", lambda _: None)
     step: Any = SimpleNamespace(why_not="", search=search, model=None, heldout=None)
-    assert (stepwise.proposal(step).unexplained, len(did)) == (rest, asked)
+    assert (interactive.proposal(step).unexplained, len(did)) == (rest, asked)
     proposed: Any = SimpleNamespace(search=SimpleNamespace(candidates=[judged("drag"), judged("lag")]))
     with pytest.raises(InputError, match="effect 'lagg': not among the candidates"):
-        stepwise.with_candidate(step, proposed, "lagg")
+        interactive.with_candidate(step, proposed, "lagg")
 
 
 def law(name: str, lacking: str = "") -> Any:
@@ -238,11 +238,11 @@ def test_a_law_must_pass_in_most_runs_in_some_rows_beyond_itself_and_within_its_
 ) -> None:
     checks = {"_passes": "passes", "_in_most_runs": "runs", "_of_some_rows": "rows", "_more_than_its_law": "law"}
     for function, key in checks.items():
-        monkeypatch.setattr(conditions, function, lambda one, *_, key=key: one.said[key])
-    monkeypatch.setattr(conditions, "_fewest", lambda passing, _: [one.name for one in passing])
+        monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.said[key])
+    monkeypatch.setattr(conditional, "_fewest", lambda passing, _: [one.name for one in passing])
     doubtful = law("doubtful", lacking)
-    assert conditions._chosen(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]
-    assert conditions._chosen(NOTHING, [doubtful], NOTHING) is None
+    assert conditional._chosen(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]
+    assert conditional._chosen(NOTHING, [doubtful], NOTHING) is None
 
 
 @pytest.mark.parametrize(
@@ -254,12 +254,12 @@ def test_laws_are_given_in_three_rounds_at_most_and_places_where_no_law_is_left(
 ) -> None:
     did: list[str] = []
     left, floors = list(laws), list(places)
-    monkeypatch.setattr(conditions, "_lawful", lambda *_: left.pop(0) if left else None)
-    monkeypatch.setattr(conditions, "_on_the_floor", lambda *_: floors.pop(0) if floors else None)
-    monkeypatch.setattr(conditions, "_one_sided", lambda best, _: best)
-    monkeypatch.setattr(conditions, "_accept", lambda _search, best, _heldout: did.append(best))
-    monkeypatch.setattr(conditions, "removals", lambda *_: did.append("-"))
-    assert conditions.conditional(NOTHING, [], NOTHING) is bool(accepted)
+    monkeypatch.setattr(conditional, "_lawful", lambda *_: left.pop(0) if left else None)
+    monkeypatch.setattr(conditional, "_on_the_floor", lambda *_: floors.pop(0) if floors else None)
+    monkeypatch.setattr(conditional, "_one_sided", lambda best, _: best)
+    monkeypatch.setattr(conditional, "_accept", lambda _search, best, _heldout: did.append(best))
+    monkeypatch.setattr(conditional, "backward_elimination", lambda *_: did.append("-"))
+    assert conditional.add_conditions(NOTHING, [], NOTHING) is bool(accepted)
     assert "".join(did) == "".join(f"{name}-" for name in accepted), "each is followed by removals"
 
 
@@ -272,14 +272,14 @@ def test_an_effect_under_a_law_is_there_once_with_new_numbers_and_the_others_kee
     model = model.with_effect(effect("car", "viscous_drag"), {"coefficient": Setting(0.7)})
     model = model.with_effect(effect("car", "understeer"), {"gradient": Setting(0.03)})
     item, drag = effects_of("car")["understeer"], "viscous_drag.coefficient"
-    monkeypatch.setattr(conditions, "conditioned", lambda own, *_: own)
-    made = conditions._with_law(model, item, NOTHING, {"gradient": 0.05}, without)
+    monkeypatch.setattr(conditional, "conditioned", lambda own, *_: own)
+    made = conditional._with_law(model, item, NOTHING, {"gradient": 0.05}, without)
     left = [name for name in ("viscous_drag", "understeer") if name not in without]
     assert [own.name for own in made.effects] == left
     assert {path.split(".")[0] for path in made.settings} - {"base"} == set(left)
     assert made.settings["understeer.gradient"].value == 0.05
     assert without or made.settings[drag].value == 0.7
-    bounded = conditions._with_law(model, item, NOTHING, {"gradient": 1e9}, without)
+    bounded = conditional._with_law(model, item, NOTHING, {"gradient": 1e9}, without)
     assert bounded.settings["understeer.gradient"].value == next(p.high for p in item.parameters)
     given: list[Any] = []
 
@@ -287,13 +287,13 @@ def test_an_effect_under_a_law_is_there_once_with_new_numbers_and_the_others_kee
         given.append((paths, more["known"]))
         return SimpleNamespace(value=-2.0)
 
-    monkeypatch.setattr(conditions, "fit", fit)
-    monkeypatch.setattr(conditions, "known_of", lambda _fit, rest: tuple(rest))
-    monkeypatch.setattr(conditions, "trial_of", lambda found, _shooting, names, _null: (found.value, names))
+    monkeypatch.setattr(conditional, "fit", fit)
+    monkeypatch.setattr(conditional, "known_slopes", lambda _fit, rest: tuple(rest))
+    monkeypatch.setattr(conditional, "trial_of", lambda found, _shooting, names, _null: (found.value, names))
     paths = ("base.drive_gain", drag, "understeer.gradient")
     null = SimpleNamespace(fit=SimpleNamespace(model=model, paths=paths, value=-1.0, scale=None))
     search: Any = SimpleNamespace(current=null, shooting=None)
     proposed: Any = SimpleNamespace(item=item, law=None, start={"gradient": 0.05})
-    assert conditions._fitted(search, proposed, without) == (-2.0, ("understeer",))
+    assert conditional._fitted(search, proposed, without) == (-2.0, ("understeer",))
     rest = ["base.drive_gain", *([] if without else [drag])]
     assert given == [([*rest, "understeer.gradient"], tuple(rest))], "slopes of the law's own numbers are not reused"

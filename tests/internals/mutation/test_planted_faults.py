@@ -35,7 +35,7 @@ def widest(fields, count):
     return same, fields[1:], count.sqrt(4.0), any(fields)
 '''
 JUDGE = """
-from safedpa.safety.margin import margin
+from safedpa.safety.margins.conformal import margin
 def test_the_margin(): assert margin([2000.0, 1000.0], 0.0, True, 1) == 2.0
 def test_never_true(): assert False
 """
@@ -48,7 +48,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, text in {
         "shared/safedpa/__init__.py": "",
         "shared/safedpa/safety/__init__.py": "",
-        "shared/safedpa/safety/margin.py": SOURCE.replace("    os.fsync(3)\n", ""),
+        "shared/safedpa/safety/margins/conformal.py": SOURCE.replace("    os.fsync(3)\n", ""),
         "tests/safety/test_margin.py": JUDGE,
         "tests/bus/test_other.py": "from safedpa.nothing import nothing\n",
         "pyproject.toml": '[tool.pytest.ini_options]\nmarkers = ["slow: slow"]\n',
@@ -108,7 +108,7 @@ def test_every_class_has_files_and_its_places_are_planted_alone(tree: Path) -> N
 
     for kind in CLASSES:
         assert all(any(ROOT.glob(glob)) for glob in kind.where), kind.name
-    source = (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    source = (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
     found = [fault for kind in CLASSES for fault in faults_in(tree, kind)]
     assert len({fault.kind for fault in found}) >= 5
     for fault in found:
@@ -165,8 +165,10 @@ def near() -> Any:
 def test_the_nearest_tests_import_the_module(tree: Path, near: Any) -> None:
     from near import Nearness
 
-    assert Nearness(tree).files("shared/safedpa/safety/margin.py", "margin", 5) == ["tests/safety/test_margin.py"]
-    found = near.files("shared/safedpa/safety/margin.py", "OnlineMargin", 20)
+    assert Nearness(tree).files("shared/safedpa/safety/margins/conformal.py", "margin", 5) == [
+        "tests/safety/test_margin.py"
+    ]
+    found = near.files("shared/safedpa/safety/margins/conformal.py", "OnlineMargin", 20)
     assert "tests/safety/test_margin_conformal.py" in found
 
 
@@ -238,8 +240,8 @@ def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -
     elsewhere = Fault("", of_a_margin.path, 0, "widest", "count += 1", "pass", first, first + 10)
     assert copy.tried(elsewhere, tests, 60.0).result == "unreached"
     assert copy.tried(of_a_margin, [], 60.0).result == "unreached"  # the whole suite is not near
-    kept = (tmp_path / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
-    assert kept == (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    kept = (tmp_path / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
+    assert kept == (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
@@ -250,10 +252,12 @@ def test_a_fault_after_which_nothing_ends_is_noticed(
     import copied
     from fault_classes import Fault
 
-    source = (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    source = (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
     copy, first = copied.Copy(tree, tmp_path), source.index("largest / 1000.0")
     monkeypatch.setattr(copied, "_ROOM_SECONDS", 2.0)  # beside five times what a sound run takes
     after = "next(_ for _ in iter(int, 1) if _)"
-    fault = Fault("", "shared/safedpa/safety/margin.py", 0, "margin", "largest / 1000.0", after, first, first + 16)
+    fault = Fault(
+        "", "shared/safedpa/safety/margins/conformal.py", 0, "margin", "largest / 1000.0", after, first, first + 16
+    )
     found = copy.tried(fault, ["tests/safety/test_margin.py"], 60.0)
     assert found.by == "tests/safety/test_margin.py::test_the_margin (does not end)"

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from tests.sensing.test_sensed_far import state_of
 
-from safedpa.perception.grid import CELL, Grid
-from safedpa.perception.hiding import _FRONT, _reached
+from safedpa.perception.occlusion import _FRONT, _reached
+from safedpa.perception.occupancy_grid import CELL, Grid
+from safedpa.perception.scan import _rolled, _within_a_turn, within_body
 from safedpa.perception.surroundings import _own_cells
-from safedpa.perception.sweep import _rolled, _within_a_turn, within_body
 
 
 def test_the_front_goes_from_each_cell_to_each_other_at_its_pace() -> None:

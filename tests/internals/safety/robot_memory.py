@@ -7,12 +7,12 @@ from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 
 from safedpa.bus import LATENT, WISH, WishMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.runtime.robot_session import LastDecision, RobotSession
 from safedpa.safety import Verdict
-from safedpa.safety.filtered_robot import Decided, FilteredRobot
-from safedpa.safety.node import SafetyFilterNode
 
 
-def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float] = (1.0, 0.1)) -> FilteredRobot:
+def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float] = (1.0, 0.1)) -> RobotSession:
     """After so many ticks; from the second on the robot did what the filter decided."""
     node, applied = SafetyFilterNode(model, SETTINGS), (0.0, 0.0)
     for tick in range(ticks):
@@ -25,16 +25,16 @@ def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float
     return node._robots["r"]
 
 
-def told(memory: FilteredRobot) -> tuple[float, ...]:
+def told(memory: RobotSession) -> tuple[float, ...]:
     assert memory.decision is not None
     return tuple(memory.decision.verdict.action.tolist())
 
 
-def verdict_of(memory: FilteredRobot, **changed: Any) -> Verdict:
+def verdict_of(memory: RobotSession, **changed: Any) -> Verdict:
     assert memory.decision is not None
     return replace(memory.decision.verdict, **changed)
 
 
-def decided_of(memory: FilteredRobot, **changed: Any) -> Decided:
+def decided_of(memory: RobotSession, **changed: Any) -> LastDecision:
     assert memory.decision is not None
     return memory.decision._replace(verdict=verdict_of(memory, **changed))

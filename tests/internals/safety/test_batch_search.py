@@ -11,12 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, QuadraticProgram
-from safedpa.safety.batch_search import ManyConditions, _retreating, search_by_many
-from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.program_rows import breakable, closest
-from safedpa.safety.retreat import retreated
-from safedpa.safety.search import search
-from safedpa.safety.solution import Solution
+from safedpa.safety.batch.constraints import BatchConstraints, _backtracking, search_batch
+from safedpa.safety.solver.constraints import ActionCandidate, Constraints
+from safedpa.safety.solver.qp_scaling import breakable, closest
+from safedpa.safety.solver.solution import Solution
+from safedpa.safety.solver.sqp import backtrack_towards, search
 
 Values = NDArray[np.float64]
 
@@ -64,7 +63,7 @@ class Problems:
         away = x - self.state[robots]
         return np.asarray(self.p[robots] - 2.0 * self.bend[robots][..., np.newaxis] * away[..., np.newaxis, :])
 
-    def one(self, robot: int) -> Conditions:
+    def one(self, robot: int) -> Constraints:
         """The conditions of one of them."""
 
         def step(x: Values, action: Values) -> Values:
@@ -78,7 +77,7 @@ class Problems:
         barrier = FunctionBarrier(lambda x: self.heights(robot, x), lambda x: self.gradient(robot, x), names)
         state, sides = tuple(self.state[robot].tolist()), self.program().sides
         margins, prediction = [0.01] * len(names), Prediction(affine, step)
-        return Conditions(Barriers([barrier]), prediction, state, None, None, self.settings.eta, margins, sides)
+        return Constraints(Barriers([barrier]), prediction, state, None, None, self.settings.eta, margins, sides)
 
     def program(self) -> QuadraticProgram:
         """Of the settings."""
@@ -122,18 +121,18 @@ class Rows:
 class Watched:
     """A program, and conditions, that remember what they were asked."""
 
-    def __init__(self, conditions: Conditions, program: QuadraticProgram) -> None:
+    def __init__(self, conditions: Constraints, program: QuadraticProgram) -> None:
         self._conditions, self._program = conditions, program
         self.sides, self.distance = program.sides, program.distance
         self.linearised, self.tightest = conditions.linearised, conditions.tightest
         self.closed: list[bool] = []
-        self.found: list[Outcome] = []
+        self.found: list[ActionCandidate] = []
 
     @property
     def saturated(self) -> bool:
         return self._conditions.saturated
 
-    def outcome(self, action: Any) -> Outcome:
+    def outcome(self, action: Any) -> ActionCandidate:
         self.found.append(self._conditions.outcome(action))
         return self.found[-1]
 
@@ -145,7 +144,7 @@ class Watched:
         return self._program.solve(A, b, wish)
 
 
-def alone(conditions: Conditions, program: QuadraticProgram, wish: Any, rounds: int) -> tuple[Outcome, bool]:
+def alone(conditions: Constraints, program: QuadraticProgram, wish: Any, rounds: int) -> tuple[ActionCandidate, bool]:
     """What one robot's search finds, and whether it is the first solution that keeps all, with all programs in closed
     form, after which nothing else was tried, and which is not brought back."""
     asked = conditions.outcome(np.clip(wish, program.low, program.high).tolist())
@@ -153,7 +152,7 @@ def alone(conditions: Conditions, program: QuadraticProgram, wish: Any, rounds: 
     found, _ = search(watched, watched, wish, asked, rounds)  # type: ignore[arg-type]
     plain = found.kept and all(watched.closed) and len(watched.closed) == len(watched.found)
     plain = plain and found is watched.found[-1] and not any(one.kept for one in watched.found[:-1])
-    return found, bool(plain and retreated(conditions, program.sides, wish, found) is found)
+    return found, bool(plain and backtrack_towards(conditions, program.sides, wish, found) is found)
 
 
 def agreed(problems: Problems) -> int:
@@ -162,10 +161,10 @@ def agreed(problems: Problems) -> int:
     ones = [problems.one(robot) for robot in robots]
     required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
-    conditions = ManyConditions(own, around, moving, required, scale, np.zeros(len(robots), dtype=bool))  # type: ignore[arg-type]
+    conditions = BatchConstraints(own, around, moving, required, scale, np.zeros(len(robots), dtype=bool))  # type: ignore[arg-type]
     start = conditions.outcome(np.clip(problems.wish, own.low, own.high))
     broken = np.flatnonzero(~conditions.kept(start))
-    found, certain = search_by_many(conditions.only(broken), problems.wish[broken], start.only(broken))
+    found, certain = search_batch(conditions.only(broken), problems.wish[broken], start.only(broken))
     for place, robot in enumerate(broken.tolist()):
         wanted, plain = alone(ones[robot], program, problems.wish[robot].tolist(), own.relinearisations + 1)
         assert certain[place] == plain, robot
@@ -199,14 +198,14 @@ def test_an_entry_is_brought_back_where_that_of_one_robot_is(settings: FilterSet
     ones, sides = [problems.one(robot) for robot in robots], problems.program().sides
     required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
-    conditions = ManyConditions(settings, around, moving, required, scale, np.zeros(count, dtype=bool))  # type: ignore[arg-type]
+    conditions = BatchConstraints(settings, around, moving, required, scale, np.zeros(count, dtype=bool))  # type: ignore[arg-type]
     near = problems.wish + random.normal(0.0, 0.1, problems.wish.shape) * (settings.high - settings.low)
     found = conditions.outcome(np.clip(near, settings.low, settings.high))
     kept = np.flatnonzero(conditions.kept(found))
-    back = _retreating(conditions.only(kept), problems.wish[kept], found.only(kept))
+    back = _backtracking(conditions.only(kept), problems.wish[kept], found.only(kept))
     wanted = []
     for robot in kept.tolist():
         one = ones[robot].outcome(found.action[robot].tolist())
-        wanted.append(retreated(ones[robot], sides, problems.wish[robot].tolist(), one) is not one)
+        wanted.append(backtrack_towards(ones[robot], sides, problems.wish[robot].tolist(), one) is not one)
     assert back.tolist() == wanted
     assert 20 < sum(wanted) < len(wanted) - 20

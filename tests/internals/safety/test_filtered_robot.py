@@ -12,14 +12,14 @@ from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, stam
 
 from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.straight import walked
+from safedpa.dynamics.straight import rollout_held_action
 from safedpa.errors import InputError
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.found_delay import FoundDelay
-from safedpa.safety.prediction import Prediction
-from safedpa.safety.scene import AbstractScene
-from safedpa.safety.trail import Trail
-from safedpa.safety.watched_margin import WatchedMargin
+from safedpa.runtime.robot_session import RobotSession
+from safedpa.runtime.scene import AbstractScene
+from safedpa.safety.margins.online import OnlineMarginMonitor
+from safedpa.safety.prediction.command_history import CommandHistory
+from safedpa.safety.prediction.delay_estimator import DelayEstimator
+from safedpa.safety.prediction.predictor import Prediction
 
 
 def seen(state: StateMessage, **known: Any) -> SurroundingsMessage:
@@ -53,7 +53,7 @@ def test_a_latent_that_is_a_tick_old_is_used_however_long_the_tick() -> None:
 def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, tick: int, waits: bool) -> None:
     memory = driven()
     memory.changed_at = since
-    assert memory.may_wait(state_at(tick)) is waits
+    assert memory.may_use_previous_model(state_at(tick)) is waits
 
 
 @pytest.mark.parametrize(("before", "now"), [((), ("laser",)), (("laser",), ()), (("laser",), ("laser",)), ((), ())])
@@ -63,7 +63,7 @@ def test_a_scene_that_sensors_see_is_another_one_with_each_tick(
     memory = driven()
     assert memory.decision is not None
     memory.decision = memory.decision._replace(state=replace(memory.decision.state, sources=before))
-    calls = kept_calls(monkeypatch, WatchedMargin, "observe")
+    calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
     memory.watch_margin(state_at(1, applied=told(memory), sources=now))
     assert [call["same_scene"] for call in calls] == [not before and not now]
 
@@ -77,15 +77,15 @@ def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
     memory = driven(LATE if pending else CAR)
     assert bool(memory.pending) is pending
     foretold = object()
-    monkeypatch.setattr(Trail, "foretold", lambda *_: foretold)
-    calls = kept_calls(monkeypatch, WatchedMargin, "observe")
+    monkeypatch.setattr(CommandHistory, "foretold", lambda *_: foretold)
+    calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
     memory.watch_margin(state_at(1, applied=told(memory), applied_by=applied_by))
     assert [call["late"] for call in calls] == [foretold if late else None]
 
 
 @pytest.mark.parametrize("model", [CAR, LATE])
 def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyPatch, model: PhysicsModel) -> None:
-    calls = kept_calls(monkeypatch, Trail, "decided")
+    calls = kept_calls(monkeypatch, CommandHistory, "decided")
     memory = driven(model)
     assert calls == ([tuple(model.latent.tolist())] if memory.pending else [])
     assert bool(memory.pending) is (model is LATE)
@@ -120,11 +120,11 @@ def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(
         asked_for.append(epsilon)
         return f"scene {len(asked_for)}"
 
-    def widened(self: FilteredRobot, _state: StateMessage) -> None:
+    def widened(self: RobotSession, _state: StateMessage) -> None:
         self.margin = SimpleNamespace(epsilon=now)  # type: ignore[assignment]
 
     memory.margin, memory.scene.around = SimpleNamespace(epsilon=before), around  # type: ignore[assignment,method-assign]
-    monkeypatch.setattr(FilteredRobot, "watch_margin", widened)
+    monkeypatch.setattr(RobotSession, "watch_margin", widened)
     memory.see(state, seen(state))
     assert asked_for == ([before, now] if again else [before])
     assert memory.barriers == f"scene {len(asked_for)}"
@@ -141,7 +141,7 @@ def test_a_model_that_refuses_its_dead_time_has_none(monkeypatch: pytest.MonkeyP
 def test_where_nothing_was_expected_the_command_is_felt_all_the_same() -> None:
     memory = driven(LATE)
     before, memory.expected_memory = memory.memory, None
-    memory.remember_actuators(state_at(1, applied=told(memory)))
+    memory.sync_actuators(state_at(1, applied=told(memory)))
     assert memory.memory == LATE.felt(told(memory), before, period=0.05)[1]
 
 
@@ -153,9 +153,9 @@ def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_
     wanted = LATE.initial_memory(np.array(oldest))
     for command in sent:
         wanted = LATE.felt(command, wanted, period=0.05)[1]
-    begun = FilteredRobot.begun(former.held, SETTINGS)
-    begun.remember_way(former)
-    begun.remember_actuators(state)
+    begun = RobotSession.begun(former.held, SETTINGS)
+    begun.inherit_from(former)
+    begun.sync_actuators(state)
     assert begun.memory == wanted
     assert begun.memory != LATE.initial_memory(np.array(oldest))
 
@@ -172,8 +172,8 @@ def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
 ) -> None:
     memory = driven()
     passed = SimpleNamespace(stood=lambda speeds: stood and speeds == (3,))
-    monkeypatch.setattr(Trail, "passed", lambda *_: passed)
-    calls = kept_calls(monkeypatch, FoundDelay, "observe")
+    monkeypatch.setattr(CommandHistory, "passed", lambda *_: passed)
+    calls = kept_calls(monkeypatch, DelayEstimator, "observe")
     memory._watch_delay(state_at(1, applied=told(memory), applied_by=applied_by, sources=sources), CAR.latent)
     assert calls == ([passed] if learns else [])
 
@@ -190,7 +190,7 @@ def test_a_step_on_the_straight_line_is_taken_at_its_own_time() -> None:
         return [entry + 1.0 for entry in entries]
 
     state = state_at(4)
-    rows = walked(step, state.values, np.zeros(2), np.zeros(1), state.robot_time, state.period, 3)
+    rows = rollout_held_action(step, state.values, np.zeros(2), np.zeros(1), state.robot_time, state.period, 3)
     assert times == pytest.approx([0.2, 0.25, 0.3])
     assert rows == tuple(tuple(value + count for value in state.values) for count in (1.0, 2.0, 3.0))
 
@@ -202,13 +202,15 @@ def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.Monkey
 
     memory = driven()
     state = state_at(1)
-    assert walked(lambda at, *_: [*at[:3], bad], state.values, np.zeros(2), np.zeros(1), 0.05, 0.05, 2) == ()
+    assert (
+        rollout_held_action(lambda at, *_: [*at[:3], bad], state.values, np.zeros(2), np.zeros(1), 0.05, 0.05, 2) == ()
+    )
     monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
     monkeypatch.setattr(PhysicsModel, "held", broken)
     assert memory.predicted(state, verdict_of(memory), CAR.latent) == ((), None)
     late = driven(CAR)
     late.pending = SimpleNamespace(sent=(1,))
-    monkeypatch.setattr(Trail, "expected", lambda *_: broken()[0])
+    monkeypatch.setattr(CommandHistory, "expected", lambda *_: broken()[0])
     assert late.predicted(state_at(1), verdict_of(late), CAR.latent) == ((), None)
 
 
@@ -227,11 +229,11 @@ def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_act
     memory, asked_with = driven(LATE, ticks=2), list[Any]()
     memory.pending = memory.pending._replace(sent=((0.5, 0.0),))
 
-    def expected(_: Trail, action: Any, known: Any, pending: Any, steps: int) -> Any:
+    def expected(_: CommandHistory, action: Any, known: Any, pending: Any, steps: int) -> Any:
         asked_with.append((action, known, steps))
         return np.ones((steps, 4))
 
-    monkeypatch.setattr(Trail, "expected", expected)
+    monkeypatch.setattr(CommandHistory, "expected", expected)
     verdict, known = verdict_of(memory), None if latent is None else tuple(latent.tolist())
     rows, after = memory.predicted(state_at(2, applied=told(memory)), verdict, latent)
     action = tuple(verdict.action.tolist())
@@ -243,7 +245,7 @@ def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_act
 def test_without_a_memory_of_the_actuators_none_comes_of_what_is_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
     memory = driven(CAR)
     memory.pending = SimpleNamespace(sent=((0.0, 0.0),))
-    monkeypatch.setattr(Trail, "expected", lambda *_: np.ones((1, 4)))
+    monkeypatch.setattr(CommandHistory, "expected", lambda *_: np.ones((1, 4)))
     assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent)[1] == memory.memory
 
 

@@ -12,15 +12,15 @@ from tests.safety.node_steps import CAR, SETTINGS, state_at
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
+from safedpa.runtime.robot_session import RobotSession
 from safedpa.safety import Status, Verdict
-from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.filtered_robot import FilteredRobot
-from safedpa.safety.on_its_way import LONGEST, Actuators, Reach
+from safedpa.safety.barriers.base import CachingBarrierSet
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.deadlock.escape import TickContext
+from safedpa.safety.prediction.command_history import CommandHistory
+from safedpa.safety.prediction.dead_time import LONGEST, ActuatorModel, DeadTime
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stacks import stacked
-from safedpa.safety.trail import Trail
-from safedpa.safety.way_out import Here
 
 
 # whether it stands
@@ -153,7 +153,7 @@ def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
     """Nobody can change what happens before the action acts: the car drives at the obstacle until then."""
     memory = driven(CAR, ticks=3)
     state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=told(memory), until_action=0.12)
-    memory.take_up(state)
+    memory.observe_state(state)
     begin = memory.filter.tools.prediction.begin(state.values, tuple(CAR.latent.tolist()), memory.pending)
     assert begin is not None
     assert begin.at_once
@@ -172,10 +172,10 @@ def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
     assert memory.out_of_the_layer(state, verdict, CAR.latent).h_next == pytest.approx(min(heights) - 1.0)
 
 
-def told_to_the_way_out(robot: FilteredRobot, monkeypatch: pytest.MonkeyPatch) -> Here:
-    given = list[Here]()
+def told_to_the_way_out(robot: RobotSession, monkeypatch: pytest.MonkeyPatch) -> TickContext:
+    given = list[TickContext]()
 
-    def instead_of(_: Any, verdict: Verdict, here: Here, __: float) -> Verdict:
+    def instead_of(_: Any, verdict: Verdict, here: TickContext, __: float) -> Verdict:
         given.append(here)
         return verdict
 
@@ -250,7 +250,7 @@ def test_a_model_is_refused_where_it_alone_cannot_decide(
     memory = driven(ticks=3)
     decided, barriers, answer = decided_of(memory), memory.barriers, verdict_of(memory, status=status)
     memory.filter = SimpleNamespace(decide=lambda *_, **__: answer)
-    monkeypatch.setattr(FilteredRobot, "predicted", lambda *_: (predicted, None))
+    monkeypatch.setattr(RobotSession, "predicted", lambda *_: (predicted, None))
     memory.try_out(decided, "no scene")
     memory.try_out(decided_of(memory, status=Status.fallback), barriers)
     if refused:
@@ -265,11 +265,11 @@ DELAYED = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0
 
 
 def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monkeypatch: pytest.MonkeyPatch) -> None:
-    actuators, asked = Actuators(DELAYED), list[tuple[float, ...] | None]()
+    actuators, asked = ActuatorModel(DELAYED), list[tuple[float, ...] | None]()
 
-    def responded(latent: tuple[float, ...] | None) -> Reach:
+    def responded(latent: tuple[float, ...] | None) -> DeadTime:
         asked.append(latent)
-        return Reach(1, 2)
+        return DeadTime(1, 2)
 
     monkeypatch.setattr(actuators, "_responded", responded)
     for number in range(LONGEST):
@@ -285,15 +285,15 @@ def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monke
 
 def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the newest state nothing is decided yet."""
-    trail, asked = Trail(DELAYED), list[object]()
+    trail, asked = CommandHistory(DELAYED), list[object]()
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENT))
     for tick in range(9):
         trail.add(tick, (0.05 * tick, 0.0, 0.0, 1.0), (1.0, 0.0), memory)
         trail.decided((*LATENT[:-1], float(tick)))
 
-    def reach(latent: object) -> Reach:
+    def reach(latent: object) -> DeadTime:
         asked.append(latent)
-        return Reach(1, 1)
+        return DeadTime(1, 1)
 
     monkeypatch.setattr(trail._actuators, "reach", reach)
     assert trail.foretold(0.0) is not None
@@ -302,7 +302,7 @@ def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: py
 
 def test_its_memory_is_bounded() -> None:
     barriers = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), ((0.5, 0.5, 0.2),), (-4.0, 4.0, -4.0, 4.0))
-    remembering = RememberingStack(stacked(barriers))
+    remembering = CachingBarrierSet(make_barrier_set(barriers))
     for x in np.linspace(-1.0, 1.0, 50):
         remembering.values(np.array([x, 0.0, 0.0, 0.0]))
         remembering.gradient(np.array([x, 0.0, 0.0, 0.0]))

@@ -7,8 +7,8 @@ import pytest
 from tests.safety.scripted import GIVEN_UP, Slopes, about, outcome, solution
 
 from safedpa.safety import QuadraticProgram, Solution
-from safedpa.safety.conditions import Outcome
-from safedpa.safety.search import (
+from safedpa.safety.solver.constraints import ActionCandidate
+from safedpa.safety.solver.sqp import (
     AGAIN,
     DOUBTFUL,
     NEEDLESS,
@@ -17,9 +17,9 @@ from safedpa.safety.search import (
     _furthest_back,
     _posed,
     _same,
-    overshot,
+    line_search,
     search,
-    towards,
+    tighten,
 )
 
 
@@ -33,7 +33,7 @@ class Scripted:
         self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
         self.sides = ((0.0, 9.0, 9.0),)
 
-    def linearised(self, about: Outcome) -> Slopes:
+    def linearised(self, about: ActionCandidate) -> Slopes:
         self.tangents += 1
         return Slopes()
 
@@ -42,16 +42,16 @@ class Scripted:
         self.limits.append(b[0])
         return Solution([self.actions[self.solved - 1]], [0.0], True, "solved")
 
-    def outcome(self, action: tuple[float, ...]) -> Outcome:
+    def outcome(self, action: tuple[float, ...]) -> ActionCandidate:
         return outcome(action[0], *self.script[self.solved - 1])
 
-    def tightest(self, found: Outcome) -> float:
+    def tightest(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
     def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
         return abs(action[0] - wish[0])
 
-    def run(self, start: Outcome, rounds: int = 4, wish: float = 9.0) -> Outcome:
+    def run(self, start: ActionCandidate, rounds: int = 4, wish: float = 9.0) -> ActionCandidate:
         this: Any = self
         return _posed(this, this, (wish,), start, rounds)[0]
 
@@ -95,7 +95,7 @@ def test_slopes_that_served_well_are_used_again_and_more_is_asked_for_the_less_a
     ],
 )  # fmt: skip
 def test_what_is_asked_for_on_top(solutions: int, last: float, missing: float, share: float) -> None:
-    assert overshot(solutions, last, missing) == pytest.approx(share)
+    assert tighten(solutions, last, missing) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (0.3,)])
@@ -161,7 +161,7 @@ def test_kept_beats_broken_and_near_beats_far() -> None:
     scripted: Any = Scripted()
     wish = (0.0,)
 
-    def better(one: Outcome, other: Outcome) -> Outcome:
+    def better(one: ActionCandidate, other: ActionCandidate) -> ActionCandidate:
         return _better(scripted, scripted, wish, one, other)
 
     near, far, broken, worse, unsafe = (
@@ -184,7 +184,7 @@ def test_kept_beats_broken_and_near_beats_far() -> None:
     assert better(broken, copy) is broken
 
 
-def solver_says(*solutions: Solution) -> tuple[Outcome, str]:
+def solver_says(*solutions: Solution) -> tuple[ActionCandidate, str]:
     """What the search makes of these solutions of a program with as many actions, from a broken start."""
     count, left = len(solutions[0].action), list(solutions)
     program: Any = QuadraticProgram(np.zeros(count), np.ones(count), np.ones(count))
@@ -236,14 +236,14 @@ class Line:
         self.edge, self.proposed, self.asked = edge, list(proposed), 0
         self.tried: list[float] = []
 
-    def outcome(self, action: Any) -> Outcome:
+    def outcome(self, action: Any) -> ActionCandidate:
         self.tried.append(action[0])
         return outcome(action[0], action[0] - self.edge)
 
-    def linearised(self, about: Outcome) -> Slopes:
+    def linearised(self, about: ActionCandidate) -> Slopes:
         return Slopes()
 
-    def tightest(self, found: Outcome) -> float:
+    def tightest(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
     def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
@@ -257,15 +257,15 @@ class Line:
 def test_a_way_is_gone_as_far_as_a_straight_residual_allows_to_its_end_where_free_or_nowhere() -> None:
     """On 8 to 0 there is room for 5: 4.5 are gone, then 0.45 of the 0.5 left, and so on."""
     line: Any = Line(3.0, 8.0)
-    found = towards(line, line.outcome((0.0,)), outcome(8.0, 5.0))
+    found = line_search(line, line.outcome((0.0,)), outcome(8.0, 5.0))
     assert line.tried == pytest.approx([0.0, 3.5, 3.05])
     assert found.action[0] == pytest.approx(3.05)
     line: Any = Line(0.0, 8.0)
-    assert towards(line, line.outcome((0.0,)), outcome(8.0, 8.0)).action == (0.0,)
+    assert line_search(line, line.outcome((0.0,)), outcome(8.0, 8.0)).action == (0.0,)
     assert line.tried == [0.0]
     line: Any = Line(8.0, 8.0)
     kept = outcome(8.0, 0.0)
-    assert towards(line, line.outcome((0.0,)), kept) is kept
+    assert line_search(line, line.outcome((0.0,)), kept) is kept
     assert line.tried == [0.0]
 
 
@@ -276,7 +276,7 @@ def test_a_residual_that_bends_is_followed_between_the_last_kept_and_the_last_br
         line.outcome = lambda action, bent=bent, line=line: (
             line.tried.append(action[0]) or outcome(action[0], bent(action[0]))
         )
-        found = towards(line, line.outcome((0.0,)), outcome(9.0, bent(9.0)))
+        found = line_search(line, line.outcome((0.0,)), outcome(9.0, bent(9.0)))
         assert found.kept
         assert edge <= found.action[0] < edge + 0.3
         assert len(line.tried) <= TRIES + 1
@@ -288,15 +288,15 @@ def test_the_first_residual_that_is_used_up_ends_the_way_and_one_that_grows_does
     line.outcome = lambda action: outcome(
         action[0], 90.0 + 10.1 * (action[0] - 9.0), 0.01 - (action[0] - 8.0), action[0] - 4.0
     )
-    found = towards(line, line.outcome((0.0,)), outcome(8.0, 79.9, 0.01, 4.0))
+    found = line_search(line, line.outcome((0.0,)), outcome(8.0, 79.9, 0.01, 4.0))
     assert found.action[0] == pytest.approx(4.04, abs=0.001)
 
 
 def test_what_binds_is_not_looked_at_again_and_a_residual_broken_by_rounding_ends_the_way() -> None:
     """What is kept may miss its condition by rounding errors: there is no room in it."""
     line: Any = Line(8.0, 8.0)
-    kept = Outcome((8.0,), [0.0], [0.0], [-1e-13], [])
-    assert towards(line, line.outcome((0.0,)), kept) is kept
+    kept = ActionCandidate((8.0,), [0.0], [0.0], [-1e-13], [])
+    assert line_search(line, line.outcome((0.0,)), kept) is kept
     line: Any = Line(0.0, DOUBTFUL)
     found, word = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, word) == ((DOUBTFUL,), "solved")
@@ -399,6 +399,6 @@ def test_the_first_step_is_left_however_long_and_without_finite_predictions_the_
     found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, line.tried) == ((8.0,), [8.0])
     line: Any = Line(3.0, 8.0)
-    blind = Outcome((0.0,), [0.0], [-np.inf], [-np.inf], [0])
-    assert 3.0 <= towards(line, blind, outcome(8.0, 5.0)).action[0] <= 3.1
+    blind = ActionCandidate((0.0,), [0.0], [-np.inf], [-np.inf], [0])
+    assert 3.0 <= line_search(line, blind, outcome(8.0, 5.0)).action[0] <= 3.1
     assert line.tried[0] == pytest.approx(8.0 - 8.0 * 0.45)

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from tests.safety.test_highest import least, reference
 
 from safedpa.safety import QuadraticProgram, Solution
-from safedpa.safety.highest import HighestProgram, highest_vertex
-from safedpa.safety.program_rows import breakable, closest, least_missed
+from safedpa.safety.solver.maximin_lp import MaxMinProgram, solve_by_dual_simplex
+from safedpa.safety.solver.qp_scaling import breakable, closest, minimum_violation
 
 
 def test_a_workspace_forgets_the_problem_before_and_padding_rows_say_nothing() -> None:
-    random, used = np.random.default_rng(3), HighestProgram(2)
+    random, used = np.random.default_rng(3), MaxMinProgram(2)
     for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
         slopes, heights, levels = random.normal(size=(rows, 2)), 5.0 + random.normal(size=rows), np.full(rows, np.nan)
-        one, other = (program._by_solver(slopes, heights, levels) for program in (used, HighestProgram(2)))
+        one, other = (program._by_solver(slopes, heights, levels) for program in (used, MaxMinProgram(2)))
         assert one is not None
         assert other is not None
         np.testing.assert_allclose(one, other, atol=1e-6)
@@ -29,7 +29,7 @@ def test_a_workspace_forgets_the_problem_before_and_padding_rows_say_nothing() -
 
 def test_one_workspace_of_the_linear_program_for_each_power_of_two() -> None:
     """Asked where several actions are as high."""
-    program: Any = HighestProgram(1)
+    program: Any = MaxMinProgram(1)
     for rows in range(1, 10):
         assert program.solve(np.zeros((rows, 1)), np.zeros(rows), np.full(rows, np.nan)) == pytest.approx([0.5])
     assert sorted(program._workspaces) == [1, 2, 4, 8, 16]
@@ -37,7 +37,7 @@ def test_one_workspace_of_the_linear_program_for_each_power_of_two() -> None:
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_a_solver_that_says_solved_and_has_no_numbers_is_not_believed(number: float) -> None:
-    program: Any = HighestProgram(2)
+    program: Any = MaxMinProgram(2)
     slopes, free = np.array([[1.0, 0.0]]), np.full(1, np.nan)  # the second action is for the solver to choose
     program.solve(slopes, np.zeros(1), free)
     workspace = program._workspaces[1]
@@ -67,13 +67,13 @@ def test_nothing_is_as_high_and_nearer_to_the_middle(rows: list[tuple[float, flo
     table = np.array([row[:3] for row in rows])
     slopes, heights = table[:, :2], table[:, 2]
     levels = np.array([nan if index == 0 or free else height - 0.3 for index, (*_, height, free) in enumerate(rows)])
-    found = highest_vertex(slopes.tolist(), heights.tolist(), levels.tolist())
+    found = solve_by_dual_simplex(slopes.tolist(), heights.tolist(), levels.tolist())
     if found is None:
         return
     best = reference(slopes, heights, levels)
     assert best is not None
     assert least(slopes, heights, levels, np.array(found)) == pytest.approx(best, abs=1e-9)
-    by_solver = HighestProgram(2)._by_solver(slopes.tolist(), heights.tolist(), levels.tolist())
+    by_solver = MaxMinProgram(2)._by_solver(slopes.tolist(), heights.tolist(), levels.tolist())
     assert by_solver is not None
     away = (np.linalg.norm(np.array(each) - 0.5) for each in (found, by_solver))
     assert next(away) <= next(away) + 1e-4
@@ -166,7 +166,7 @@ def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: in
         _, rows = breakable(A.tolist(), b.tolist(), program.sides)
         slack = [0.0] * len(b)
         weights = program.weights.tolist()
-        action = least_missed(rows, wish.tolist(), program.sides, weights, slack) if rows else None
+        action = minimum_violation(rows, wish.tolist(), program.sides, weights, slack) if rows else None
         if action is None:
             continue
         told += 1

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.lab.adversary.problems import figures
 
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import drives, report, standing, systems
 from safedpa_lab.experiments.adversary.attack import Result, Row, WholeAttack
 from safedpa_lab.experiments.adversary.bad_inputs import BadInputs, Treated

@@ -14,7 +14,7 @@ from tests.lab.adversary.problems import answer_with, plane, verdict
 
 from safedpa.dynamics import load_model
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary import peers, systems
 from safedpa_lab.experiments.adversary.bad_inputs import two_threads
 from safedpa_lab.experiments.adversary.bad_values import vectors

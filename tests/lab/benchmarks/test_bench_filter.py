@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.dynamics import LearnedBase, load_model
-from safedpa.robots.car.barriers import ObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import ObstacleBarrier
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.braking import Braking
+from safedpa.safety.barriers.stopping import Braking
 from safedpa_lab.benchmarks import filter_growth, python_source
 from safedpa_lab.benchmarks.diagnosis_cases import CASES, NAMES, expression_is_right, terms_are_right, told, written
 from safedpa_lab.benchmarks.filter_decisions import (

@@ -17,8 +17,8 @@ import pytest
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, SafedpaError
 from safedpa.safety import Status, Verdict
-from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.decision import Decision
+from safedpa.safety.solver.constraints import ActionCandidate, Constraints
 from safedpa_lab.benchmarks import latency
 from safedpa_lab.benchmarks.diagnosis_cases import written
 from safedpa_lab.benchmarks.filter_decisions import MODELS
@@ -46,8 +46,8 @@ def test_parts_are_of_the_decisions_that_are_timed_as_a_whole(name: str) -> None
         assert isinstance(whole, Verdict)
         assert whole.status is Status.corrected
         assert isinstance(each["inputs"], Decision)
-        assert isinstance(each["the conditions at the state"], Conditions)
-        assert isinstance(each["an outcome"], Outcome)
+        assert isinstance(each["the conditions at the state"], Constraints)
+        assert isinstance(each["an outcome"], ActionCandidate)
         assert not each["an outcome"].kept
         assert each["the search"].__class__ is tuple
         assert each["back towards the wish"].kept
@@ -120,7 +120,7 @@ def test_the_cases_have_a_target_on_average_and_one_for_the_longest(tmp_path, mo
     monkeypatch.setattr(diagnosis, "written", lambda *_: log)
     monkeypatch.setattr("safedpa_lab.experiments.diagnosing.diagnosed", diagnosed)
     monkeypatch.setattr("safedpa_lab.hidden.judge.judged", judged)
-    monkeypatch.setattr("safedpa.diagnosis.search.search.searched", searched)
+    monkeypatch.setattr("safedpa.diagnosis.search.forward_selection.run_search", searched)
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
     monkeypatch.setattr(time, "process_time", lambda: 0.5 * clock[0])
     row = diagnosis.measure(Effort())

@@ -15,7 +15,7 @@ from safedpa.bus import LATENT, WISH
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.car_advantage import advantages
 from safedpa_lab.experiments.car_cells import Cell
 from safedpa_lab.experiments.car_conditions import TOWING, Conditions

@@ -16,8 +16,8 @@ from safedpa.bus import LATENT
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.safety.braking import Braking
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments import car as experiment
 from safedpa_lab.experiments import car_cells
 from safedpa_lab.experiments.car import CarExperiment
@@ -139,7 +139,7 @@ def test_seeds_of_episodes_calibration_and_development_are_apart(monkeypatch: py
     def driving(_configuration: Any, _weights: Any, _cars: int, seed: int, **_: Any) -> Any:
         raise LookupError(seed)
 
-    monkeypatch.setattr(car_task, "Driving", driving)
+    monkeypatch.setattr(car_task, "DrivingTask", driving)
     with pytest.raises(LookupError) as evaluated:
         car_task.evaluate(None, None)  # type: ignore[arg-type]
     assert max(FIRST_SEEDS.values()) + 1000 < evaluated.value.args[0]

@@ -10,13 +10,13 @@ import pytest
 from tests.lab.experiments.drives import STATUSES, follow, robot, tick
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, Received
+from safedpa.bus import FINDING, MODEL, FindingMessage, ModelMessage, ReceivedMessage
 from safedpa.dynamics import load_model
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments import (
     car_episodes,
     car_margin,
@@ -68,7 +68,7 @@ def against_a_hostile_wish(patch: Patch, own: Any) -> Counted:
 
 def for_a_margin(patch: Patch, own: Any) -> Counted:
     follow(patch, margin_drives, own)
-    patch.setattr(margin_drives, "drive_heights", lambda _model, _settings, along: {"steps": len(along)})
+    patch.setattr(margin_drives, "barrier_residuals", lambda _model, _settings, along: {"steps": len(along)})
     patch.setattr(margin_drives, "DRIVERS", {"own": margin_drives.Driver("car", "car", lambda _: own, 0.2)})
     found = margin_drives.driven(margin_drives.DriveOrder("own", 9, None))
     assert (found.seed, found.ticks, found.heights) == (9, 4, {"steps": 4})
@@ -399,7 +399,7 @@ def test_the_error_before_and_after_a_change_of_the_model_is_a_mean(monkeypatch:
     def driven(_robot: Any, _nodes: Any, periods: int, hear: Callable[[Any], None]) -> Iterator[Any]:
         assert periods == 40
         for topic, message in [*before, (MODEL, take), *after]:
-            hear(Received(topic, "r1", message, b"", "", 0.0))
+            hear(ReceivedMessage(topic, "r1", message, b"", "", 0.0))
         yield tick()
 
     follow(monkeypatch, live_drive, robot(changed_at=None))

@@ -322,7 +322,7 @@ def test_comments_and_layout_do_not_count_and_all_else_does(before: str, after: 
 def test_code_that_is_only_named_counts_as_well() -> None:
     """Imports within functions, processes started by a module's name, robots found by theirs."""
     faults = set(code.code_behind("safedpa_lab.commands.experiments.faults"))
-    assert {"safedpa.robots.car.barriers", "safedpa.safety.decision", "safedpa_lab.faults.report"} <= faults
+    assert {"safedpa.robots.car.barriers.obstacles", "safedpa.safety.decision", "safedpa_lab.faults.report"} <= faults
     assert {"safedpa_services.safety_filter.__main__", "safedpa_services.recorder.__main__"} <= faults
 
 

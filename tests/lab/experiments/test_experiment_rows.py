@@ -12,7 +12,7 @@ from tests.lab.experiments.drives import Pool, robot, tick
 from safedpa.dynamics import load_model
 from safedpa.errors import SafedpaError
 from safedpa.safety import MarginCalibration
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments import (
     controllers,
     hidden_horizons,
@@ -442,7 +442,7 @@ def test_an_episode_of_the_point_robot_is_safe_if_it_cost_nothing(monkeypatch: p
     monkeypatch.setattr(point_story, "PointTask", task)
     monkeypatch.setattr(point_story, "Shield", shield)
     monkeypatch.setattr(point_story, "diagnose", lambda *_: SimpleNamespace(models=[None]))
-    for name in ("hide", "TrueBelief", "ModelBelief", "point_logs"):
+    for name in ("hide", "SimulatedPointModel", "ModelBelief", "point_logs"):
         monkeypatch.setattr(point_story, name, lambda *_: None)
     monkeypatch.setattr(point_story, "beside_the_truth", lambda *_: {})
     hidden = next(iter(point_story.HIDDEN))

@@ -209,7 +209,7 @@ def test_limits_of_a_screen_are_those_of_healthy_cars_of_the_same_drive(monkeypa
     for name in ("shooting_of", "heldout_of"):
         monkeypatch.setattr(fleet_screen, name, lambda *_: None)
     monkeypatch.setattr(
-        fleet_screen, "begun", lambda *_: SimpleNamespace(error=SimpleNamespace(value=float(next(errors))))
+        fleet_screen, "initial_search", lambda *_: SimpleNamespace(error=SimpleNamespace(value=float(next(errors))))
     )
     told = fleet_screen.fleet_screen(0, 6)
     healthy, ill = cases[:6], cases[6:]
@@ -326,7 +326,7 @@ def test_recordings_are_diagnosed_together_and_with_each_log_left_out(errors, ch
     monkeypatch.setattr(real_logs, "load_model", lambda _: None)
     monkeypatch.setattr(real_logs, "diagnose", lambda *_: report(errors, next(added)))
     monkeypatch.setattr(real_logs, "as_document", lambda _: None)
-    monkeypatch.setattr(real_logs, "story_of", lambda _: SimpleNamespace(lead="so"))
+    monkeypatch.setattr(real_logs, "report_text", lambda _: SimpleNamespace(lead="so"))
     monkeypatch.setattr(real_logs, "uncovered", lambda *_: 0.0)
     monkeypatch.setattr(real_logs, "windows_of", Windows)
     monkeypatch.setattr(real_logs, "told_windows", lambda _, windows: np.arange(25) < covered[windows.name])

@@ -22,7 +22,7 @@ from safedpa_lab.experiments.statistics import clopper_pearson_interval
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.robots.shared_field import Touch
+from safedpa_sim.robots.shared_field import CarContact
 
 
 @pytest.mark.long
@@ -101,7 +101,7 @@ def test_two_cars_are_stuck_if_they_stood_near_each_other_for_the_last_eight_sec
 def test_contacts_of_a_meeting_are_counted_by_who_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six contacts of two cars: one of them moved in three, both in one, neither in two; and four with walls."""
     speeds = [(0.5, 0.0), (0.0, 0.5), (0.02, 0.7), (0.5, 0.5), (0.0, 0.0), (0.02, 0.01)]
-    touches = [Touch(1.0 + k, (0, 1), ("car", "load"), pair) for k, pair in enumerate(speeds)]
+    touches = [CarContact(1.0 + k, (0, 1), ("car", "load"), pair) for k, pair in enumerate(speeds)]
     walls = [
         [Collision(1.0, "car", "a wall", 0.0, 0.0, speed, speed) for speed in own] for own in ((0.5, 0.0), (0.3, 0.4))
     ]

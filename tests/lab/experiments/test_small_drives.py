@@ -8,7 +8,7 @@ import pytest
 from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety.found_delay import FoundDelay
+from safedpa.safety.prediction.delay_estimator import DelayEstimator
 from safedpa_lab.experiments.car_conditions import QuickerPolicyNode
 from safedpa_lab.experiments.car_drives import ExploringPolicyNode
 from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives, margin_with_delay
@@ -86,7 +86,9 @@ def test_a_channel_that_is_late_alone(channel: str) -> None:
 
 @pytest.mark.long
 def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FoundDelay, "observe", lambda *_: None)  # else what nobody tells is found, and looked past too
+    monkeypatch.setattr(
+        DelayEstimator, "observe", lambda *_: None
+    )  # else what nobody tells is found, and looked past too
     told = delayed_drives(Lateness(0.13, told="clock"), 4, 31_000, 8.0)
     assert told.collided == 0
     assert told.goals > 0

@@ -22,27 +22,27 @@ from safedpa_lab.faults.fault import Fault
 from safedpa_lab.faults.outcome import Campaign, Outcome, joined
 from safedpa_lab.faults.report import markdown_of, write_report
 from safedpa_lab.faults.table import all_faults, faults_named, small_faults
-from safedpa_sim.robots.trace import LivedPeriod
+from safedpa_sim.robots.trace import TracedPeriod
 
 PERIOD = 0.05
 
 
-def lived(tick: int, by: str = "filter", epoch: int = 5, late: float = 0.0) -> LivedPeriod:
+def lived(tick: int, by: str = "filter", epoch: int = 5, late: float = 0.0) -> TracedPeriod:
     driven = by == "filter"
-    return LivedPeriod(
+    return TracedPeriod(
         epoch=epoch, tick=tick, published=PERIOD * tick, applied_at=PERIOD * (tick + 0.9) + late,
         action_epoch=epoch if driven else -1, action_tick=tick if driven else -1,
         applied=(1.0, 0.1) if driven else (0.0, 0.0), applied_by=by, values=(0.0, 0.0, 0.0, 1.0), collisions=0,
     )  # fmt: skip
 
 
-def trace(marks: str) -> list[LivedPeriod]:
+def trace(marks: str) -> list[TracedPeriod]:
     """``d``: driven, ``w``: watchdog, a blank: no period lived."""
     kinds = {"d": "filter", "w": "watchdog"}
     return [lived(tick, kinds[mark]) for tick, mark in enumerate(marks) if mark != " "]
 
 
-def evidence(periods: list[LivedPeriod], fallbacks: tuple[int, ...] = ()) -> Evidence:
+def evidence(periods: list[TracedPeriod], fallbacks: tuple[int, ...] = ()) -> Evidence:
     verdicts = {(5, tick): verdict(tick) for tick in fallbacks}
     actions = {(5, one.tick): {(1.0, 0.1)} for one in periods}
     return Evidence(periods, verdicts, actions, PERIOD)
@@ -140,7 +140,7 @@ class Script:
 
     marks: str = "d" * 30
     """Periods from the fault on, see ``trace``."""
-    change: Callable[[LivedPeriod], dict[str, Any]] = lambda _: {}
+    change: Callable[[TracedPeriod], dict[str, Any]] = lambda _: {}
     fallbacks: tuple[int, ...] = ()
     failing: str = ""
     """Faults after which a fleet does not drive on."""
@@ -167,7 +167,7 @@ class Script:
         self.struck.append(self.now)
         self.fleets[-1].suffered.append(name)
 
-    def periods(self) -> list[LivedPeriod]:
+    def periods(self) -> list[TracedPeriod]:
         """The trace, from the first fault on."""
         at = self.struck[0]
         return [

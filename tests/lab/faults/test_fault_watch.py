@@ -29,14 +29,14 @@ from safedpa.bus import (
     ZenohSettings,
     ZenohTransport,
 )
-from safedpa.bus.wire.codec import decode
-from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.messages.codec import decode
+from safedpa.bus.messages.requests import ORDER
 from safedpa.errors import RecordingError
 from safedpa_lab.faults.model_changes import mixed_in
 from safedpa_lab.faults.observer import Observer
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.watch import Watch
-from safedpa_sim.robots import CarRobot, Scene, Trace, read_trace
+from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_sim.robots import CarRobot, Scene, TraceWriter, read_trace
 from safedpa_sim.robots.loop import RobotLoop
 
 
@@ -139,9 +139,9 @@ def told(service: str, pid: int) -> HealthMessage:
 
 
 @pytest.fixture
-def watch(monkeypatch: pytest.MonkeyPatch) -> Watch:
+def watch(monkeypatch: pytest.MonkeyPatch) -> RunMonitor:
     broker = MemoryBroker()
-    watch = Watch(Bus(MemoryTransport(broker), "test"))
+    watch = RunMonitor(Bus(MemoryTransport(broker), "test"))
     sender = Bus(MemoryTransport(broker), "test")
     sender.publish(HEALTH, NO_ROBOT, told("policy", 77), "policy")
     watch.listen(0.0)
@@ -150,7 +150,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watch:
     return watch
 
 
-def test_only_a_process_that_spoke_and_fell_silent_has_hung(watch: Watch) -> None:
+def test_only_a_process_that_spoke_and_fell_silent_has_hung(watch: RunMonitor) -> None:
     assert watch.has_hung("policy", 77, 8.0)
     assert not watch.has_hung("policy", 77, 10.0), "not yet"
     assert not watch.has_hung("policy", 78, 8.0), "a new process that is still starting"
@@ -171,7 +171,7 @@ def test_an_order_that_a_busy_filter_answers_late_was_taken(free_port: int) -> N
         Bus(ZenohTransport(ZenohSettings(connect=(endpoint,))), "f") as filtering,
     ):
         filtering.answer_requests(answer, kinds=(ORDER,))
-        watch = Watch(supervisor)
+        watch = RunMonitor(supervisor)
         watch.state = CarRobot(Scene.random(1)).state_message()
         end = time.monotonic() + 30.0
         while not watch.stop_robot():  # told at once while the filter is not known yet
@@ -202,7 +202,7 @@ class HeldUp:
         self._filter.subscribe("safedpa/test/r1/state", self._on_state)
         self._sender = Bus(self._filter, "test")
         self.robot = CarRobot(Scene.random(1), lockstep=False, epoch=9)
-        with Trace(file) as trace:
+        with TraceWriter(file) as trace:
             RobotLoop(self.robot, Bus(MemoryTransport(broker), "test"), "r1", self._clock, trace=trace).run(
                 lambda: False, 8
             )
@@ -251,4 +251,4 @@ def test_a_line_that_a_killed_robot_did_not_finish_is_left_out(tmp_path: Path) -
 
 def test_a_trace_that_cannot_be_written_is_said_at_once(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="--trace"):
-        Trace(tmp_path / "nowhere" / "trace")
+        TraceWriter(tmp_path / "nowhere" / "trace")

@@ -10,7 +10,7 @@ from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.errors import RunError
 from safedpa.records import load_run
-from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.column_map.file import parse_column_map
 from safedpa_lab.experiments.hidden_effects import run_cases
 from safedpa_lab.hidden import Case, cases_of, write_case
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from safedpa.compare.rollout import rollout_at
-from safedpa.compare.rollout_error import prediction_errors, rollout_error
-from safedpa.compare.windows import windows_of
+from safedpa.comparison.rollout import rollout_at
+from safedpa.comparison.rollout_error import prediction_errors, rollout_error
+from safedpa.comparison.windows import windows_of
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect, effects_of
 from safedpa.errors import InputError

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import Received
+from safedpa.bus import ReceivedMessage
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.records import Run
+from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import MarginCalibration
-from safedpa.safety.batch import BatchFilter
-from safedpa.safety.many_barriers import ManyEquations
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.batch.barriers import CompiledBatchBarriers
+from safedpa.safety.batch.filter import BatchFilter
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments import pendulum_payload
 from safedpa_lab.experiments.advantages import advantages
 from safedpa_lab.experiments.car_workers import Workers
@@ -178,7 +178,7 @@ def test_the_seeds_of_calibration_choice_and_evaluation_are_apart(small: Small) 
 def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
     model, epsilon = load_model("pendulum_learned"), 0.03
     margin = MarginCalibration({"corridor": epsilon}, 0.99, 1000, "2026-11-23", fingerprint(model))
-    heard: list[Received] = []
+    heard: list[ReceivedMessage] = []
     nodes = [
         AdaptationNode(model),
         PolicyNode(model, controller="random"),
@@ -191,7 +191,7 @@ def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
         np.array([message.values for message in messages])
         for messages in ([tick.state for tick in ticks], said["wish"], said["latent"])
     ]
-    barriers = ManyEquations.of([[corridor(BALANCING)]] * len(ticks), 2)
+    barriers = CompiledBatchBarriers.of([[corridor(BALANCING)]] * len(ticks), 2)
     ours = BatchFilter(model, filter_settings(epsilon)).decide(*rows, barriers=barriers)
     np.testing.assert_allclose(ours.action, [tick.verdict.action for tick in ticks], atol=1e-4)
     assert {tick.verdict.status for tick in ticks} == {"passed", "corrected"}

@@ -13,11 +13,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of, load_weights
-from safedpa.records.write import write_columns
+from safedpa.records.writers.tables import write_columns
 from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
 from safedpa_lab.experiments.point_story import PointStory, point_story, point_story_markdown
 from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action
@@ -32,14 +32,14 @@ from safedpa_lab.point.sensed_belief import sensed_weights
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.weights import weights_named
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
+from safedpa_sim.point.belief import ACTION_SCALE, SimulatedPointModel, to_task_action
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
-from safedpa_sim.point.filtering import PointFilter, least_room
+from safedpa_sim.point.filtering import PointFilter, minimum_barrier
 from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.observation import entries_seen
 from safedpa_sim.point.policy_task import PointPractice
-from safedpa_sim.point.sensed import ENTRIES, GROUPS, decoded, decoding_slopes, sensed, without_goal
+from safedpa_sim.point.sensed import ENTRIES, GROUPS, decode_state, decoding_slopes, sensed, without_goal
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import Phase1a, Phase2, load_configuration
@@ -101,7 +101,7 @@ def test_the_true_belief_predicts_what_the_simulator_does() -> None:
     action = np.c_[random.uniform(-1, 1, 60), random.uniform(-0.6, 0.6, 60)]
     done = action * ACTION_SCALE
     following, _ = after_one_period(state, done, done[:, 1], simulation.force.T / simulation.body.mass)
-    told = TrueBelief(simulation).believed(state, np.zeros((60, 0))).next_state(action)
+    told = SimulatedPointModel(simulation).believed(state, np.zeros((60, 0))).next_state(action)
     assert np.abs(told - following).max() < 2e-3
 
 
@@ -109,7 +109,7 @@ def test_models_and_networks_show_at_the_probes_how_the_robot_moves() -> None:
     random, state = np.random.default_rng(2), _states(30, 1)
     simulation = PointSimulation(30)
     simulation.force[:] = random.uniform(-0.005, 0.005, (2, 30))
-    true = TrueBelief(simulation).believed(state, np.zeros((30, 0)))
+    true = SimulatedPointModel(simulation).believed(state, np.zeros((30, 0)))
     weights = weights_named("learned")
     latent = LearnedNetworks(weights).encode(simulation.force.T / simulation.body.mass)
     learned = LearnedBelief(weights).believed(state, latent)
@@ -135,7 +135,7 @@ def test_actions_of_the_task_and_of_the_filter_are_one(thrust: float, turn: floa
 
 def test_latents_are_those_of_the_encoder_over_the_same_history() -> None:
     weights, random = weights_named("learned"), np.random.default_rng(3)
-    encoder, adaptation = HistoryEncoder(weights), Histories(weights, 2)
+    encoder, adaptation = HistoryEncoder(weights), BatchHistoryEstimator(weights, 2)
     states, actions = random.normal(0, 0.3, (71, 2, 5)), random.normal(0, 0.005, (70, 2, 2))
     for state, action in zip(states[:-1], actions, strict=True):
         adaptation.see(state)
@@ -153,7 +153,7 @@ def test_a_robot_within_a_hazard_is_led_out_of_it() -> None:
     """Recovery: wherever h < 0, the room grows until there is some."""
     task = PointTask(12, 3)
     task.simulation.pose[:2] = task.layout.hazards[:, 0].T + 0.05
-    shield = Shield(12, TrueBelief(task.simulation), None)
+    shield = Shield(12, SimulatedPointModel(task.simulation), None)
     wish = np.tile(np.array([0.2, 0.0]), (12, 1))
     for _ in range(100):
         task.advance(shield.act(task, wish).action)
@@ -164,13 +164,13 @@ def test_recovery_takes_the_action_that_leaves_most_room() -> None:
     simulation = PointSimulation(8)
     state = _states(8, 5)
     hazards = state[:, np.newaxis, :2] + np.array([[[0.12, 0.02], [2.0, 2.0]]])
-    believed = TrueBelief(simulation).believed(state, np.zeros((8, 0)))
+    believed = SimulatedPointModel(simulation).believed(state, np.zeros((8, 0)))
     chosen = PointFilter(0.0).decide(state, np.ones((8, 2)), hazards, believed)
-    reached = least_room(believed.next_state(chosen.action), hazards, believed.motion)
+    reached = minimum_barrier(believed.next_state(chosen.action), hazards, believed.motion)
     lost = chosen.relaxed
     assert lost.sum() >= 4
     for tried in np.random.default_rng(0).integers(-2, 3, (12, 2)) / 2.0:
-        other = least_room(believed.next_state(np.tile(tried, (8, 1))), hazards, believed.motion)
+        other = minimum_barrier(believed.next_state(np.tile(tried, (8, 1))), hazards, believed.motion)
         assert np.all(reached[lost] >= other[lost] - 2e-4)
 
 
@@ -332,7 +332,7 @@ def _robots(count: int, seed: int) -> tuple[PointSimulation, np.ndarray, np.ndar
 
 def test_decoding_what_is_sensed_gives_the_state_back() -> None:
     simulation, control, goal = _robots(500, 1)
-    found, state = decoded(sensed(simulation, control, goal), goal), centre_state(simulation)
+    found, state = decode_state(sensed(simulation, control, goal), goal), centre_state(simulation)
     turns = (found[:, 2] - state[:, 2]) / (2.0 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     np.testing.assert_allclose(np.delete(found, 2, axis=1), np.delete(state, 2, axis=1), atol=1e-9)
@@ -345,7 +345,7 @@ def test_slopes_of_the_decoding_are_its_differences() -> None:
     assert slopes.shape == (50, 5, 15)
     for entry in range(len(ENTRIES)):
         step = nudge * np.eye(len(ENTRIES))[entry]
-        apart = decoded(seen + step, goal) - decoded(seen - step, goal)
+        apart = decode_state(seen + step, goal) - decode_state(seen - step, goal)
         apart[:, 2] = (apart[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
         np.testing.assert_allclose(slopes[..., entry], apart / (2.0 * nudge), atol=1e-6)
 
@@ -370,7 +370,7 @@ def test_pairs_are_steps_of_the_body_with_goals_all_over_the_field() -> None:
     assert distance.max() > 3.0
     assert change[:, [2, 5, 6, 7, 11]].abs().max() == 0.0, "gravity and what lies in the plane's normal"
     nothing = np.zeros((len(state), 2))
-    before, after = (decoded(seen.double().numpy(), nothing) for seen in (state, state + change))
+    before, after = (decode_state(seen.double().numpy(), nothing) for seen in (state, state + change))
     moved = np.linalg.norm(after[:, :2] - before[:, :2] - 0.02 * before[:, 3:], axis=1)
     assert np.quantile(moved, 0.99) < 0.003, "one period of motion, whatever the goal"
     turned = (after[:, 2] - before[:, 2] + np.pi) % (2.0 * np.pi) - np.pi

@@ -25,7 +25,7 @@ from safedpa_lab.point.policy_file import BaselinePolicy
 from safedpa_lab.point.shield import Shield, shield_of
 from safedpa_lab.point.windy_shield import WindyShield
 from safedpa_services.command_line import safedpa
-from safedpa_sim.point.task import EPISODE_STEPS, PointTask, Stepped
+from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 
 LEARNING = Learning("shipped", MARGIN, 0, 5, 6, 2048, 16, 1, 0.008)
 JUDGED_STEPS = 5
@@ -38,9 +38,9 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(online_learning, "driven", partial(driven, steps=JUDGED_STEPS))
 
 
-def stepped(cost: tuple[int, int], reached: tuple[int, int], over: tuple[int, int]) -> Stepped:
+def stepped(cost: tuple[int, int], reached: tuple[int, int], over: tuple[int, int]) -> StepResult:
     costs, goals, ends = (np.array(given) for given in (cost, reached, over))
-    return Stepped(0.5 + goals, costs.astype(float), goals.astype(bool), ends.astype(bool))
+    return StepResult(0.5 + goals, costs.astype(float), goals.astype(bool), ends.astype(bool))
 
 
 def test_counts_of_a_drive_that_is_written_down_by_hand() -> None:
@@ -69,7 +69,7 @@ def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest
     within: list[int] = []
     advance = PointTask.advance
 
-    def watched(self: PointTask, action: NDArray[Any]) -> Stepped:
+    def watched(self: PointTask, action: NDArray[Any]) -> StepResult:
         found = advance(self, action)
         apart = self.layout.hazards - self.simulation.pose[:2].T[:, np.newaxis]
         within.append(int((np.linalg.norm(apart, axis=2).min(axis=1) <= 0.2).sum()))

@@ -31,7 +31,7 @@ from safedpa_lab.point.weights import weights_named
 from safedpa_sim.point.body_steps import actions_of, controls_of
 from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.way import Ways
+from safedpa_sim.point.way import RoutePlanner
 
 
 def environment_of(plan: Plan) -> PointEnvironment:
@@ -182,7 +182,7 @@ def _task(count: int, seed: int) -> PointTask:
 def test_equal_inputs_are_those_of_safedpas_own_policy() -> None:
     """One road: the inputs, of the motors' controls. The other: shield, histories, ways and scales, one by one."""
     task, weights = _task(6, 3), weights_named("learned")
-    inputs, shield, ways = inputs_of("equal", task), shield_of("none", task), Ways(6)
+    inputs, shield, ways = inputs_of("equal", task), shield_of("none", task), RoutePlanner(6)
     random = np.random.default_rng(0)
     for _ in range(70):
         seen, latent = inputs.see(), shield.see(task)

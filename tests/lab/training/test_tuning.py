@@ -10,7 +10,7 @@ import torch
 
 from safedpa.dynamics import load_model, shipped_models
 from safedpa.errors import InputError
-from safedpa.safety.margin import split_conformal_margin
+from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa_lab.experiments import tuning_real
 from safedpa_lab.experiments.tuning import CarTuning, car_tuning
 from safedpa_lab.experiments.tuning_errors import errors_of_drive, metrics_of, ratios_of
@@ -19,12 +19,12 @@ from safedpa_lab.experiments.tuning_page import tuning_page
 from safedpa_lab.experiments.tuning_real import RealTuning, parts_of, real_tuning
 from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
-from safedpa_sim.training.tuning_data import Drive, record_circles
+from safedpa_sim.training.tuning_data import TuningDrive, record_circles
 
 WEIGHTS = load_model("car_simulated").base.weights
 
 
-def errors_at(predictor: AbstractPredictor, drive: Drive, starts: list[int], steps: int) -> np.ndarray:
+def errors_at(predictor: AbstractPredictor, drive: TuningDrive, starts: list[int], steps: int) -> np.ndarray:
     """Own-frame errors (starts, states) after so many steps."""
     seen = predictor.seen(lived_of(predictor.networks, [drive]))
     with torch.no_grad():
@@ -34,7 +34,7 @@ def errors_at(predictor: AbstractPredictor, drive: Drive, starts: list[int], ste
 def test_errors_of_a_drive_are_added_up_over_its_starts() -> None:
     """Of 100 transitions those from tick 60 on; over a second (20) every fifth that still fits."""
     (run,), predictor = record_circles(100, 3, 100), NetworkPredictor(WEIGHTS)
-    drive = Drive(run.states, run.actions[:-1])
+    drive = TuningDrive(run.states, run.actions[:-1])
     found = errors_of_drive(predictor, drive)
     for horizon, starts, steps in (("one_step", list(range(60, 100)), 1), ("one_second", [60, 65, 70, 75, 80], 20)):
         squares = (errors_at(predictor, drive, starts, steps) ** 2).sum(axis=0)
@@ -60,7 +60,7 @@ def test_a_ratio_counts_every_step_and_its_interval_every_draw_of_groups() -> No
 
 @pytest.mark.parametrize(("share", "cuts"), [(0.5, (5, 2)), (0.25, (2, 1)), (1.0, (10, 4))])
 def test_parts_of_drives_share_the_state_at_the_cut(share: float, cuts: tuple[int, int]) -> None:
-    drives = [Drive(np.arange(n + 1.0)[:, None], np.arange(float(n))[:, None]) for n in (10, 4)]
+    drives = [TuningDrive(np.arange(n + 1.0)[:, None], np.arange(float(n))[:, None]) for n in (10, 4)]
     first, rest = parts_of(drives, share)
     assert [len(one.actions) for one in first] == list(cuts)
     assert [len(one.actions) for one in rest] == [10 - cuts[0], 4 - cuts[1]]
@@ -71,7 +71,7 @@ def test_parts_of_drives_share_the_state_at_the_cut(share: float, cuts: tuple[in
 def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_quarters(tmp_path, monkeypatch) -> None:
     """Logs of 332 and 720 transitions; no training is looked at: each gives the weights that ship."""
     logs = {name: record_circles(rows, rows, rows)[0] for name, rows in (("a" * 19, 332), ("b" * 19, 720))}
-    drives = {name: Drive(run.states, run.actions[:-1]) for name, run in logs.items()}
+    drives = {name: TuningDrive(run.states, run.actions[:-1]) for name, run in logs.items()}
     for name in logs:
         (tmp_path / tuning_real.CAR.replace("*", name)).touch()
 
@@ -80,7 +80,7 @@ def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_
 
     predictor, own = NetworkPredictor(WEIGHTS), list[list[int]]()
 
-    def online(model: AbstractPredictor, given: list[Drive], _: Any) -> Any:
+    def online(model: AbstractPredictor, given: list[TuningDrive], _: Any) -> Any:
         own.append([len(drive.actions) for drive in given])
         return model, SimpleNamespace(refused=False, ridge=0.1)
 

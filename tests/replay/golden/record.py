@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.bus import SETUP, SetupMessage, decode, encode
-from safedpa.records.mcap_messages import read_payloads
-from safedpa.records.mcap_recorder import schema_of
+from safedpa.records.readers.mcap import read_payloads
+from safedpa.records.writers.mcap import schema_of
 from safedpa.replay.replay import replay
 from safedpa.replay.tape import read_tape
 

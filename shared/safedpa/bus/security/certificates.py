@@ -3,7 +3,7 @@
 The folder holds ``authority.pem`` (whom to believe), ``ROLE.pem`` and ``ROLE.key.pem``; the common name of a
 certificate is the role, and that of a robot is ``robot.NAME``. They are made by ``safedpa certificates``.
 
-Where no file should hold a key (``safedpa up --secure``) a process is handed a ``Card`` by a pipe instead.
+Where no file should hold a key (``safedpa up --secure``) a process is handed a ``PemCredentials`` by a pipe instead.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
-from safedpa.bus.log import log_event
+from safedpa.bus.logging import log_event
 from safedpa.errors import BusError
 
-__all__ = ["AUTHORITY", "Card", "Certificates", "close_memory"]
+__all__ = ["AUTHORITY", "Certificates", "PemCredentials", "protect_process_memory"]
 
 AUTHORITY = "authority"
 _LONGEST_CARD = 1 << 16
@@ -84,7 +84,7 @@ class Certificates:
 
 @final
 @dataclass(frozen=True)
-class Card:
+class PemCredentials:
     """The same three as PEM in memory: no path leads to the key."""
 
     role: str
@@ -93,13 +93,13 @@ class Card:
     key: bytes = field(repr=False)
 
     @classmethod
-    def of(cls, folder: Path, role: str) -> Card:
+    def of(cls, folder: Path, role: str) -> PemCredentials:
         """What the files of a role hold; OSError where they cannot be read."""
         files = Certificates(folder, role)
         return cls(role, *(path.read_bytes() for path in (files.authority, files.certificate, files.key)))
 
     @classmethod
-    def from_descriptor(cls, descriptor: int, role: str) -> Card:
+    def from_descriptor(cls, descriptor: int, role: str) -> PemCredentials:
         """Reads what ``pipe`` put there, and closes it. Raises BusError for anything else."""
         try:
             with os.fdopen(descriptor, "rb") as pipe:
@@ -140,7 +140,7 @@ class Card:
 _PARTS = 3
 
 
-def close_memory() -> bool:
+def protect_process_memory() -> bool:
     """Keeps other processes of this user out of this one's memory, descriptors and environment, and off core dumps.
 
     Whether the system knows how (Linux). A process with CAP_SYS_PTRACE, as root has it, reads on.

@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from safedpa.bus.transport.bundle import Entry, packed, parts
-from safedpa.bus.transport.inbox import Answered, Decode, Inbox
-from safedpa.bus.transport.intake import Intake
-from safedpa.bus.transport.transport import AbstractTransport
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.messages import Message
-from safedpa.bus.wire.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
-from safedpa.bus.wire.topics import BUNDLE, Topic, key_of
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.messages import Message
+from safedpa.bus.messages.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
+from safedpa.bus.messages.topics import BUNDLE, Topic, key_of
+from safedpa.bus.transport.base import AbstractTransport
+from safedpa.bus.transport.batching import Entry, pack_bundle, split_into_bundles
+from safedpa.bus.transport.inbox import Decode, Inbox, InboxReceiver, RequestOutcome
 from safedpa.errors import BusError, InputError, MessageError
 
 __all__ = ["Bus"]
@@ -78,8 +77,8 @@ class Bus:
             return
         held, self._held = self._held, {}
         for (topic, service), entries in held.items():
-            for part in parts(entries):
-                robot, payload = part[0] if len(part) == 1 else (BUNDLE, packed(part))
+            for part in split_into_bundles(entries):
+                robot, payload = part[0] if len(part) == 1 else (BUNDLE, pack_bundle(part))
                 key = key_of(self.fleet, robot, topic, service)
                 self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
@@ -111,8 +110,8 @@ class Bus:
                     inbox.fill_from(subscription)
         return inbox
 
-    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> Intake:
-        return Intake(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
+    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> InboxReceiver:
+        return InboxReceiver(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Asks about one robot; None when nobody answers within ``timeout`` [s].
@@ -131,12 +130,12 @@ class Bus:
         question = encode(Request(do="status", who=who))
 
         def from_services(payload: bytes | None) -> None:
-            inbox.keep_answer(Answered(robot, _usable(payload)))
+            inbox.keep_answer(RequestOutcome(robot, _usable(payload)))
 
         def from_diagnosis(payload: bytes | None) -> None:
             answer = _usable(payload)
             if answer is not None:
-                inbox.keep_answer(Answered(robot, answer))
+                inbox.keep_answer(RequestOutcome(robot, answer))
             else:
                 key = request_key(self.fleet, robot, AGREED)
                 self._transport.ask_soon(key, question, timeout, from_services)

@@ -1,4 +1,7 @@
-"""What arrived and waits to be read: bounded, whoever sends, and fair to those who send little."""
+"""What arrived and waits to be read: bounded, whoever sends, and fair to those who send little.
+
+From the transport into an inbox: what is asked for of one topic, alone or out of a bundle.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,22 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any, NamedTuple, final
 
-from safedpa.bus.transport.transport import Subscription
-from safedpa.bus.wire.codec import decode
-from safedpa.bus.wire.messages import Message
-from safedpa.bus.wire.requests import Answer
-from safedpa.bus.wire.topics import TOPICS, Topic, topic_of
+from safedpa.bus.messages.codec import decode
+from safedpa.bus.messages.messages import Message
+from safedpa.bus.messages.requests import Answer
+from safedpa.bus.messages.topics import BUNDLE, TOPICS, Topic, key_of, topic_of
+from safedpa.bus.transport.base import Subscription
+from safedpa.bus.transport.batching import unpack_bundle
 from safedpa.errors import InputError, MessageError
 
-__all__ = ["Answered", "Inbox", "Parcel", "Received", "Refused"]
+__all__ = [
+    "Inbox",
+    "InboxReceiver",
+    "ReceivedMessage",
+    "RejectedMessage",
+    "RequestOutcome",
+    "SharedPayload",
+]
 
 _LONGEST_QUEUE = 100_000
 """Messages of topics that must not be dropped, waiting in one inbox."""
@@ -35,7 +46,7 @@ Decode = Callable[[type[Any], bytes], Any]
 """As ``codec.decode``."""
 
 
-class Received(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A message that arrived; ``at`` [s] by the receiver's clock."""
 
     topic: Topic
@@ -49,7 +60,7 @@ class Received(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RejectedMessage:
     """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
 
     key: str
@@ -59,7 +70,7 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
+class RequestOutcome:
     """What came of a question about a robot; None when nobody answered in time."""
 
     robot: str
@@ -76,18 +87,18 @@ class _Queue:
 
 
 @final
-class Parcel:
+class SharedPayload:
     """A message that several inboxes of one process may hold: it is read for the first who takes it, once for all."""
 
     __slots__ = ("bundled", "content", "key", "payload")
 
     def __init__(self, key: str, payload: bytes, *, bundled: bool = False) -> None:
         self.key, self.payload, self.bundled = key, payload, bundled
-        self.content: Received | Refused | None = None
+        self.content: ReceivedMessage | RejectedMessage | None = None
         """What was read; None until somebody did."""
 
 
-_Waiting = tuple[str, bytes, float, Parcel]
+_Waiting = tuple[str, bytes, float, SharedPayload]
 """Key, so much of the payload as is kept, when it came, and what holds what is read of it."""
 
 
@@ -112,7 +123,7 @@ class Inbox:
         self._latest: dict[str, _Waiting] = {}
         self._queues: dict[str, _Queue] = {}
         self._queued = self._queued_bytes = 0
-        self._answers: list[Answered] = []
+        self._answers: list[RequestOutcome] = []
         self._subscriptions: list[Subscription] = []
         self._quantum, self._collected = 0.0, 0.0
         self._came: Callable[[], None] | None = None
@@ -153,18 +164,18 @@ class Inbox:
 
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Accepts one payload; replaces an unread one of the same key."""
-        self.keep_parcels([Parcel(key, payload)], all_of_them=False)
+        self.keep_parcels([SharedPayload(key, payload)], all_of_them=False)
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Accepts one payload behind all unread ones."""
-        self.keep_parcels([Parcel(key, payload)], all_of_them=True)
+        self.keep_parcels([SharedPayload(key, payload)], all_of_them=True)
 
-    def keep_parcels(self, parcels: Sequence[Parcel], *, all_of_them: bool) -> None:
+    def keep_parcels(self, parcels: Sequence[SharedPayload], *, all_of_them: bool) -> None:
         """Accepts what came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
         self.add_parcels(parcels, all_of_them=all_of_them)
         self.announce()
 
-    def add_parcels(self, parcels: Sequence[Parcel], *, all_of_them: bool) -> None:
+    def add_parcels(self, parcels: Sequence[SharedPayload], *, all_of_them: bool) -> None:
         """The same, but whoever leads is not told yet; ``announce`` follows once others have it, too."""
         with self._filled:
             now = self._clock()
@@ -181,16 +192,16 @@ class Inbox:
         if self._came is not None:
             self._came()
 
-    def _put_latest(self, parcel: Parcel, at: float) -> None:
+    def _put_latest(self, parcel: SharedPayload, at: float) -> None:
         key, payload, latest = parcel.key, parcel.payload, self._latest
         if len(latest) >= _MOST_KEYS and key not in latest:
             self.dropped += 1
         elif len(payload) <= _LARGEST_LATEST:
             latest[key] = (key, payload, at, parcel)
         else:
-            latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, Parcel(key, b"", bundled=parcel.bundled))
+            latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, SharedPayload(key, b"", bundled=parcel.bundled))
 
-    def _put_last(self, parcel: Parcel, at: float) -> None:
+    def _put_last(self, parcel: SharedPayload, at: float) -> None:
         kept, key = _cut(parcel.payload, _LARGEST_QUEUED), parcel.key
         queue = self._queues.setdefault(key, _Queue())
         queue.messages.append((kept, at))
@@ -215,7 +226,7 @@ class Inbox:
             del self._queues[key]
         return payload, at
 
-    def keep_answer(self, answered: Answered) -> None:
+    def keep_answer(self, answered: RequestOutcome) -> None:
         """Accepts what came of a question."""
         with self._filled:
             self._answers.append(answered)
@@ -223,13 +234,13 @@ class Inbox:
         if self._came is not None:
             self._came()
 
-    def take_answers(self) -> list[Answered]:
+    def take_answers(self) -> list[RequestOutcome]:
         """What came of questions asked since the last call; never waits."""
         with self._filled:
             answers, self._answers = self._answers, []
         return answers
 
-    def take(self, timeout: float, most: int | None = None) -> list[Received | Refused]:
+    def take(self, timeout: float, most: int | None = None) -> list[ReceivedMessage | RejectedMessage]:
         """What is unread, oldest first; waits up to ``timeout`` [s] for the first message or answer.
 
         Of each key at most ``most`` messages: who has sent a thousand does not keep the others waiting.
@@ -244,7 +255,7 @@ class Inbox:
             self._latest = {}
             for key, queue in list(self._queues.items()):
                 count = len(queue.messages) if most is None else min(most, len(queue.messages))
-                waiting += [(key, *self._pop(key), Parcel(key, b"")) for _ in range(count)]
+                waiting += [(key, *self._pop(key), SharedPayload(key, b"")) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
         taken = []
         for key, payload, at, parcel in waiting:
@@ -254,16 +265,16 @@ class Inbox:
             taken.append(content)
         return taken
 
-    def _opened(self, key: str, payload: bytes, at: float, bundled: bool) -> Received | Refused:
+    def _opened(self, key: str, payload: bytes, at: float, bundled: bool) -> ReceivedMessage | RejectedMessage:
         robot = ""
         try:
             _, robot, topic = topic_of(key)
             message = self._decode(topic.message, payload)
             if topic.per_service:
                 _check_speaker(key, message)
-            return Received(topic, robot, message, payload, key, at, bundled)
+            return ReceivedMessage(topic, robot, message, payload, key, at, bundled)
         except InputError as error:
-            return Refused(key, robot, str(error))
+            return RejectedMessage(key, robot, str(error))
 
     def _sleep(self, timeout: float) -> None:
         """Until the quantum is over, unless it shall not wait at all; then collects."""
@@ -285,3 +296,76 @@ def _check_speaker(key: str, message: Message) -> None:
     said = getattr(message, "service", service)
     if said != service:
         raise MessageError(f"key '{key}': got a message of service '{said[:40]}', wanted one of '{service}'")
+
+
+@final
+class InboxReceiver:
+    """Called by a transport with key and payload; puts what is asked for into ``inbox``.
+
+    Of robots for whose name ``serves`` is false nothing gets in; ``wanted`` is the robot asked for, or ``*``;
+    ``all_of_them``: nothing is dropped.
+    """
+
+    def __init__(
+        self,
+        inbox: Inbox,
+        topic: Topic,
+        fleet: str,
+        wanted: str,
+        serves: Callable[[str], bool] | None,
+        *,
+        all_of_them: bool,
+    ) -> None:
+        self._inbox, self._topic, self._fleet, self._all_of_them = inbox, topic, fleet, all_of_them
+        self._wanted, self._serves = wanted, serves
+        self._begins = len(f"safedpa/{fleet}/")
+        self._bundles = f"safedpa/{fleet}/{BUNDLE}/{topic.name}"
+
+    def __call__(self, key: str, payload: bytes) -> None:
+        """Accepts what came under ``key``."""
+        parcels = self.opened(key, payload)
+        if parcels:
+            self.put(parcels)
+            self.announce()
+
+    def opened(self, key: str, payload: bytes) -> list[SharedPayload]:
+        """What came under ``key``, as far as it is asked for: alone, or each message of a bundle by itself."""
+        if key.startswith(self._bundles) and "*" not in key:
+            try:
+                return self._parcels(key, payload)
+            except InputError:
+                return [SharedPayload(key, payload)]  # is refused where it is read, since its key names no robot
+        served = self._serves is None or self._serves(key[self._begins :].partition("/")[0])
+        return [SharedPayload(key, payload)] if served else []
+
+    def put(self, parcels: list[SharedPayload]) -> None:
+        """Into the inbox; parcels may be shared with others where ``asks_as`` is true, and ``announce`` follows."""
+        self._inbox.add_parcels(parcels, all_of_them=self._all_of_them)
+
+    def announce(self) -> None:
+        """What was put there may be acted upon."""
+        self._inbox.announce()
+
+    def asks_as(self, other: InboxReceiver) -> bool:
+        """Whether it asks for the same as ``other``, so that what one of them opened is right for both."""
+        return (self._topic, self._fleet, self._wanted, self._serves) == (
+            other._topic,
+            other._fleet,
+            other._wanted,
+            other._serves,
+        )
+
+    def _parcels(self, key: str, payload: bytes) -> list[SharedPayload]:
+        """Each message of a bundle that is asked for. Raises InputError where it is no bundle."""
+        topic, fleet, wanted, serves = self._topic, self._fleet, self._wanted, self._serves
+        service = key.rsplit("/", 1)[1] if topic.per_service else ""
+        if len(payload) > topic.largest_bytes or key != key_of(fleet, BUNDLE, topic, service):
+            raise MessageError(f"key '{key}': got {len(payload)} bytes, wanted a bundle of {topic.name}")
+        entries = unpack_bundle(payload)
+        if wanted != "*":
+            entries = [entry for entry in entries if entry[0] == wanted]
+        if serves is not None:
+            entries = [entry for entry in entries if serves(entry[0])]
+        return [
+            SharedPayload(key_of(fleet, robot, topic, service), message, bundled=True) for robot, message in entries
+        ]

@@ -15,16 +15,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.compare.windows import Floats
-from safedpa.diagnosis.fit.elimination import Products
-from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.arrays import FloatArray
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.variable_projection import ProjectedProducts
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
-    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "jackknife", "known_of", "moved", "objectives",
-    "products_of", "size_of",
+    "Fit",
+    "bounds_of",
+    "difference_step",
+    "fit",
+    "jackknife",
+    "known_slopes",
+    "objectives",
+    "products_of",
+    "regularized_inverse",
+    "typical_change",
+    "with_values",
 ]  # fmt: skip
 
 _STEPS = 8
@@ -52,30 +61,30 @@ class Fit:
     paths: tuple[str, ...]
     value: float
     """The objective per independent number."""
-    scale: Floats
-    residual: Floats
-    columns: Floats
-    slopes: Floats
+    scale: FloatArray
+    residual: FloatArray
+    columns: FloatArray
+    slopes: FloatArray
     free: NDArray[np.bool_]
     """Parameters that do not stand at a bound that holds them, (paths,)."""
-    normal: tuple[Floats, Floats]
+    normal: tuple[FloatArray, FloatArray]
     """Products of the columns with each other (paths, paths) and with the residual (paths,), where it was
     linearised."""
-    stated: Floats | None = None
+    stated: FloatArray | None = None
     """Standard deviations (paths,) where another way of fitting gave them."""
 
     @property
-    def values(self) -> Floats:
+    def values(self) -> FloatArray:
         """(paths,)"""
         return np.array([self.model.settings[path].value for path in self.paths])
 
     @property
-    def prior(self) -> Floats:
+    def prior(self) -> FloatArray:
         """Curvature that keeps a direction without any of its own from moving by more than some ordinary changes,
         (paths,)."""
-        return np.array([(5.0 * size_of(self.model.parameters[path])) ** -2 for path in self.paths])
+        return np.array([(5.0 * typical_change(self.model.parameters[path])) ** -2 for path in self.paths])
 
-    def deviations(self, shooting: Shooting) -> Floats:
+    def deviations(self, shooting: Shooting) -> FloatArray:
         """One standard deviation of each parameter (paths,).
 
         The larger of jackknives over blocks of time and over runs, where there are four; at least what white residuals
@@ -93,7 +102,7 @@ class Fit:
         columns = self.columns[..., self.free]
         products, slopes = products_of(columns, self.residual)
         whole = products.sum(axis=0)
-        squares = np.diag(inverse_of(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
+        squares = np.diag(regularized_inverse(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
         for group in (shooting.block, shooting.windows.run):
             count = len(np.unique(group))
             if group is shooting.block or count >= _FEWEST_RUNS:
@@ -101,7 +110,7 @@ class Fit:
         found[self.free] = np.sqrt(np.maximum(squares, 0.0))
         return found
 
-    def _at_bounds(self) -> Floats:
+    def _at_bounds(self) -> FloatArray:
         """One-sided deviations of what is not free (paths,), else NaN: d with 2 |g| d + h d^2 = 1.
 
         g and h are slope and curvature of half the squares in units of the noise.
@@ -114,7 +123,7 @@ class Fit:
         told = ~self.free & np.isfinite(distance) & (distance > 0) & (distance < high - low)
         return np.where(told, distance, np.nan)
 
-    def without(self, shooting: Shooting) -> dict[int, Floats]:
+    def without(self, shooting: Shooting) -> dict[int, FloatArray]:
         """Parameters (paths,) fitted without each fold, to first order, by fold."""
         folds = np.unique(shooting.fold)
         values, free = np.tile(self.values, (len(folds), 1)), self.free
@@ -123,10 +132,10 @@ class Fit:
             used = [shooting.fold != fold for fold in folds]
             parts = np.stack([curvature[own].sum(axis=0) for own in used]) + np.diag(self.prior[free])
             slopes = np.stack([slope[own].sum(axis=0) for own in used])
-            values[:, free] -= (inverse_of(parts, _SETTLED) @ slopes[..., None])[..., 0]
+            values[:, free] -= (regularized_inverse(parts, _SETTLED) @ slopes[..., None])[..., 0]
         return dict(zip(folds.tolist(), np.clip(values, *bounds_of(self.model, self.paths)), strict=True))
 
-    def heldout_squares(self, shooting: Shooting) -> Floats:
+    def heldout_squares(self, shooting: Shooting) -> FloatArray:
         """Squares (windows, states) of the reduced residual in the states' units, fitted without the window's fold."""
         shift = np.zeros((len(shooting.windows), len(self.paths)))
         for fold, values in self.without(shooting).items():
@@ -135,7 +144,7 @@ class Fit:
         return np.asarray(shooting.squares(residual) * self.scale**2)
 
 
-def jackknife(products: Floats, slopes: Floats, group: NDArray[np.int64]) -> Floats:
+def jackknife(products: FloatArray, slopes: FloatArray, group: NDArray[np.int64]) -> FloatArray:
     """Squares of the deviations (paths,) by what each group of windows moves, to first order."""
     count, size = int(group.max()) + 1, products.shape[-1]
     curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
@@ -143,7 +152,7 @@ def jackknife(products: Floats, slopes: Floats, group: NDArray[np.int64]) -> Flo
     np.add.at(slope, group, slopes)
     there = np.unique(group)
     whole, total = curvature.sum(axis=0), slope.sum(axis=0)
-    shifts = (inverse_of(whole - curvature[there]) @ (total - slope[there])[..., None])[..., 0]
+    shifts = (regularized_inverse(whole - curvature[there]) @ (total - slope[there])[..., None])[..., 0]
     share = (len(there) - 1) / max(len(there), 1)
     return np.asarray(((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * share)
 
@@ -159,9 +168,9 @@ def fit(
     model: PhysicsModel,
     paths: Sequence[str],
     shooting: Shooting,
-    scale: Floats,
+    scale: FloatArray,
     steps: int = _STEPS,
-    known: Floats | None = None,
+    known: FloatArray | None = None,
     enough: float = np.inf,
 ) -> Fit:
     """The parameters ``paths`` of a model, from where they stand; ``scale`` (states,): a guess of the noise.
@@ -183,7 +192,7 @@ def fit(
 
 
 def _descended(
-    best: Fit, shooting: Shooting, steps: int, known: Floats | None, done: float, enough: float = np.inf
+    best: Fit, shooting: Shooting, steps: int, known: FloatArray | None, done: float, enough: float = np.inf
 ) -> tuple[Fit, float]:
     """Gauss-Newton steps until the objective falls by less than ``done``; and by how much it fell in the last one.
 
@@ -211,7 +220,7 @@ def _descended(
     return best, fall
 
 
-def _along(at: Fit, shift: Floats, shooting: Shooting, done: float) -> Fit | None:
+def _along(at: Fit, shift: FloatArray, shooting: Shooting, done: float) -> Fit | None:
     """The fit after a step (paths,) that is so small that the slopes tell what it changes; None where it is not, or
     ends at a bound."""
     values = at.values + shift
@@ -225,24 +234,24 @@ def _along(at: Fit, shift: Floats, shooting: Shooting, done: float) -> Fit | Non
     return replace(at, model=_shifted(at, shift), value=at.value - fall, residual=residual)
 
 
-def _shifted(at: Fit, shift: Floats) -> PhysicsModel:
+def _shifted(at: Fit, shift: FloatArray) -> PhysicsModel:
     values = np.clip(at.values + shift, *bounds_of(at.model, at.paths))
-    return moved(at.model, dict(zip(at.paths, values.tolist(), strict=True)))
+    return with_values(at.model, dict(zip(at.paths, values.tolist(), strict=True)))
 
 
-def known_of(fitted: Fit, paths: Sequence[str]) -> Floats:
+def known_slopes(fitted: Fit, paths: Sequence[str]) -> FloatArray:
     """Slopes of the first of some paths, as far as another fit has them: what ``fit`` may begin with."""
     own = {path: index for index, path in enumerate(fitted.paths)}
     count = next((index for index, path in enumerate(paths) if path not in own), len(paths))
     return np.asarray(fitted.slopes[..., [own[path] for path in paths[:count]]])
 
 
-def objectives(residuals: Floats, shooting: Shooting, scale: Floats) -> Floats:
+def objectives(residuals: FloatArray, shooting: Shooting, scale: FloatArray) -> FloatArray:
     """The objective per independent number of residuals (models, windows, compared, states), (models,)."""
     return _objectives(shooting.elimination.products(residuals), shooting, scale)[0]
 
 
-def _objectives(products: Products, shooting: Shooting, scale: Floats) -> tuple[Floats, Floats]:
+def _objectives(products: ProjectedProducts, shooting: Shooting, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(objectives per independent number (models,), each state's root mean square (states, models)), never 0."""
     squares = shooting.elimination.squares(products, scale)
     found = np.maximum(np.sqrt(squares / shooting.size[:, None]), 1e-6)
@@ -250,13 +259,13 @@ def _objectives(products: Products, shooting: Shooting, scale: Floats) -> tuple[
 
 
 def _linearised(
-    model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: Floats, known: Floats | None
+    model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: FloatArray, known: FloatArray | None
 ) -> Fit:
     count = 0 if known is None else known.shape[-1]
-    steps = [difference_of(model.parameters[path], model.settings[path].value) for path in paths[count:]]
+    steps = [difference_step(model.parameters[path], model.settings[path].value) for path in paths[count:]]
     variants = [model]
     for path, step in zip(paths[count:], steps, strict=True):
-        variants.append(moved(model, {path: model.settings[path].value + step}))
+        variants.append(with_values(model, {path: model.settings[path].value + step}))
     whole = np.empty((*shooting.measured.shape, 1 + len(paths)))
     columns = whole[..., 1:]
     if known is not None:
@@ -273,7 +282,7 @@ def _linearised(
     slope, curvature = gram[1:, 0], gram[1:, 1:]
     low, high = bounds_of(model, paths)
     now = np.array([model.settings[path].value for path in paths])
-    size = np.array([size_of(model.parameters[path]) for path in paths])
+    size = np.array([typical_change(model.parameters[path]) for path in paths])
     held = ((now <= low + 1e-9 * size) & (slope > 0)) | ((now >= high - 1e-9 * size) & (slope < 0))
     dead = np.diagonal(curvature) * size**2 < 1e-8 * shooting.size.sum()
     free = ~(held | dead)
@@ -282,7 +291,7 @@ def _linearised(
     )
 
 
-def _step_of(at: Fit, damping: float) -> Floats | None:
+def _step_of(at: Fit, damping: float) -> FloatArray | None:
     """The Gauss-Newton step (paths,) of the free parameters, cut at the bounds; None where none is free."""
     if not at.free.any():
         return None
@@ -290,16 +299,16 @@ def _step_of(at: Fit, damping: float) -> Floats | None:
     curvature = curvature + np.diag(damping * np.diag(curvature) + at.prior[at.free])
     now = at.values
     values = now.copy()
-    values[at.free] -= inverse_of(curvature) @ slope
+    values[at.free] -= regularized_inverse(curvature) @ slope
     return np.asarray(np.clip(values, *bounds_of(at.model, at.paths)) - now)
 
 
-def moved(model: PhysicsModel, values: dict[str, float]) -> PhysicsModel:
+def with_values(model: PhysicsModel, values: dict[str, float]) -> PhysicsModel:
     """The model with other numbers; what is free stays free."""
     return model.with_settings({path: Setting(value, model.settings[path].free) for path, value in values.items()})
 
 
-def inverse_of(matrix: Floats, smallest: float = 1e-7) -> Floats:
+def regularized_inverse(matrix: FloatArray, smallest: float = 1e-7) -> FloatArray:
     """Inverses of symmetric matrices (..., n, n) whose diagonals were scaled to 1; directions without any curvature do
     not move."""
     size = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
@@ -307,20 +316,20 @@ def inverse_of(matrix: Floats, smallest: float = 1e-7) -> Floats:
     return np.asarray(np.linalg.pinv(matrix / around, rcond=smallest, hermitian=True) / around)
 
 
-def products_of(columns: Floats, residual: Floats) -> tuple[Floats, Floats]:
+def products_of(columns: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Products of reduced columns (windows, numbers, paths) with each other and with the residual (windows, numbers),
     window by window: (windows, paths, paths) and (windows, paths)."""
     turned = columns.swapaxes(1, 2)
     return turned @ columns, (turned @ residual[..., None])[..., 0]
 
 
-def bounds_of(model: PhysicsModel, paths: Iterable[str]) -> tuple[Floats, Floats]:
+def bounds_of(model: PhysicsModel, paths: Iterable[str]) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest values, (paths,) each."""
     found = [model.parameters[path] for path in paths]
     return np.array([item.low for item in found]), np.array([item.high for item in found])
 
 
-def size_of(parameter: Parameter) -> float:
+def typical_change(parameter: Parameter) -> float:
     """The size of a change that is ordinary."""
     neutral = parameter.neutral
     if parameter.typical == 0.0 and not neutral:  # an angle, say, of which no size is ordinary
@@ -329,7 +338,7 @@ def size_of(parameter: Parameter) -> float:
     return max(min(change, 10 * abs(parameter.typical) + 1e-12), 0.05 * abs(parameter.typical), 1e-4)
 
 
-def difference_of(parameter: Parameter, value: float) -> float:
+def difference_step(parameter: Parameter, value: float) -> float:
     """The step of a difference quotient that stays within the bounds."""
-    step = min(0.01 * size_of(parameter), 0.05 * (parameter.high - parameter.low))
+    step = min(0.01 * typical_change(parameter), 0.05 * (parameter.high - parameter.low))
     return step if value + step <= parameter.high else -step

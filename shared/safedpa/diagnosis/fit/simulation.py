@@ -7,23 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.compare.rollout import felt_columns
-from safedpa.compare.side_by_side import SideBySide
-from safedpa.compare.windows import Floats, Rows, Windows
+from safedpa.arrays import FloatArray, IndexArray
+from safedpa.comparison.rollout import effective_actions_by_name
+from safedpa.comparison.side_by_side import StackedMechanics
+from safedpa.comparison.windows import Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
 
 __all__ = ["simulate"]
 
 
-def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, starts: Floats) -> Floats:
+def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: IndexArray, starts: FloatArray) -> FloatArray:
     """Predicted states (windows, compared, states, models); models of one structure, whose numbers may differ.
 
     ``starts`` (windows, states) or (models, windows, states). Beyond a window's end nothing is meant. The models come
     last, for what a fit does with them is done to each window's numbers of all models.
     """
     count, size = len(windows), starts.shape[-1]
-    mechanics, felt = SideBySide(models), _felt(models, windows)
+    mechanics, felt = StackedMechanics(models), _felt(models, windows)
     states = [np.ascontiguousarray(starts[..., index]) for index in range(size)]
     period = windows.common_period
     found = np.empty((count, len(rows), size, len(models)))
@@ -41,11 +42,11 @@ def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, start
     return found
 
 
-def _felt(models: Sequence[PhysicsModel], windows: Windows) -> list[Floats]:
+def _felt(models: Sequence[PhysicsModel], windows: Windows) -> list[FloatArray]:
     """What each model's mechanics feel of each action: (rows,) where all feel the same, else (models, rows)."""
     if len({_commanded(model) for model in models}) == 1:
-        return felt_columns(models[0], windows)
-    columns = [felt_columns(model, windows) for model in models]
+        return effective_actions_by_name(models[0], windows)
+    columns = [effective_actions_by_name(model, windows) for model in models]
     found = []
     for own in zip(*columns, strict=True):
         same = all(np.array_equal(own[0], other) for other in own[1:])

@@ -1,4 +1,7 @@
-"""Effects on trial: starts on a grid, a fit, and the gain on data that the fit did not see."""
+"""The fitted numbers of a trial, as a report states them.
+
+Effects on trial: starts on a grid, a fit, and the gain on data that the fit did not see.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,28 @@ from itertools import product
 
 import numpy as np
 
-from safedpa.compare.windows import Floats
+from safedpa.arrays import FloatArray
 from safedpa.diagnosis.fit.least_squares import Fit, fit, objectives
-from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.report_schema import FittedValue
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
-    "Trial",
+    "EffectTrial",
     "block_gain",
-    "deviate_of",
-    "deviates_of",
-    "likeness",
+    "explanation_correlation",
+    "fit_trial",
+    "fit_trials",
+    "initial_values",
     "paths_of",
-    "starts_of",
+    "standardized_gain",
+    "standardized_gains",
     "trial_of",
-    "tried",
-    "tried_in_turn",
-    "with_start",
+    "values_of",
+    "with_effect_at",
 ]
 
 _MOST_STARTS = 9
@@ -39,13 +44,13 @@ _PROMISING = 8
 
 
 @dataclass(frozen=True)
-class Trial:
+class EffectTrial:
     """Effects added together, fitted; ``heldout`` squares (windows, states) without the window's own fold."""
 
     effects: tuple[str, ...]
     fit: Fit
-    heldout: Floats
-    explained: Floats
+    heldout: FloatArray
+    explained: FloatArray
     """What the effects take off the residual, (windows, compared * states), in units of the stage's noise."""
     loss: float
     """sum over states of size log(root mean square held out) / sum of sizes."""
@@ -56,7 +61,7 @@ class Trial:
         return " + ".join(self.effects)
 
 
-def starts_of(item: AbstractEffect) -> list[dict[str, float]]:
+def initial_values(item: AbstractEffect) -> list[dict[str, float]]:
     """Values from which a fit of an effect may start: fits that start where it does nothing get stuck."""
     grids = [_grid(parameter, len(item.parameters)) for parameter in item.parameters]
     names = [parameter.name for parameter in item.parameters]
@@ -86,18 +91,18 @@ def _grid(parameter: Parameter, beside: int) -> list[float]:
     return [value for value in found if parameter.low <= value <= parameter.high]  # an ordinary part always is
 
 
-def with_start(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
+def with_effect_at(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
     """The model with one more effect at given numbers."""
     return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
 
 
-def tried_in_turn(
-    null: Trial,
+def fit_trials(
+    null: EffectTrial,
     items: Sequence[AbstractEffect],
     shooting: Shooting,
-    before: Mapping[str, Trial],
+    before: Mapping[str, EffectTrial],
     tell: Callable[[int], None] = lambda _done: None,
-) -> list[Trial]:
+) -> list[EffectTrial]:
     """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
 
     ``before`` holds trials of an earlier stage by effect: their numbers are starts beside a thinned grid.
@@ -108,23 +113,23 @@ def tried_in_turn(
         if item.name in before and before[item.name].fit.free[-len(item.parameters) :].all():
             settings = before[item.name].fit.model.settings
             known = {p.name: settings[f"{item.name}.{p.name}"].value for p in item.parameters}
-            starts = [with_start(null.fit.model, item, known), *starts[::3]]
-        found.append(tried(null, [item], shooting, starts, _ROUGH))
+            starts = [with_effect_at(null.fit.model, item, known), *starts[::3]]
+        found.append(fit_trial(null, [item], shooting, starts, _ROUGH))
         tell(number)
     found.sort(key=lambda trial: trial.loss)
     by_name = {item.name: item for item in items}
     for index, rough in enumerate(found[:_PROMISING]):
-        found[index] = tried(null, [by_name[rough.effects[0]]], shooting, [rough.fit.model])
+        found[index] = fit_trial(null, [by_name[rough.effects[0]]], shooting, [rough.fit.model])
     return sorted(found, key=lambda trial: trial.loss)
 
 
-def tried(
-    null: Trial,
+def fit_trial(
+    null: EffectTrial,
     items: Sequence[AbstractEffect],
     shooting: Shooting,
     starts: Sequence[PhysicsModel] | None = None,
     steps: int | None = None,
-) -> Trial:
+) -> EffectTrial:
     """The effects fitted on top of the null's, together with everything that the null fitted."""
     models = list(starts) if starts is not None else _start_models(null.fit.model, items)
     chosen = models[0] if len(models) == 1 else _lowest(models, shooting, null.fit.scale)
@@ -136,12 +141,12 @@ def tried(
     return trial_of(found, shooting, tuple(item.name for item in items), null)
 
 
-def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: Floats) -> PhysicsModel:
+def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArray) -> PhysicsModel:
     """Of several models the one with the lowest objective."""
     return models[int(np.argmin(objectives(shooting.residuals(models), shooting, scale)))]
 
 
-def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Trial | None) -> Trial:
+def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: EffectTrial | None) -> EffectTrial:
     """A fit with its held-out squares and what it explains beside the null."""
     heldout = found.heldout_squares(shooting)
     mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
@@ -150,23 +155,23 @@ def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Tri
     if null is not None:
         ratio = np.tile(found.scale / null.fit.scale, len(shooting.rows))
         explained = null.fit.residual - found.residual * ratio
-    return Trial(effects, found, heldout, explained, loss)
+    return EffectTrial(effects, found, heldout, explained, loss)
 
 
 def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
-    grids = [starts_of(item) for item in items]
+    grids = [initial_values(item) for item in items]
     if len(items) > 1:
         grids = [grid[:: max(1, len(grid) // 4)] for grid in grids]
     found = []
     for values in product(*grids):
         made = model
         for item, own in zip(items, values, strict=True):
-            made = with_start(made, item, own)
+            made = with_effect_at(made, item, own)
         found.append(made)
     return found
 
 
-def block_gain(one: Trial, other: Trial, shooting: Shooting, *, local: bool = False) -> float:
+def block_gain(one: EffectTrial, other: EffectTrial, shooting: Shooting, *, local: bool = False) -> float:
     """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
 
     Few blocks know their own spread badly: the ratio t of their sum and its standard error follows Student's
@@ -176,15 +181,15 @@ def block_gain(one: Trial, other: Trial, shooting: Shooting, *, local: bool = Fa
     the typical, or as much as the largest tenth where what differs acts in some windows only (``local``).
     """
     scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
-    return deviate_of(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
+    return standardized_gain(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
 
 
-def deviate_of(difference: Floats, shooting: Shooting, *, local: bool = False) -> float:
+def standardized_gain(difference: FloatArray, shooting: Shooting, *, local: bool = False) -> float:
     """The gain of differences (windows,) of squares in units of the noise, as ``block_gain`` has it."""
-    return float(deviates_of(difference[None], shooting, local=local)[0])
+    return float(standardized_gains(difference[None], shooting, local=local)[0])
 
 
-def deviates_of(differences: Floats, shooting: Shooting, *, local: bool = False) -> Floats:
+def standardized_gains(differences: FloatArray, shooting: Shooting, *, local: bool = False) -> FloatArray:
     """The same for many differences (many, windows) at once, (many,)."""
     begin = shooting.first_of_block
     if len(begin) < _FEWEST_BLOCKS:
@@ -201,7 +206,7 @@ def deviates_of(differences: Floats, shooting: Shooting, *, local: bool = False)
     return np.asarray(np.copysign(normal, ratio))
 
 
-def likeness(one: Trial, other: Trial) -> float:
+def explanation_correlation(one: EffectTrial, other: EffectTrial) -> float:
     """Correlation of what two trials of one stage explain, -1 to 1."""
     size = float(np.sqrt((one.explained**2).sum() * (other.explained**2).sum()))
     return float((one.explained * other.explained).sum() / size) if size > 0 else 0.0
@@ -210,3 +215,13 @@ def likeness(one: Trial, other: Trial) -> float:
 def paths_of(items: Iterable[AbstractEffect]) -> list[str]:
     """Paths of all parameters of effects."""
     return [f"{item.name}.{p.name}" for item in items for p in item.parameters]
+
+
+def values_of(trial: EffectTrial, shooting: Shooting) -> dict[str, FittedValue]:
+    """The fitted numbers of a trial by path."""
+    model, deviations = trial.fit.model, trial.fit.deviations(shooting)
+    found = {}
+    for path, value, std in zip(trial.fit.paths, trial.fit.values, deviations, strict=True):
+        spread = float(std) if np.isfinite(std) else None
+        found[path] = FittedValue(float(value), spread, model.parameters[path].unit)
+    return found

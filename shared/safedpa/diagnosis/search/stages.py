@@ -8,13 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from safedpa.diagnosis.document import Stage, Worse
-from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.cross_validation import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.fit.least_squares import Fit, fit
-from safedpa.diagnosis.search.search import Search
+from safedpa.diagnosis.report_schema import DiagnosisStage, WorsenedState
+from safedpa.diagnosis.search.forward_selection import SearchState
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["Told", "stages_of"]
+__all__ = ["StageReport", "stages_of"]
 
 _WORSE, _NOTHING = 0.05, 0.01
 """Share by which, and size from which, an error that grew is told."""
@@ -23,15 +23,15 @@ _Step = tuple[Fit, HeldoutError]
 
 
 @dataclass(frozen=True)
-class Told:
+class StageReport:
     """The stages, their models, and states that the last stage predicts worse in a run than the first does."""
 
-    stages: list[Stage]
+    stages: list[DiagnosisStage]
     models: list[PhysicsModel]
-    worse: tuple[Worse, ...]
+    worse: tuple[WorsenedState, ...]
 
 
-def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
+def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageReport:
     """The given model refitted, then one stage per accepted effect that helps some run, refitted on the same windows.
 
     ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
@@ -50,8 +50,10 @@ def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
         error = errors[number]
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         gain = _improved(None if before is None else errors[before], error)
-        found.append(Stage(tuple(search.added[:number]), error.value, per_state, gain))
-    return Told(found, [steps[number][0].model for number in kept], _worse([errors[number] for number in kept], shown))
+        found.append(DiagnosisStage(tuple(search.added[:number]), error.value, per_state, gain))
+    return StageReport(
+        found, [steps[number][0].model for number in kept], _worse([errors[number] for number in kept], shown)
+    )
 
 
 def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
@@ -65,7 +67,7 @@ def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
     return kept
 
 
-def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Worse, ...]:
+def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[WorsenedState, ...]:
     """What the mean over states and runs hides."""
     if len(errors) < 2:
         return ()
@@ -74,13 +76,13 @@ def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Worse, ...]:
         rows, states = np.nonzero((after > (1.0 + _WORSE) * before) & (after > before + _NOTHING))
     names, runs = shown.windows.system.state_names, shown.windows.names
     found = [
-        Worse(len(errors) - 1, runs[row], names[state], float(before[row, state]), float(after[row, state]))
+        WorsenedState(len(errors) - 1, runs[row], names[state], float(before[row, state]), float(after[row, state]))
         for row, state in zip(rows.tolist(), states.tolist(), strict=True)
     ]
     return tuple(sorted(found, key=lambda item: item.before - item.after))
 
 
-def _by_fall(search: Search, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
+def _by_fall(search: SearchState, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
     """The accepted effects, at each step the one with which the error is lowest."""
     order: list[str] = []
     steps = [first]
@@ -93,7 +95,7 @@ def _by_fall(search: Search, first: _Step, heldout: Heldout) -> tuple[list[str],
     return order, steps
 
 
-def _step(search: Search, names: Sequence[str], heldout: Heldout) -> _Step:
+def _step(search: SearchState, names: Sequence[str], heldout: Heldout) -> _Step:
     """The first model with some of the accepted effects, refitted from the numbers of the last model."""
     if set(names) == set(search.added):
         return search.current.fit, error_with(search.current.fit, search.shooting, heldout)

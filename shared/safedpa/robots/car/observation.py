@@ -7,10 +7,10 @@ asks for one robot at a time, takes ``safedpa.robots.car.perception``, the same 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from safedpa.arrays import AnyFloatArray
 
 __all__ = [
     "FAR_AWAY",
@@ -27,7 +27,6 @@ __all__ = [
     "padded",
 ]
 
-Values = NDArray[np.floating[Any]]
 
 RAYS = 16
 """Directions, evenly around the robot, the first straight ahead."""
@@ -55,14 +54,14 @@ def observation_length(latents: int) -> int:
 
 
 def observe(
-    state: Values,
-    applied: Values,
-    goal: Values,
-    obstacles: Values,
-    field: Values,
-    footprint: Values,
-    latent: Values,
-) -> Values:
+    state: AnyFloatArray,
+    applied: AnyFloatArray,
+    goal: AnyFloatArray,
+    obstacles: AnyFloatArray,
+    field: AnyFloatArray,
+    footprint: AnyFloatArray,
+    latent: AnyFloatArray,
+) -> AnyFloatArray:
     """Observations (..., observation_length) of cars: goal, own motion, nearest obstacles, rays, latent.
 
     State (..., 4) and the action in force ``applied`` (..., 2) in SI units, goal (..., 2) [m], obstacles (..., m, 3):
@@ -83,13 +82,15 @@ def observe(
     return np.concatenate(parts, axis=-1)
 
 
-def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> Values:
+def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> AnyFloatArray:
     """Obstacles (m, 3) with as many added far away as are lacking to ``least``."""
     rows = [tuple(row) for row in obstacles]
     return np.array(rows + [FAR_AWAY] * (least - len(rows)), dtype=np.float64)
 
 
-def clearances(own: Values, radii: Values, footprint: Values) -> tuple[Values, Values]:
+def clearances(
+    own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray
+) -> tuple[AnyFloatArray, AnyFloatArray]:
     """Room [m] between capsule and obstacles (..., m), negative inside, and what leads there (..., m, 2).
 
     ``own``: the obstacles' centres (..., m, 2) in the robot's frame; the second result points from the nearest point of
@@ -101,7 +102,7 @@ def clearances(own: Values, radii: Values, footprint: Values) -> tuple[Values, V
     return _length(offset) - radii - radius, offset
 
 
-def _goal(own: Values) -> Values:
+def _goal(own: AnyFloatArray) -> AnyFloatArray:
     distance = _length(own)
     direction = own / np.maximum(distance, 1e-6)[..., np.newaxis]
     scaled = np.stack((_closeness(distance, NEAR), _closeness(distance, 4.0 * NEAR)), axis=-1)
@@ -109,7 +110,7 @@ def _goal(own: Values) -> Values:
     return np.concatenate((direction, scaled, aside), axis=-1)
 
 
-def _motion(state: Values, applied: Values, footprint: Values) -> Values:
+def _motion(state: AnyFloatArray, applied: AnyFloatArray, footprint: AnyFloatArray) -> AnyFloatArray:
     radius = np.broadcast_to(footprint[..., 2], state.shape[:-1])
     entries = (
         state[..., 3] / FULL_SPEED,
@@ -120,7 +121,7 @@ def _motion(state: Values, applied: Values, footprint: Values) -> Values:
     return np.stack(entries, axis=-1)
 
 
-def _nearest(own: Values, radii: Values, footprint: Values) -> Values:
+def _nearest(own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray) -> AnyFloatArray:
     """Of the nearest obstacles, nearest first: closeness of surface, direction and centre, clearance, size."""
     room, offset = clearances(own, radii, footprint)
     order = np.argsort(room, axis=-1)[..., :OBSTACLES]
@@ -135,7 +136,9 @@ def _nearest(own: Values, radii: Values, footprint: Values) -> Values:
     return told.reshape(*told.shape[:-2], -1)
 
 
-def _rays(state: Values, own: Values, radii: Values, field: Values, footprint: Values) -> Values:
+def _rays(
+    state: AnyFloatArray, own: AnyFloatArray, radii: AnyFloatArray, field: AnyFloatArray, footprint: AnyFloatArray
+) -> AnyFloatArray:
     """Closeness of what stops a disc of the footprint's radius that leaves the footprint's middle, per ray."""
     middle = 0.5 * (footprint[..., 1] - footprint[..., 0])
     radius = footprint[..., 2]
@@ -153,10 +156,12 @@ def _rays(state: Values, own: Values, radii: Values, field: Values, footprint: V
     return _closeness(nearest, NEAR)
 
 
-def _to_walls(state: Values, middle: Values, radius: Values, field: Values) -> Values:
+def _to_walls(
+    state: AnyFloatArray, middle: AnyFloatArray, radius: AnyFloatArray, field: AnyFloatArray
+) -> AnyFloatArray:
     """How far [m] the same disc gets on each ray until it touches a wall, shape (..., RAYS)."""
     angle = state[..., 2, np.newaxis] + _ANGLES.astype(state.dtype)
-    nearest: Values = np.full(angle.shape, FAR_AWAY[0], dtype=state.dtype)
+    nearest: AnyFloatArray = np.full(angle.shape, FAR_AWAY[0], dtype=state.dtype)
     for axis, slope in ((0, np.cos(angle)), (1, np.sin(angle))):
         heading = np.cos(state[..., 2]) if axis == 0 else np.sin(state[..., 2])
         start = state[..., axis] + middle * heading
@@ -167,16 +172,16 @@ def _to_walls(state: Values, middle: Values, radius: Values, field: Values) -> V
     return nearest
 
 
-def _own_frame(offset: Values, cosine: Values, sine: Values) -> Values:
+def _own_frame(offset: AnyFloatArray, cosine: AnyFloatArray, sine: AnyFloatArray) -> AnyFloatArray:
     x, y = offset[..., 0], offset[..., 1]
     return np.stack((cosine * x + sine * y, cosine * y - sine * x), axis=-1)
 
 
-def _length(offset: Values) -> Values:
-    length: Values = np.sqrt(np.square(offset[..., 0]) + np.square(offset[..., 1]))
+def _length(offset: AnyFloatArray) -> AnyFloatArray:
+    length: AnyFloatArray = np.sqrt(np.square(offset[..., 0]) + np.square(offset[..., 1]))
     return length
 
 
-def _closeness(distance: Values, near: float) -> Values:
-    closeness: Values = near / (near + distance)
+def _closeness(distance: AnyFloatArray, near: float) -> AnyFloatArray:
+    closeness: AnyFloatArray = near / (near + distance)
     return closeness

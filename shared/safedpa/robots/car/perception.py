@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
 from safedpa.errors import MessageError
-from safedpa.policy.perception import Perception, checked
+from safedpa.policy.perception import ObservationModel, checked_state
 from safedpa.robots.car.observation import (
     FAR_AWAY,
     FULL_RADIUS,
@@ -137,11 +136,8 @@ def _to_walls(pose: tuple[float, float, float, float], middle: float, radius: fl
     return there + back
 
 
-Values: TypeAlias = NDArray[np.floating[Any]]
-
-
-def _observed_car(state: StateMessage, latent: Values) -> Values:
-    checked(state, values=4, applied=2, goal=2, field=4, footprint=3)
+def _observed_car(state: StateMessage, latent: AnyFloatArray) -> AnyFloatArray:
+    checked_state(state, values=4, applied=2, goal=2, field=4, footprint=3)
     if any(len(row) != 3 for row in state.obstacles):
         raise MessageError("state.obstacles: got rows of another length, wanted 3 numbers in each: x, y, radius")
     try:
@@ -153,4 +149,4 @@ def _observed_car(state: StateMessage, latent: Values) -> Values:
     return np.array(seen)
 
 
-PERCEPTION = Perception(observation_length, _observed_car)
+PERCEPTION = ObservationModel(observation_length, _observed_car)

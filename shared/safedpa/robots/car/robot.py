@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
-from safedpa.robots.car.barrier_settings import BARRIER_SETTINGS
+from safedpa.robots.car.barriers.settings import BARRIER_SETTINGS
+from safedpa.robots.car.robot_throttle import ThrottleCar
 from safedpa.robots.car.system import CAR
-from safedpa.robots.car.throttle_car import ThrottleCar
 from safedpa.robots.shipped import ShippedRobot
 
 if TYPE_CHECKING:
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
     from safedpa.bus import StateMessage
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.dynamics.elsewhere import Elsewhere
+    from safedpa.dynamics.elsewhere import SimulatorExport
     from safedpa.networks.frame import Frame
     from safedpa.operations import Operations, Scalar
     from safedpa.policy.controller import Controller
-    from safedpa.policy.perception import Perception
+    from safedpa.policy.perception import ObservationModel
     from safedpa.ros.face import AbstractFace
-    from safedpa.safety.barrier import AbstractBarrier
-    from safedpa.safety.scene import AbstractScene
+    from safedpa.runtime.scene import AbstractScene
+    from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
 
 __all__ = ["ROBOT", "Car"]
@@ -46,15 +46,15 @@ class Car(ShippedRobot):
     wish_range = ((-0.6, 2.0), (-0.34, 0.34))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
-        from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+        from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle
 
         return {KinematicBicycle.kind: KinematicBicycle}
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
-        from safedpa.robots.car.car_scene import CarScene
-        from safedpa.robots.car.quickness import quickness_of
+        from safedpa.robots.car.dynamics.limits import performance_limits
+        from safedpa.robots.car.scenes.perceived import CarScene
 
-        return CarScene(settings, quick=quickness_of(model, settings))
+        return CarScene(settings, quick=performance_limits(model, settings))
 
     def barriers_around(  # noqa: D102
         self,
@@ -63,64 +63,63 @@ class Car(ShippedRobot):
         footprint: tuple[float, ...],
         draw: np.random.Generator,
     ) -> Sequence[AbstractBarrier]:
-        from safedpa.robots.car.calibration_scene import barriers_around
+        from safedpa.robots.car.scenes.calibration import barriers_around
 
         return barriers_around(state, settings, footprint, draw)
 
     def largest_gradients(  # noqa: D102
         self, settings: FilterSettings, footprint: Sequence[float], scale: NDArray[np.float64]
     ) -> Mapping[str, float]:
-        from safedpa.robots.car.theory_gradient import largest_gradients
+        from safedpa.robots.car.barriers.gradient_bounds import largest_gradients
 
         return largest_gradients(settings, footprint, scale)
 
     def swept(self, state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:  # noqa: D102
-        from safedpa.robots.car.barriers import swept_capsule
+        from safedpa.robots.car.barriers.obstacles import swept_capsule
 
         return swept_capsule(state, settings)
 
-    def elsewhere(self, model: PhysicsModel) -> Elsewhere:  # noqa: D102
-        from safedpa.robots.car.elsewhere import elsewhere
+    def elsewhere(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
+        from safedpa.robots.car.adapters.gazebo import elsewhere
 
         return elsewhere(model)
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
-        from safedpa.robots.car.compensated_seeker import CompensatedGoalSeeker
-        from safedpa.robots.car.goal_seeker import GoalSeekerSettings
+        from safedpa.robots.car.controllers.goal_seeker import GoalSeekerSettings, InverseDynamicsGoalSeeker
 
         def planner() -> Controller:
-            from safedpa.robots.car.planner import Planner
+            from safedpa.robots.car.controllers.mppi import Planner
 
             return Planner(model)
 
         def way_seeker() -> Controller:
-            from safedpa.robots.car.way_seeker import WaySeeker
+            from safedpa.robots.car.controllers.route_follower import RouteFollower
 
-            return WaySeeker(model)
+            return RouteFollower(model)
 
         return {
-            "goal_seeker": lambda: CompensatedGoalSeeker(model, GoalSeekerSettings()),
+            "goal_seeker": lambda: InverseDynamicsGoalSeeker(model, GoalSeekerSettings()),
             "planner": planner,
             "way_seeker": way_seeker,
         }
 
     def ros_face(self, model: AbstractDynamics | None = None) -> AbstractFace:  # noqa: D102
-        from safedpa.robots.car.ros_face import CarFace
+        from safedpa.robots.car.adapters.ros import CarFace
 
         known = getattr(model, "settings", {}).get("base.wheelbase")
         return CarFace() if known is None else CarFace(float(known.value))
 
     def learned(self, policy: Controller) -> Controller:  # noqa: D102
-        from safedpa.policy.backing_off import BackingOff
+        from safedpa.policy.backing_off import BackOffController
 
-        return BackingOff(policy)
+        return BackOffController(policy)
 
     def frame(self) -> Frame:  # noqa: D102
         from safedpa.networks.frame import Frame
 
         return Frame(("cos(yaw)", "sin(yaw)", "speed"), _features, _rotation, 2)
 
-    def perception(self) -> Perception:  # noqa: D102
+    def perception(self) -> ObservationModel:  # noqa: D102
         from safedpa.robots.car.perception import PERCEPTION
 
         return PERCEPTION

@@ -1,4 +1,4 @@
-"""The car's barriers as recorded from ``barriers.py``; written by ``safedpa.robots.car.write_barriers``, not by hand."""
+"""The car's barriers as recorded from ``barriers.py``; written by ``safedpa.robots.car.generate_barriers``, not by hand."""
 
 from __future__ import annotations
 
@@ -2572,13 +2572,13 @@ class MovingTowing:
 WRITTEN: dict[str, Any] = {
     "4: ObstacleBarrier 4 3 () -1, SpeedBarrier 0 2 (3,) -1": Open,
     "4: ObstacleBarrier 4 3 () -1, FieldBarrier 4 4 () 0, SpeedBarrier 0 2 (3,) -1": Walled,
-    "4: ObstacleBarrier 4 3 () -1, MoverBarrier 11 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
+    "4: ObstacleBarrier 4 3 () -1, MovingObstacleBarrier 11 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
     "4: ObstacleBarrier 4 3 () -1": Still,
-    "4: MoverBarrier 11 5 () -1": Moving,
+    "4: MovingObstacleBarrier 11 5 () -1": Moving,
     "4: ObstacleBarrier 12 3 () -1, SpeedBarrier 0 2 (3,) -1": OpenTowing,
     "4: ObstacleBarrier 12 3 () -1, FieldBarrier 12 4 () 0, SpeedBarrier 0 2 (3,) -1": WalledTowing,
-    "4: ObstacleBarrier 12 3 () -1, MoverBarrier 19 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
+    "4: ObstacleBarrier 12 3 () -1, MovingObstacleBarrier 19 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
     "4: ObstacleBarrier 12 3 () -1": StillTowing,
-    "4: MoverBarrier 19 5 () -1": MovingTowing,
+    "4: MovingObstacleBarrier 19 5 () -1": MovingTowing,
 }
 """By what was recorded."""

@@ -24,11 +24,11 @@ from numpy.typing import ArrayLike
 from safedpa.equations import Given
 from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
-from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.braking import Braking, stopping_distance
-from safedpa.safety.equation_barrier import AbstractEquationBarrier
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.barriers.stopping import Braking, stopping_distance
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.speed_barrier import SpeedBarrier
 
 __all__ = ["Shape", "WheeledFieldBarrier", "WheeledObstacleBarrier", "wheeled_barriers"]
 

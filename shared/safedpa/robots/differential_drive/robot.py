@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
     from safedpa.policy.controller import Controller
     from safedpa.ros.face import AbstractFace
-    from safedpa.safety.barrier import AbstractBarrier
+    from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
     from safedpa.stand_in import AbstractStandIn
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.elsewhere import Elsewhere
+from safedpa.dynamics.elsewhere import SimulatorExport
 
 __all__ = ["elsewhere"]
 
@@ -28,10 +28,10 @@ _URDF_CANNOT: Final[Mapping[str, str]] = {
 }
 
 
-def elsewhere(model: PhysicsModel) -> Elsewhere:
+def elsewhere(model: PhysicsModel) -> SimulatorExport:
     """MJCF with joint and actuator parameters, URDF with damping and friction; the rest by name."""
     there = {item.name for item in model.effects}
-    return Elsewhere(
+    return SimulatorExport(
         {"pendulum.mjcf.xml": _mjcf(model), "pendulum.urdf": _urdf(model)},
         {
             "pendulum.mjcf.xml": {name: why for name, why in _MJCF_CANNOT.items() if name in there},

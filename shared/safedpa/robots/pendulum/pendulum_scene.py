@@ -6,11 +6,11 @@ from typing import final
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractStack, Barriers
-from safedpa.safety.corridor_barrier import CorridorBarrier
-from safedpa.safety.scene import AbstractScene
+from safedpa.runtime.scene import AbstractScene
+from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers
+from safedpa.safety.barriers.limits import CorridorBarrier
+from safedpa.safety.barriers.stack import make_barrier_set
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stacks import stacked
 
 __all__ = ["PendulumScene"]
 
@@ -27,10 +27,10 @@ class PendulumScene(AbstractScene):
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings
         self._corridor: tuple[float, ...] = ()
-        self._barriers: AbstractStack = Barriers(())
-        stacked((CorridorBarrier(-1.0, 1.0, 1.0),)).plain(_STATES)  # recorded now, not in the first tick
+        self._barriers: AbstractBarrierSet = Barriers(())
+        make_barrier_set((CorridorBarrier(-1.0, 1.0, 1.0),)).plain(_STATES)  # recorded now, not in the first tick
 
-    def of(self, state: StateMessage) -> AbstractStack | str:  # noqa: D102
+    def of(self, state: StateMessage) -> AbstractBarrierSet | str:  # noqa: D102
         if state.obstacles or state.field or state.footprint or state.towed:
             return "scene (corridor: got obstacles, a field or a footprint of a robot that does not drive; wanted none)"
         if len(state.corridor) != 2:
@@ -38,7 +38,9 @@ class PendulumScene(AbstractScene):
         if state.corridor != self._corridor:
             low, high = state.corridor
             try:
-                self._barriers = stacked((CorridorBarrier(low, high, self._settings.barrier("corridor_seconds")),))
+                self._barriers = make_barrier_set(
+                    (CorridorBarrier(low, high, self._settings.barrier("corridor_seconds")),)
+                )
             except InputError as error:
                 return f"scene ({error})"
             self._corridor = state.corridor

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import AnyFloatArray
 from safedpa.bus import StateMessage
-from safedpa.policy.perception import Perception, checked
+from safedpa.policy.perception import ObservationModel, checked_state
 
 __all__ = ["PERCEPTION", "observe_pendulum", "pendulum_observation_length"]
 
-Values = NDArray[np.floating[Any]]
 
 _FAST = 10.0
 """rad/s that count as 1."""
@@ -23,7 +20,7 @@ def pendulum_observation_length(latents: int) -> int:
     return 4 + latents
 
 
-def observe_pendulum(state: Values, goal: Values, latent: Values) -> Values:
+def observe_pendulum(state: AnyFloatArray, goal: AnyFloatArray, latent: AnyFloatArray) -> AnyFloatArray:
     """Observations (..., 4 + latents): cosine and sine of the angle, rate / 10, (goal - angle) / pi, latent.
 
     State (..., 2) and goal (...,) [rad] with turns counted: the way to the goal has a direction, and goes all around
@@ -34,9 +31,9 @@ def observe_pendulum(state: Values, goal: Values, latent: Values) -> Values:
     return np.concatenate((own, latent), axis=-1)
 
 
-def _observed_pendulum(state: StateMessage, latent: Values) -> Values:
-    checked(state, values=2, goal=1)
+def _observed_pendulum(state: StateMessage, latent: AnyFloatArray) -> AnyFloatArray:
+    checked_state(state, values=2, goal=1)
     return observe_pendulum(np.array(state.values), np.array(state.goal)[0], latent)
 
 
-PERCEPTION = Perception(pendulum_observation_length, _observed_pendulum)
+PERCEPTION = ObservationModel(pendulum_observation_length, _observed_pendulum)

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.dynamics.elsewhere import Elsewhere
+    from safedpa.dynamics.elsewhere import SimulatorExport
     from safedpa.networks.frame import Frame
     from safedpa.operations import Operations, Scalar
-    from safedpa.policy.perception import Perception
-    from safedpa.safety.barrier import AbstractBarrier
-    from safedpa.safety.scene import AbstractScene
+    from safedpa.policy.perception import ObservationModel
+    from safedpa.runtime.scene import AbstractScene
+    from safedpa.safety.barriers.base import AbstractBarrier
     from safedpa.safety.settings import FilterSettings
 
 __all__ = ["ROBOT", "Pendulum"]
@@ -51,7 +51,7 @@ class Pendulum(ShippedRobot):
 
         return {RigidPendulum.kind: RigidPendulum}
 
-    def elsewhere(self, model: PhysicsModel) -> Elsewhere:  # noqa: D102
+    def elsewhere(self, model: PhysicsModel) -> SimulatorExport:  # noqa: D102
         from safedpa.robots.pendulum.elsewhere import elsewhere
 
         return elsewhere(model)
@@ -69,7 +69,7 @@ class Pendulum(ShippedRobot):
         footprint: tuple[float, ...],
         draw: np.random.Generator,
     ) -> Sequence[AbstractBarrier]:
-        from safedpa.safety.corridor_barrier import CorridorBarrier
+        from safedpa.safety.barriers.limits import CorridorBarrier
 
         del footprint, draw
         angle = float(state[0])
@@ -80,7 +80,7 @@ class Pendulum(ShippedRobot):
 
         return Frame(("cos(angle)", "sin(angle)", "rate"), _features, None, 0)
 
-    def perception(self) -> Perception:  # noqa: D102
+    def perception(self) -> ObservationModel:  # noqa: D102
         from safedpa.robots.pendulum.perception import PERCEPTION
 
         return PERCEPTION

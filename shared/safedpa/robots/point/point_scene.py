@@ -14,26 +14,25 @@ from __future__ import annotations
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
-from safedpa.safety.scene import MOST_OBSTACLES, AbstractScene
+from safedpa.runtime.scene import MOST_OBSTACLES, AbstractScene
+from safedpa.safety.barriers.base import AbstractBarrierSet, Barriers, CachingBarrierSet
+from safedpa.safety.barriers.stopping import Motion, StoppingBarrier, nearer_end, stopping_action
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stopping_barrier import Motion, StoppingBarrier, nearer_end, stopping_action
 
 __all__ = ["PointScene", "motion_of"]
 
-Values = NDArray[np.float64]
 
 _HEADINGS: Final = 0.5 * np.pi * np.arange(4)
 _LEAST_SLOPE, _MOST_SLOPE = 1e-6, 0.5
 """Share of the speed that drag may take in a period; what lies outside is no drag."""
 
 
-def motion_of(model: AbstractDynamics, latent: Values | None, settings: FilterSettings, period: float) -> Motion:
+def motion_of(model: AbstractDynamics, latent: FloatArray | None, settings: FilterSettings, period: float) -> Motion:
     """The manoeuvre's wind, drag and thrust according to a model of x, y, yaw, vx, vy under thrust and turn.
 
     Raises InputError where the thrust does not push along the heading.
@@ -63,21 +62,21 @@ class PointScene(AbstractScene):
     def __init__(self, model: AbstractDynamics, settings: FilterSettings) -> None:
         self.backup = self._stopping
         self._model, self._settings = model, settings
-        self._latent: Values | None = None
+        self._latent: FloatArray | None = None
         self._motion: Motion | None = None
         self._barrier: StoppingBarrier | None = None
 
-    def learn(self, latent: Values | None) -> None:  # noqa: D102
+    def learn(self, latent: FloatArray | None) -> None:  # noqa: D102
         self._latent = latent
 
-    def of(self, state: StateMessage) -> AbstractStack | str:  # noqa: D102
+    def of(self, state: StateMessage) -> AbstractBarrierSet | str:  # noqa: D102
         try:
             return self._built(state)
         except InputError as error:
             self._barrier = None
             return f"scene ({error})"
 
-    def _stopping(self, state: Values | None) -> Values:
+    def _stopping(self, state: FloatArray | None) -> FloatArray:
         """The manoeuvre's (thrust [N], turn [rad/s]) at ``state``; the resting action where nothing is known."""
         motion, barrier = self._motion, self._barrier
         if state is None or motion is None:
@@ -87,7 +86,7 @@ class PointScene(AbstractScene):
         scale = self._settings.action_high[0] / float(motion.strongest)
         return np.array([scale * float(thrust[0]), float(turn[0])])
 
-    def _built(self, state: StateMessage) -> AbstractStack:
+    def _built(self, state: StateMessage) -> AbstractBarrierSet:
         if state.corridor or state.field or state.footprint:
             raise InputError("got a corridor, a field or a footprint, wanted hazards alone")
         if len(state.obstacles) > MOST_OBSTACLES:
@@ -104,4 +103,4 @@ class PointScene(AbstractScene):
             return Barriers(())
         grown = np.array(rows, dtype=np.float64) + np.array([0.0, 0.0, self._settings.barrier("clearance")])
         self._barrier = StoppingBarrier(grown, self._motion)
-        return RememberingStack(Barriers((self._barrier,)))
+        return CachingBarrierSet(Barriers((self._barrier,)))

@@ -20,7 +20,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import MessageError
 
-__all__ = ["PointSeeker", "sought"]
+__all__ = ["PointSeeker", "goal_seeking_action"]
 
 _CRUISE = 0.7
 """m/s."""
@@ -55,7 +55,7 @@ class PointSeeker:
         for row in state.obstacles:
             if len(row) != 3:
                 raise MessageError(f"state.obstacles: got a row of {len(row)}, wanted x, y, radius")
-        push, turn = sought(state.values, state.goal, state.obstacles, self._wind(latent), self._drag)
+        push, turn = goal_seeking_action(state.values, state.goal, state.obstacles, self._wind(latent), self._drag)
         limited = (min(max(value, -most), most) for value, most in zip((self._mass * push, turn), _LIMITS, strict=True))
         return tuple(limited), "goal_seeker:seek"
 
@@ -64,7 +64,7 @@ class PointSeeker:
         return known.get("constant_force.ax", 0.0), known.get("constant_force.ay", 0.0)
 
 
-def sought(
+def goal_seeking_action(
     state: Sequence[float],
     goal: Sequence[float],
     hazards: Sequence[Sequence[float]],

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from safedpa.networks.frame import Frame
     from safedpa.operations import Operations, Scalar
     from safedpa.policy.controller import Controller
-    from safedpa.safety.scene import AbstractScene
+    from safedpa.runtime.scene import AbstractScene
     from safedpa.safety.settings import FilterSettings
 
 __all__ = ["ROBOT", "Point"]
@@ -50,9 +50,9 @@ class Point(ShippedRobot):
         return {"goal_seeker": lambda: PointSeeker(model)}
 
     def learned(self, policy: Controller) -> Controller:  # noqa: D102
-        from safedpa.policy.backing_off import BackingOff
+        from safedpa.policy.backing_off import BackOffController
 
-        return BackingOff(policy)
+        return BackOffController(policy)
 
     def frame(self) -> Frame:  # noqa: D102
         from safedpa.networks.frame import Frame

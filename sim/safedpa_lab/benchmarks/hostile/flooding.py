@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 from safedpa.bus import ZenohTransport
-from safedpa.bus.loop.process import Stop, add_bus_options, run_process, settings_from
-from safedpa.bus.wire.topics import TOPICS, key_of
+from safedpa.bus.messages.topics import TOPICS, key_of
+from safedpa.bus.service.process import StopSignal, add_bus_options, run_process, transport_settings_from_options
 from safedpa.errors import BusError
 
 __all__ = ["work"]
@@ -24,12 +24,12 @@ _PAUSE_SECONDS = 0.0005
 """After so many, for whoever shares the processor with it."""
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Floods for ``--seconds``, or until ``stop``; returns exit code 0."""
     topic = TOPICS[options.topic]
     key = key_of(options.fleet, options.robot, topic, options.role)
     payload = bytes(options.bytes)
-    transport = ZenohTransport(settings_from(options))
+    transport = ZenohTransport(transport_settings_from_options(options))
     began, sent = time.monotonic(), 0
     while not stop() and time.monotonic() - began < options.seconds:
         with contextlib.suppress(BusError):

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
-from safedpa.bus import Bus, Received, VerdictMessage, ZenohTransport
+from safedpa.bus import Bus, ReceivedMessage, VerdictMessage, ZenohTransport
+from safedpa.bus.messages.topics import VERDICT
 from safedpa.bus.transport.ports import free_port
-from safedpa.bus.wire.topics import VERDICT
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
-from safedpa_services.supervisor.securing import throw_away_certificates
+from safedpa_services.supervisor.securing import ephemeral_certificates
 from safedpa_services.supervisor.supervisor import Supervisor
-from safedpa_services.supervisor.watch import Watch
-from safedpa_sim.robots.trace import LivedPeriod, read_trace
+from safedpa_services.supervisor.watch import RunMonitor
+from safedpa_sim.robots.trace import TracedPeriod, read_trace
 
 __all__ = ["FLOODS", "Flood", "floods_benchmark"]
 
@@ -96,7 +96,7 @@ def floods_benchmark(
     tell: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Floods of ``seconds`` each. Raises SafedpaError when the loop cannot be brought up."""
-    with tempfile.TemporaryDirectory() as name, throw_away_certificates(_FLEET, _ROBOT) as wallet:
+    with tempfile.TemporaryDirectory() as name, ephemeral_certificates(_FLEET, _ROBOT) as wallet:
         folder, load = Path(name), load_average()
         plan = Plan(
             robot="car", name=_ROBOT, load="none", seconds=0.0, seed=4, rate=_RATE, lockstep=False, filtered=True,
@@ -140,12 +140,12 @@ def _drive(plan: Plan, attack: _Attack, tell: Callable[[], None]) -> int:
     services[0].start()
     try:
         with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-            watch, verdicts = Watch(bus, plan.name), bus.inbox((VERDICT,))
+            watch, verdicts = RunMonitor(bus, plan.name), bus.inbox((VERDICT,))
 
             def turn() -> None:
                 attack.turn(watch.state is not None)
                 for item in verdicts.take(0.0):
-                    message = item.message if isinstance(item, Received) else None
+                    message = item.message if isinstance(item, ReceivedMessage) else None
                     if isinstance(message, VerdictMessage) and message.status == "fallback":
                         attack.fallbacks.add(message.tick)
                 tell()
@@ -156,7 +156,7 @@ def _drive(plan: Plan, attack: _Attack, tell: Callable[[], None]) -> int:
             child.kill()
 
 
-def _row(account: dict[str, Any], periods: Sequence[LivedPeriod], attack: _Attack, rest: float) -> dict[str, Any]:
+def _row(account: dict[str, Any], periods: Sequence[TracedPeriod], attack: _Attack, rest: float) -> dict[str, Any]:
     """What the robot did in the rest before a flood, in the flood, and in the rest after it."""
     began, ended = account["began"], account["ended"]
     braked = [p.applied_at for p in periods if p.applied_by == "watchdog" or p.tick in attack.fallbacks]

@@ -16,8 +16,19 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus import ACTION, LATENT, MODEL, STATE, TAKEOVER, WISH, Bus, ModelMessage, Received, TakeoverMessage
-from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    MODEL,
+    STATE,
+    TAKEOVER,
+    WISH,
+    Bus,
+    ModelMessage,
+    ReceivedMessage,
+    TakeoverMessage,
+)
+from safedpa.bus.service.process import StopSignal, add_bus_options, bus_from_options, run_process
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
@@ -65,7 +76,7 @@ class _Seen:
     chains: dict[str, dict[str, float]] = field(default_factory=dict)
     """By robot and tick: when each message of it came first."""
 
-    def hear(self, item: Received) -> None:
+    def hear(self, item: ReceivedMessage) -> None:
         """One message of anybody's."""
         message = item.message
         key = (item.robot, message.tick)
@@ -97,7 +108,9 @@ def _offer(change: int, document: str, fingerprint: str) -> ModelMessage:
     )  # fmt: skip
 
 
-def _attack(bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: Stop) -> Iterator[tuple[float, float]]:
+def _attack(
+    bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: StopSignal
+) -> Iterator[tuple[float, float]]:
     """The stretches of time in which it was attacked, as each of them ends; in between there is peace."""
     costly = costly_model()
     documents = {name: (text, "0123456789ab") for name, text in BOMBS.items()}
@@ -108,7 +121,7 @@ def _attack(bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: Stop
     due = since
     while True:
         for item in inbox.take(0.01):
-            if isinstance(item, Received):
+            if isinstance(item, ReceivedMessage):
                 seen.hear(item)
         now = time.monotonic()
         if stop() or now - since >= stretch:
@@ -124,11 +137,11 @@ def _attack(bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: Stop
             bus.publish(MODEL, robot, _offer(change, *documents[name]))
 
 
-def work(options: argparse.Namespace, stop: Stop) -> int:
+def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Attacks every other stretch of time until ``stop``, and writes the account."""
     robots = [f"car{index:04d}" for index in range(options.robots)]
     seen, windows = _Seen(), []
-    with bus_from(options) as bus:
+    with bus_from_options(options) as bus:
         for window in _attack(bus, seen, robots, options.stretch, stop):
             windows.append(window)
     account = {"windows": windows, "offers": len(seen.offers), "refusals": seen.refusals, "chains": seen.chains}

@@ -18,13 +18,11 @@ from math import cos, sin
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.benchmarks.timing import timed
 
 __all__ = ["Problem", "answered", "compared"]
-
-Values = NDArray[np.float64]
 
 
 class Problem:
@@ -55,7 +53,7 @@ class Problem:
         nearest = xp.clip(along, -self.rear + xp.minimum(stop, 0.0), self.front + xp.maximum(stop, 0.0))
         return xp.sqrt((along - nearest) ** 2 + across**2) - self.reach
 
-    def gradient(self, state: Values) -> tuple[Values, Values]:
+    def gradient(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """h (m,) and p (m, 4), by hand."""
         x, y, yaw, speed = state.tolist()
         c, s = cos(yaw), sin(yaw)
@@ -86,14 +84,14 @@ class Problem:
         nothing = 0.0 * turn
         return xp.array([[nothing, nothing], [nothing, nothing], [nothing, turn], [nothing + self.speed_gain, nothing]])
 
-    def conditions(self, state: Values) -> tuple[Values, Values]:
+    def conditions(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A (m, 2), b (m,) of A u >= b."""
         h, p = self.gradient(state)
         A = self.period * (p @ self.g(state))
         return A, -self.eta * h + self.epsilon - self.period * (p @ self.f(state))
 
 
-def compared(problem: Problem, decide: Callable[[Values, Values], Values], **told: Any) -> dict[str, Any]:
+def compared(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray], **told: Any) -> dict[str, Any]:
     """Times of ``decide(state, wish)``, and its actions; with no calls asked for, what it does in words."""
     question = problem.question
     if question["calls"] == 0:
@@ -110,7 +108,7 @@ def answered(compare: Callable[[Problem], dict[str, Any]]) -> None:
     sys.stdout.write("\n" + json.dumps({"answers": [compare(Problem(question)) for question in questions]}) + "\n")
 
 
-def _said(problem: Problem, decide: Callable[[Values, Values], Values]) -> str:
+def _said(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray]) -> str:
     """In words, for the first state."""
     state, wish = problem.states[0], problem.wishes[0]
     try:

@@ -8,15 +8,15 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.adaptation.histories import Histories
+from safedpa.adaptation.histories import BatchHistoryEstimator
 from safedpa.bus import ACTION, LATENT, WISH, ActionMessage
 from safedpa.dynamics import LearnedBase, load_model
 from safedpa.policy import LearnedPolicy, PolicyNode
-from safedpa.robots.car.many_barriers import barriers_of_cars
+from safedpa.robots.car.barriers.batch import barriers_of_cars
 from safedpa.robots.car.observation import FAR_AWAY, OBSTACLES, observe
-from safedpa.safety.batch import BatchFilter
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.batch.filter import BatchFilter
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
 from safedpa_lab.benchmarks.timing import percentiles
 
@@ -136,7 +136,7 @@ class _Together:
     def __init__(self, count: int) -> None:
         model = load_model(_MODEL)
         assert isinstance(model.base, LearnedBase)
-        self._histories = Histories(model.base.weights, count)
+        self._histories = BatchHistoryEstimator(model.base.weights, count)
         self._policy = LearnedPolicy(model.base.weights)
         self._filter = BatchFilter(model, settings_named("car"))
 

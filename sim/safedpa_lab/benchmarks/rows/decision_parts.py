@@ -7,9 +7,8 @@ from typing import Any, Final
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.decision import Decision, Request
-from safedpa.safety.retreat import retreated
-from safedpa.safety.search import search
+from safedpa.safety.decision import Decision, FilterInput
+from safedpa.safety.solver.sqp import backtrack_towards, search
 from safedpa_lab.benchmarks.filter_decisions import MODELS, Asked, decided, networks_alone
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with
 from safedpa_lab.benchmarks.results import Effort, Row, microseconds
@@ -44,7 +43,7 @@ def parts(problem: FilterProblem, model: PhysicsModel) -> dict[str, Asked]:
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     tools, rounds = one.tools, problem.settings.relinearisations + 1
     wish = tuple(problem.requests(model)[0][1].tolist())
-    requests = [Request(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
+    requests = [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
     decisions = [Decision(tools, request) for request in requests]
     posed = [decision._posed() for decision in decisions]
     about = [(conditions, conditions.outcome(wish)) for conditions in posed]
@@ -62,7 +61,7 @@ def parts(problem: FilterProblem, model: PhysicsModel) -> dict[str, Asked]:
         "the program": (lambda pair: tools.program.solve(pair[0], pair[1], wish), rows),
         "the search": (lambda pair: search(pair[0], tools.program, wish, pair[1], rounds), about),
         "back towards the wish": (
-            lambda pair: retreated(pair[0], tools.program.sides, wish, pair[1]),
+            lambda pair: backtrack_towards(pair[0], tools.program.sides, wish, pair[1]),
             list(zip(posed, found, strict=True)),
         ),
         "the verdict": (

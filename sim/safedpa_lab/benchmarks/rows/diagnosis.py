@@ -139,21 +139,21 @@ def _over_length(folder: Path, effort: Effort) -> Curve:
 def _over_effects(log: Any, effort: Effort) -> Curve:
     """Seconds of our search over the number of candidates in the library."""
     from safedpa.diagnosis.diagnose import library_for
-    from safedpa.diagnosis.fit.evidence import evidence_at
-    from safedpa.diagnosis.fit.readiness import prepared
-    from safedpa.diagnosis.search.search import searched
+    from safedpa.diagnosis.fit.data_checks import prepare_runs
+    from safedpa.diagnosis.fit.horizon import data_at_horizon
+    from safedpa.diagnosis.search.forward_selection import run_search
     from safedpa.dynamics import load_model
     from safedpa.records import load_run
 
     model = load_model(log.model)
-    usable = prepared(model, [load_run(path, model.system) for path in log.runs])
-    evidence = evidence_at(usable.runs, usable.seconds)
+    usable = prepare_runs(model, [load_run(path, model.system) for path in log.runs])
+    evidence = data_at_horizon(usable.runs, usable.seconds)
     hidden = set(log.case.effects)
     library = sorted(library_for(model), key=lambda item: item.name not in hidden)
     counts, times = effort.of((2, 4), (2, 6, 12, len(library))), []
     for count in counts:
         began = time.process_time()
-        searched(model, library[:count], evidence.shooting, evidence.heldout)
+        run_search(model, library[:count], evidence.shooting, evidence.heldout)
         times.append(time.process_time() - began)
     series: dict[str, tuple[float | None, ...]] = {"safedpa": tuple(times)}
     return Curve("diagnosis_effects", "candidate effects", "search [s of processor]", tuple(map(float, counts)), series)

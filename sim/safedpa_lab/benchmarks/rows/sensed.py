@@ -10,14 +10,14 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.compiled import compiled_modules
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.safety import SafetyFilter, Status
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.benchmarks.filter_decisions import first_program
 from safedpa_lab.benchmarks.filter_problem import car_message, problem_with
 from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds
@@ -26,7 +26,6 @@ from safedpa_lab.benchmarks.timing import in_turn, percentiles
 
 __all__ = ["measure", "places_seen"]
 
-Values = NDArray[np.float64]
 
 _COUNTS: Final = (64, 256, 1080)
 _HALF: Final = 4.0
@@ -67,7 +66,7 @@ def measure(effort: Effort) -> Row:
     return Row("sensed", work, "p50", tuple(ours), targets=targets)
 
 
-def places_seen(count: int) -> Values:
+def places_seen(count: int) -> FloatArray:
     """(count, 2) m; evenly over four walls and four pillars around a car in their middle."""
     edge = 8.0 * _HALF
     begins = np.cumsum([edge, *(2.0 * np.pi * radius for _, _, radius in _PILLARS)])
@@ -85,7 +84,7 @@ def places_seen(count: int) -> Values:
     return np.array(found)
 
 
-def _sensed(places: Values) -> tuple[Callable[[Any], Any], list[tuple[StateMessage, SurroundingsMessage]]]:
+def _sensed(places: FloatArray) -> tuple[Callable[[Any], Any], list[tuple[StateMessage, SurroundingsMessage]]]:
     """What decides, and states in which it has to solve its program, with what is seen there."""
     model, settings = load_model("car"), settings_named("car")
     one, scene = SafetyFilter.for_model(model, settings), CarScene(settings)
@@ -147,7 +146,7 @@ def _told() -> tuple[Callable[[Any], Any], list[StateMessage]]:
     return decided, [car_message(tick, problem.obstacles, tuple(values)) for tick, values in states]
 
 
-def _alone(places: Values) -> tuple[Callable[[Any], Any], list[tuple[Any, Any]]]:
+def _alone(places: FloatArray) -> tuple[Callable[[Any], Any], list[tuple[Any, Any]]]:
     """The first quadratic program of each of the same decisions."""
     model, settings = load_model("car"), settings_named("car")
     one, scene = SafetyFilter.for_model(model, settings), CarScene(settings)

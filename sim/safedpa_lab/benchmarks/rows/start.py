@@ -137,8 +137,8 @@ def _first_action(recording: Path) -> float:
     """When the first action was published, in seconds of the wall clock."""
     from mcap.reader import make_reader
 
-    from safedpa.bus.wire.codec import decode
-    from safedpa.bus.wire.messages import ActionMessage
+    from safedpa.bus.messages.codec import decode
+    from safedpa.bus.messages.messages import ActionMessage
 
     with recording.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():

@@ -10,7 +10,7 @@ import click
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
 from safedpa_services.command_line.options import as_json_option
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 
 __all__ = ["command"]
 
@@ -51,7 +51,7 @@ def command(
         out.absolute(),
         data,
         small=small,
-        tell=lambda part, said: say(f"{place[part.name]} of {len(parts)}: {part.name}: {said}", err=True),
+        tell=lambda part, said: print_plain(f"{place[part.name]} of {len(parts)}: {part.name}: {said}", err=True),
     )
     if as_json:
         click.echo(json.dumps(account))

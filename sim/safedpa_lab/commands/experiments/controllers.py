@@ -31,7 +31,7 @@ def command(**options: Any) -> None:
     Random scenes with every load, through the real filter, for each controller.
     """
     from safedpa.dynamics import LearnedBase, load_model
-    from safedpa.safety.shipped import settings_named
+    from safedpa.safety.defaults import settings_named
     from safedpa_lab.experiments.controllers import controllers_experiment
     from safedpa_services.progress import progress
 

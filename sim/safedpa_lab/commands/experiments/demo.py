@@ -16,7 +16,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_lab.provenance.record import write_result
-from safedpa_services.lines import say
+from safedpa_services.lines import print_plain
 
 __all__ = ["command", "judged"]
 
@@ -113,4 +113,4 @@ def _tell(result: dict[str, Any]) -> None:
     for drive in result["each"]:
         if not drive["all"]:
             missing = ", ".join(step for step in _STEPS[:-1] if not drive[step])
-            say(f"seed {drive['seed']}: not {missing}; {drive['failure']}")
+            print_plain(f"seed {drive['seed']}: not {missing}; {drive['failure']}")

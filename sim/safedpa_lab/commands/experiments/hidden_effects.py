@@ -11,7 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
 
@@ -24,7 +24,9 @@ _SUITES = (
 @click.command(name="hidden-effects")
 @click.option("--cases", type=int, default=48, show_default=True, help="of each suite")
 @click.option("--seed", type=int, default=0, show_default=True, help="draws strengths, drives and noise")
-@click.option("--suite", "suites", type=Choice(_SUITES), multiple=True, help="may be given several times; default: all")
+@click.option(
+    "--suite", "suites", type=SuggestingChoice(_SUITES), multiple=True, help="may be given several times; default: all"
+)
 @click.option("--processes", type=int, default=2, show_default=True, help="with one thread each")
 @click.option(
     "--out",

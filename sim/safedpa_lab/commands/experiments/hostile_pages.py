@@ -11,9 +11,9 @@ from typing import Any
 
 from safedpa_lab.experiments.hostile.targets import Target
 from safedpa_services.router.refusals import Refusals
-from safedpa_services.web.guard import Door, Guard
+from safedpa_services.web.guard import AccessPolicy, Guard
 from safedpa_services.web.hosts import Hosts
-from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.shelf import FileStore
 
 __all__ = ["page_targets"]
 
@@ -44,7 +44,7 @@ def _guard() -> Target:
     async def page(scope: Any, receive: Any, send: Any) -> None:
         raise AssertionError("a request without the token got through")
 
-    guard = Guard(page, Door(Hosts("127.0.0.1"), 8080, _TOKEN))
+    guard = Guard(page, AccessPolicy(Hosts("127.0.0.1"), 8080, _TOKEN))
 
     async def receive() -> dict[str, Any]:
         return {"type": "http.request", "body": b"", "more_body": False}
@@ -79,7 +79,7 @@ def _shelf(folder: Path) -> Target:
         (place / "run.csv").write_text("t,x\n0,1\n", encoding="utf-8")
     (named / "link.csv").symlink_to(outside / "run.csv")
     (named / "way").symlink_to(outside)
-    shelf = Shelf([named])
+    shelf = FileStore([named])
     names = ("named/run.csv", "named/../outside/run.csv", "named/way/run.csv", "named/*.csv", "outside/run.csv")
     seeds = tuple(f"{folder}/{name}".encode() for name in names)
 

@@ -11,7 +11,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_lab.provenance.record import write_result
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
 
@@ -19,7 +19,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 
 
 @click.command(name="live")
-@click.option("--case", "case", type=Choice(_CASES), default="all", show_default=True, help="what changes")
+@click.option("--case", "case", type=SuggestingChoice(_CASES), default="all", show_default=True, help="what changes")
 @click.option("--seed", type=int, default=1, show_default=True, help="of the first scene")
 @click.option(
     "--drives", type=int, default=10, show_default=True, help="scenes of each case in which something changes"

@@ -17,7 +17,7 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
 from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
 
@@ -28,7 +28,9 @@ _KINDS = ("csv", "parquet", "mcap")
 @click.option("--runs", type=int, default=10, show_default=True)
 @click.option("--seconds", type=float, default=3600.0, show_default=True, help="of each run")
 @click.option("--period", type=float, default=0.01, show_default=True, help="seconds between rows")
-@click.option("--kind", "kinds", type=Choice(_KINDS), multiple=True, help="of file; may be repeated; default csv")
+@click.option(
+    "--kind", "kinds", type=SuggestingChoice(_KINDS), multiple=True, help="of file; may be repeated; default csv"
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="draws drives and noise")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")

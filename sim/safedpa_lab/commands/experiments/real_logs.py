@@ -11,7 +11,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_lab.provenance.record import write_result
-from safedpa_services.command_line.names import Choice
+from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
 
@@ -28,7 +28,7 @@ _BALL = Path(__file__).resolve().parents[4] / "docs" / "examples" / "falling_bal
     metavar="DIR",
     help="folder with the recordings: see docs/real-logs.md for where they are",
 )
-@click.option("--part", type=Choice(_PARTS), default="all", show_default=True)
+@click.option("--part", type=SuggestingChoice(_PARTS), default="all", show_default=True)
 @click.option(
     "--ball",
     type=click.Path(path_type=Path),

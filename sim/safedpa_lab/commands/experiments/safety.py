@@ -30,7 +30,7 @@ def command(**options: Any) -> None:
 
     Random scenes with every load, each driven both ways.
     """
-    from safedpa.safety.shipped import settings_named
+    from safedpa.safety.defaults import settings_named
     from safedpa_lab.experiments.safety import safety_experiment
     from safedpa_services.progress import progress
 

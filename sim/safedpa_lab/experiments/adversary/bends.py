@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
 
 __all__ = ["Bends", "BentAnswer", "bent_answer"]
 
-Values = NDArray[np.float64]
 
 _FULL: Final = 20_000
 _SMALL: Final = 200
@@ -79,7 +78,7 @@ def bent_answer(problem: BentProblem, number: int = -1) -> BentAnswer:
         return _judged(problem, number, verdict.status.value, verdict.action / problem.units[1])
 
 
-def _judged(problem: BentProblem, number: int, status: str, action: Values) -> BentAnswer:
+def _judged(problem: BentProblem, number: int, status: str, action: FloatArray) -> BentAnswer:
     grid = _grid(problem.actions)
     h = problem.h(problem.moved(grid))
     grid, h = grid[np.isfinite(h).all(axis=1)], h[np.isfinite(h).all(axis=1)]
@@ -105,12 +104,12 @@ def _judged(problem: BentProblem, number: int, status: str, action: Values) -> B
     )
 
 
-def _grid(actions: int) -> Values:
+def _grid(actions: int) -> FloatArray:
     side = np.linspace(-1.0, 1.0, _POINTS[actions])
     return np.stack(np.meshgrid(*[side] * actions), axis=-1).reshape(-1, actions)
 
 
-def _far(problem: BentProblem, actions: Values) -> Values:
+def _far(problem: BentProblem, actions: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.linalg.norm(actions - problem.wish, axis=1))
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 
 __all__ = ["BENT_SHAPES", "BentProblem", "bent_problem"]
 
-Values = NDArray[np.float64]
 Random = np.random.Generator
 
 _PLANE: Final = 2
@@ -26,12 +25,12 @@ class BentProblem:
     """x+ = moved(a) at a state in the plane, h (n, m) of states (n, 2); h in its unit, actions in theirs."""
 
     shape: str
-    state: Values
-    moved: Callable[[Values], Values]
+    state: FloatArray
+    moved: Callable[[FloatArray], FloatArray]
     """(n, 2) of actions (n, actions) between -1 and 1."""
-    h: Callable[[Values], Values]
+    h: Callable[[FloatArray], FloatArray]
     actions: int
-    wish: Values
+    wish: FloatArray
     """(actions,) of -1 to 1, or beyond."""
     eta: float
     epsilon: float
@@ -91,10 +90,10 @@ def bent_problem(seed: int, number: int) -> BentProblem:
     )
 
 
-Parts = tuple[Callable[[Values], Values], Callable[[Values], Values]]
+Parts = tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]
 
 
-def _straight(random: Random, state: Values, actions: int) -> Callable[[Values], Values]:
+def _straight(random: Random, state: FloatArray, actions: int) -> Callable[[FloatArray], FloatArray]:
     """Each action moves the point by up to 0.3 its own way."""
     ways = random.normal(size=(actions, _PLANE))
     ways *= 0.3 / np.linalg.norm(ways, axis=1)[:, None]
@@ -102,13 +101,13 @@ def _straight(random: Random, state: Values, actions: int) -> Callable[[Values],
     return lambda a: np.asarray(state + drift + a @ ways)
 
 
-def _kinks(random: Random, state: Values, actions: int) -> Parts:
+def _kinks(random: Random, state: FloatArray, actions: int) -> Parts:
     """h is the least of several planes: bent outwards, so that what is safe has no holes."""
     slopes, room = random.normal(size=(4, _PLANE)), random.exponential(0.3, 4)
     return _straight(random, state, actions), lambda x: ((x - state) @ slopes.T + room).min(axis=1)[:, None]
 
 
-def _discs(random: Random, state: Values, actions: int) -> Parts:
+def _discs(random: Random, state: FloatArray, actions: int) -> Parts:
     """Discs in the plane: often one can pass on either side."""
     count = int(random.integers(1, 5))
     bearing, radius = random.uniform(-np.pi, np.pi, count), random.uniform(0.05, 0.3, count)
@@ -120,32 +119,32 @@ def _discs(random: Random, state: Values, actions: int) -> Parts:
     )
 
 
-def _saturated(random: Random, state: Values, actions: int) -> Parts:
+def _saturated(random: Random, state: FloatArray, actions: int) -> Parts:
     """Only the middle third of the actions' range moves anything."""
     moved, h = _kinks(random, state, actions)
     return lambda a: moved(np.clip(3.0 * a, -1.0, 1.0)), h
 
 
-def _dead(random: Random, state: Values, actions: int) -> Parts:
+def _dead(random: Random, state: FloatArray, actions: int) -> Parts:
     """Small actions move nothing."""
     moved, h = _kinks(random, state, actions)
     band = float(random.uniform(0.1, 0.6))
     return lambda a: moved(np.where(np.abs(a) < band, 0.0, a)), h
 
 
-def _steps(random: Random, state: Values, actions: int) -> Parts:
+def _steps(random: Random, state: FloatArray, actions: int) -> Parts:
     """h comes in steps of 0.05: its slope is 0 or endless."""
     moved, h = _kinks(random, state, actions)
     return moved, lambda x: np.floor(20.0 * h(x)) / 20.0
 
 
-def _cliff(random: Random, state: Values, actions: int) -> Parts:
+def _cliff(random: Random, state: FloatArray, actions: int) -> Parts:
     """h falls by 1 at once where something begins."""
     moved, h = _kinks(random, state, actions)
     return moved, lambda x: np.where(h(x) > 0.05, h(x), h(x) - 1.0)
 
 
-def _curved(random: Random, state: Values, actions: int) -> Parts:
+def _curved(random: Random, state: FloatArray, actions: int) -> Parts:
     """h bends either way, strongly."""
     bend, slope = random.normal(0.0, 3.0, (3, _PLANE)), random.normal(size=(3, _PLANE))
     room = random.exponential(0.2, 3)
@@ -155,30 +154,30 @@ def _curved(random: Random, state: Values, actions: int) -> Parts:
     )
 
 
-def _flat(random: Random, state: Values, actions: int) -> Parts:
+def _flat(random: Random, state: FloatArray, actions: int) -> Parts:
     """h saturates like a hyperbolic tangent: far away nothing seems to change it."""
     moved, h = _kinks(random, state, actions)
     sharp = 10.0 ** random.uniform(0.0, 2.0)
     return moved, lambda x: np.tanh(sharp * h(x))
 
 
-def _holes(random: Random, state: Values, actions: int) -> Parts:
+def _holes(random: Random, state: FloatArray, actions: int) -> Parts:
     """Beyond 0.8 of the range of the first action the model has no answer."""
     moved, h = _kinks(random, state, actions)
 
-    def holed(a: Values) -> Values:
+    def holed(a: FloatArray) -> FloatArray:
         return np.where(np.abs(a[:, :1]) > 0.8, np.nan, moved(a))
 
     return holed, h
 
 
-def _turning(random: Random, state: Values, actions: int) -> Parts:
+def _turning(random: Random, state: FloatArray, actions: int) -> Parts:
     """Speed and steering angle: the second action turns where the first one leads."""
     del actions
     _, h = _discs(random, state, 2)
     heading = float(random.uniform(-np.pi, np.pi))
 
-    def moved(a: Values) -> Values:
+    def moved(a: FloatArray) -> FloatArray:
         bearing = heading + 2.0 * a[:, 1]
         way = 0.15 * (a[:, 0] + 0.6)
         return np.asarray(state + way[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1))
@@ -186,7 +185,7 @@ def _turning(random: Random, state: Values, actions: int) -> Parts:
     return moved, h
 
 
-BENT_SHAPES: Final[dict[str, Callable[[Random, Values, int], Parts]]] = {
+BENT_SHAPES: Final[dict[str, Callable[[Random, FloatArray, int], Parts]]] = {
     "kinks": _kinks,
     "discs": _discs,
     "saturated": _saturated,

@@ -10,9 +10,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.robots.car.barriers import car_barriers
+from safedpa.robots.car.barriers.obstacles import car_barriers
 from safedpa.safety import FilterSettings, SafetyFilter
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.defaults import settings_named
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge, CarQuestion
 

@@ -7,14 +7,13 @@ from functools import cached_property
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.safety import FilterSettings
 
 __all__ = ["FIELD", "FOOTPRINT", "CarJudge", "CarQuestion"]
 
-Values = NDArray[np.float64]
 
 FOOTPRINT: Final = (0.08, 0.40, 0.12)
 """m; the segment's rear and front end and its radius."""
@@ -28,9 +27,9 @@ _GRID: Final = (27, 35)
 class CarQuestion:
     """State (4,), wish (2,) and obstacles (m, 3)."""
 
-    state: Values
-    wish: Values
-    obstacles: Values
+    state: FloatArray
+    wish: FloatArray
+    obstacles: FloatArray
 
 
 @final
@@ -51,27 +50,27 @@ class CarJudge:
         self._least = np.maximum(np.abs(self.now), margin)
 
     @cached_property
-    def h(self) -> Values:
+    def h(self) -> FloatArray:
         """(grid, rows) predicted h."""
         return self.heights(self.grid)
 
     @cached_property
-    def scale(self) -> Values:
+    def scale(self) -> FloatArray:
         """(rows,) of h now, of its margin, and of what the actions can change in it, the largest."""
         return np.asarray(np.maximum(self._least, self.h.max(axis=0) - self.h.min(axis=0)))
 
-    def heights(self, actions: Values) -> Values:
+    def heights(self, actions: FloatArray) -> FloatArray:
         """(n, rows) predicted h for actions (n, 2)."""
         states = np.repeat(self._question.state[None], len(actions), axis=0)
         return self._h(np.asarray(self._model.step(states, actions, self._model.latent)))
 
-    def distance(self, actions: Values) -> Values:
+    def distance(self, actions: FloatArray) -> FloatArray:
         """(n,) sqrt(sum weight_j ((a_j - wish_j) / range_j)^2)."""
         weights = np.array(self._settings.weights or (1.0, 1.0))
         share = (actions - self._question.wish) / (self.high - self.low)
         return np.asarray(np.sqrt((weights * share**2).sum(axis=1)))
 
-    def _h(self, states: Values) -> Values:
+    def _h(self, states: FloatArray) -> FloatArray:
         """h (n, rows): obstacles, walls at the front and at the rear end, and the two limits of speed."""
         x, y, yaw, v = (states[:, column, None] for column in range(4))
         c, s = np.cos(yaw), np.sin(yaw)
@@ -89,7 +88,7 @@ class CarJudge:
         parts += [v - self._settings.barrier("speed_low"), self._settings.barrier("speed_high") - v]
         return np.concatenate(parts, axis=1)
 
-    def _ends(self, v: Values) -> tuple[Values, Values]:
+    def _ends(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the swept segment ends, before and behind: D(v) as the page on safety has it."""
         b, k = self._settings.barrier("braking_deceleration"), self._settings.barrier("braking_gain")
         size = np.abs(v)

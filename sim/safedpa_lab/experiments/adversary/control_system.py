@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barriers.base import AbstractBarrier
 
 __all__ = ["PERIOD", "ControlSystem"]
 
-Values = NDArray[np.float64]
 
 PERIOD = 0.05
 """s."""
@@ -26,21 +25,21 @@ class ControlSystem:
     """x+ = f(x) + g(x) a in periods of 50 ms, and h (m,) >= 0 of states (n, states)."""
 
     name: str
-    f: Callable[[Values], Values]
+    f: Callable[[FloatArray], FloatArray]
     """(states,) of a state (states,)."""
-    g: Callable[[Values], Values]
+    g: Callable[[FloatArray], FloatArray]
     """(states, actions)."""
-    h: Callable[[Values], Values]
+    h: Callable[[FloatArray], FloatArray]
     """(n, m) of states (n, states): what must not fall below 0 in truth."""
-    start: Callable[[np.random.Generator], Values]
+    start: Callable[[np.random.Generator], FloatArray]
     low: tuple[float, ...]
     high: tuple[float, ...]
-    backup: Callable[[Values], Any]
+    backup: Callable[[FloatArray], Any]
     """(actions,) what is done without a decision, at a state."""
     margin: float
     """Of h, in the half of the episodes that have one."""
     eta: float = 0.2
-    judged: Callable[[Values], Values] | None = None
+    judged: Callable[[FloatArray], FloatArray] | None = None
     """(n, m) of states (n, states): what the filter is given to keep instead of h itself."""
     barriers: Callable[[], list[AbstractBarrier]] | None = None
     """The filter's barriers where they are none of functions; slower to judge."""
@@ -48,7 +47,7 @@ class ControlSystem:
     """Whether the barrier promises that h stays positive: not where an action moves h only after several periods."""
     count: int = 1
     """m."""
-    swept: Callable[[Values, Values], float] | None = None
+    swept: Callable[[FloatArray, FloatArray], float] | None = None
     """Least h in truth on the way from a state to the next one; without it the states at the ticks count."""
 
     def filter(self, margin: float) -> SafetyFilter:
@@ -70,23 +69,23 @@ class ControlSystem:
         names, h = tuple(f"h {index}" for index in range(self.count)), self.judged or self.h
         return [FunctionBarrier(lambda x: h(x[None])[0], names=names)]
 
-    def least_on_the_way(self, state: Values, reached: Values) -> float:
+    def least_on_the_way(self, state: FloatArray, reached: FloatArray) -> float:
         """Least h in truth from one tick to the next."""
         least = float(self.h(reached[None]).min())
         return least if self.swept is None else min(least, self.swept(state, reached))
 
-    def heights(self, states: Values, since: Values | None = None) -> Values:
+    def heights(self, states: FloatArray, since: FloatArray | None = None) -> FloatArray:
         """(n, m) what the filter is to keep, at states (n, states), which one tick leads to from ``since``."""
         if self.barriers is None:
             return (self.judged or self.h)(states)
         parts = [part if since is None else part.since(since) for part in self.barriers()]
         return np.stack([np.concatenate([part.values(state) for part in parts]) for state in states])
 
-    def after(self, state: Values, actions: Values) -> Values:
+    def after(self, state: FloatArray, actions: FloatArray) -> FloatArray:
         """x+ (n, states) under actions (n, actions)."""
         return np.asarray(self.f(state) + actions @ self.g(state).T)
 
-    def _backup(self, state: Values | None) -> Any:
+    def _backup(self, state: FloatArray | None) -> Any:
         if state is None:
             return np.array([0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True)])
         return np.clip(self.backup(state), self.low, self.high)

@@ -12,8 +12,8 @@ import numpy as np
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import load_model
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.hostile import (
     HostileNode,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.control_system import PERIOD, ControlSystem
 
 __all__ = ["adaptive_cruise", "double_integrator", "late_drive", "pendulum", "room_before_the_wall"]
 
-Values = NDArray[np.float64]
 
 _HALF_SQUARE = 0.5 * PERIOD**2
 _LATE = 3
@@ -34,11 +33,11 @@ def double_integrator() -> ControlSystem:
 def pendulum() -> ControlSystem:
     """An inverted pendulum of 1 m kept within 0.5 rad: (angle [rad], rate [rad/s]), torque by inertia of 12 rad/s2."""
 
-    def f(x: Values) -> Values:
+    def f(x: FloatArray) -> FloatArray:
         pull = 9.81 * np.sin(x[0])
         return np.array([x[0] + PERIOD * x[1] + _HALF_SQUARE * pull, x[1] + PERIOD * pull])
 
-    def h(x: Values) -> Values:
+    def h(x: FloatArray) -> FloatArray:
         sides = [_room_to_stop(0.5 - sign * x[:, 0], sign * x[:, 1], 6.0) for sign in (1.0, -1.0)]
         return np.stack(sides, axis=1)
 
@@ -59,7 +58,7 @@ def pendulum() -> ControlSystem:
 def adaptive_cruise() -> ControlSystem:
     """Behind a slower car: (gap [m], own speed, its speed [m/s]), acceleration of -6 to 3 m/s2."""
 
-    def f(x: Values) -> Values:
+    def f(x: FloatArray) -> FloatArray:
         return np.array([x[0] + PERIOD * (x[2] - x[1]), x[1], x[2]])
 
     return ControlSystem(
@@ -83,11 +82,11 @@ def late_drive(*, looking_ahead: bool) -> ControlSystem:
     ``looking_ahead``: h is judged at the state in which a new action begins to act; else here and now.
     """
 
-    def f(x: Values) -> Values:
+    def f(x: FloatArray) -> FloatArray:
         moved = [x[0] + PERIOD * x[1] + _HALF_SQUARE * x[2], x[1] + PERIOD * x[2]]
         return np.array([*moved, *x[3 : 2 + _LATE], 0.0])
 
-    def ahead(x: Values) -> Values:
+    def ahead(x: FloatArray) -> FloatArray:
         place, speed = x[:, 0], x[:, 1]
         for pending in x[:, 2:].T:
             place, speed = place + PERIOD * speed + _HALF_SQUARE * pending, speed + PERIOD * pending
@@ -108,12 +107,12 @@ def late_drive(*, looking_ahead: bool) -> ControlSystem:
     )
 
 
-def room_before_the_wall(x: Values) -> Values:
+def room_before_the_wall(x: FloatArray) -> FloatArray:
     """(n, 1) of states (n, 2 or more): position and speed come first, the wall is at 1 m."""
     return _room_to_stop(1.0 - x[:, 0], x[:, 1], 0.8)[:, None]
 
 
-def _room_to_stop(room: Values, speed: Values, braking: float) -> Values:
+def _room_to_stop(room: FloatArray, speed: FloatArray, braking: float) -> FloatArray:
     """Room less the stopping distance v^2 / (2 b) and a tenth of a second of driving on."""
     fast = np.maximum(speed, 0.0)
     return np.asarray(room - fast**2 / (2.0 * braking) - 0.1 * fast)

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
 
 __all__ = ["LinearJudge", "Nearest"]
 
-Values = NDArray[np.float64]
 
 _ROUNDED = 16.0 * float(np.finfo(np.float64).eps)
 """Share of the terms |P| |x| + |q| that their sum may have lost."""
@@ -41,7 +40,7 @@ _WAYS: tuple[tuple[str, dict[str, object]], ...] = (
 class Nearest:
     """The reference's nearest action that keeps all conditions, and its distance from the wish in weighted ranges."""
 
-    action: Values
+    action: FloatArray
     distance: float
 
 
@@ -69,41 +68,41 @@ class LinearJudge:
         self._moved = np.abs(self._slope).sum(axis=1) > _UNMOVED
         self._limit = (required - offset) / self.scale
 
-    def heights(self, action: Values) -> Values:
+    def heights(self, action: FloatArray) -> FloatArray:
         """(rows,) predicted h in scales."""
         return np.asarray(self.problem.heights(self.problem.after(action)) / self.scale)
 
-    def movable(self, action: Values) -> Values:
+    def movable(self, action: FloatArray) -> FloatArray:
         """(movable rows,) predicted h in scales; all rows where the actions move none."""
         heights = self.heights(action)
         return heights[self._moved] if self._moved.any() else heights
 
-    def keeps_movable(self, action: Values, tolerance: float) -> bool:
+    def keeps_movable(self, action: FloatArray, tolerance: float) -> bool:
         """Whether all conditions that actions can do something about are kept."""
         return bool(((self.residuals(action) + self.rounding)[self._moved] >= -tolerance).all())
 
-    def lowest(self, action: Values) -> float:
+    def lowest(self, action: FloatArray) -> float:
         """Least predicted h in scales, with what rounding may have taken from it given back."""
         return float((self.heights(action) + self.rounding).min())
 
-    def broken(self, action: Values) -> float:
+    def broken(self, action: FloatArray) -> float:
         """By how much the worst condition is broken, in its scale, beyond rounding; 0 where all are kept."""
         return max(0.0, -float((self.residuals(action) + self.rounding).min()))
 
-    def residuals(self, action: Values) -> Values:
+    def residuals(self, action: FloatArray) -> FloatArray:
         """(rows,) by how much each condition is kept, in scales; negative: broken."""
         return np.asarray((self.problem.heights(self.problem.after(action)) - self.required) / self.scale)
 
-    def distance(self, action: Values) -> float:
+    def distance(self, action: FloatArray) -> float:
         """sqrt(sum weight_j ((a_j - wish_j) / range_j)^2), the largest weight being 1."""
         weights = self.problem.weights / self.problem.weights.max()
         return float(np.sqrt(np.sum(weights * ((action - self.problem.wish) / self.width) ** 2)))
 
-    def best_least_height(self) -> tuple[float, Values]:
+    def best_least_height(self) -> tuple[float, FloatArray]:
         """The largest attainable least scaled h of the rows that actions move, and an action that attains it."""
         return self._most(self._slope, self._offset, self.movable)
 
-    def best_least_residual(self) -> tuple[float, Values]:
+    def best_least_residual(self) -> tuple[float, FloatArray]:
         """The largest attainable least scaled residual, and an action that attains it: below 0 nothing keeps all."""
         return self._most(self._slope, -self._limit, self.residuals)
 
@@ -131,7 +130,7 @@ class LinearJudge:
             return None
         return Nearest(action, self.distance(action))
 
-    def _most(self, slope: Values, offset: Values, judged: object) -> tuple[float, Values]:
+    def _most(self, slope: FloatArray, offset: FloatArray, judged: object) -> tuple[float, FloatArray]:
         """Max over u, t of t subject to slope u + offset >= t, 0 <= u <= 1; judged anew at the action found."""
         from scipy.optimize import linprog
 
@@ -152,7 +151,7 @@ class LinearJudge:
         return float(judged(action).min()), action
 
 
-def _least_distance(G: Values, b: Values) -> Values | None:
+def _least_distance(G: FloatArray, b: FloatArray) -> FloatArray | None:
     from scipy.optimize import nnls
 
     if (b <= 0.0).all():

@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Verdict
 
 __all__ = ["LinearProblem"]
-
-Values = NDArray[np.float64]
 
 
 @final
@@ -25,27 +23,27 @@ class LinearProblem:
 
     shape: str
     """How it was drawn."""
-    state: Values
-    f: Values
-    g: Values
-    P: Values
-    q: Values
-    low: Values
-    high: Values
-    wish: Values
-    weights: Values
+    state: FloatArray
+    f: FloatArray
+    g: FloatArray
+    P: FloatArray
+    q: FloatArray
+    low: FloatArray
+    high: FloatArray
+    wish: FloatArray
+    weights: FloatArray
     eta: float
-    epsilon: Values
+    epsilon: FloatArray
     gradient: bool
     """Whether the filter is told the gradient of h."""
-    witness: Values | None = None
+    witness: FloatArray | None = None
     """(actions,) an action that keeps all conditions by construction."""
 
-    def heights(self, state: Values) -> Values:
+    def heights(self, state: FloatArray) -> FloatArray:
         """h (rows,) at a state (states,)."""
         return np.array([float(p @ state) + q for p, q in zip(self.P, self.q.tolist(), strict=True)])
 
-    def after(self, action: Values) -> Values:
+    def after(self, action: FloatArray) -> FloatArray:
         """x+ (states,) under an action (actions,)."""
         return np.asarray(self.f + self.g @ action)
 
@@ -72,7 +70,7 @@ class LinearProblem:
         """What the library's filter says."""
         return self.filter().decide(self.state, wish=self.wish)
 
-    def scaled(self, heights: Values, states: Values, actions: Values) -> LinearProblem:
+    def scaled(self, heights: FloatArray, states: FloatArray, actions: FloatArray) -> LinearProblem:
         """The same problem in other units: h_i times heights_i, x_j times states_j, a_k times actions_k."""
         return replace(
             self,

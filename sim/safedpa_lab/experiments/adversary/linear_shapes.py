@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
 
 __all__ = ["SHAPES", "random_problem", "shape_of"]
 
-Values = NDArray[np.float64]
 Random = np.random.Generator
 
 _MOST_ROWS: Final = 12
@@ -38,7 +37,7 @@ def shape_of(number: int) -> str:
     return tuple(SHAPES)[number % len(SHAPES)]
 
 
-def _units(random: Random, count: int, most: float) -> Values:
+def _units(random: Random, count: int, most: float) -> FloatArray:
     """(count,) factors, evenly distributed in their logarithm between 10^-most and 10^most."""
     return np.asarray(10.0 ** random.uniform(-most, most, count))
 

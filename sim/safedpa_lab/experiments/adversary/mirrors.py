@@ -10,6 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.safety import SafetyFilter, Verdict
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
@@ -18,9 +19,8 @@ from safedpa_lab.experiments.adversary.linear_shapes import random_problem
 
 __all__ = ["MIRRORS", "Mirrors", "Reflected"]
 
-Values = NDArray[np.float64]
 Random = np.random.Generator
-Back = Callable[[Values], Values]
+Back = Callable[[FloatArray], FloatArray]
 Mirrored = tuple[LinearProblem, Back]
 """The same question in another form, and how its actions are read in the first one."""
 
@@ -48,7 +48,7 @@ class Reflected:
     same: bool
 
 
-def _as_it_was(action: Values) -> Values:
+def _as_it_was(action: FloatArray) -> FloatArray:
     return action
 
 
@@ -182,7 +182,7 @@ class _Worn:
 
     def __init__(self) -> None:
         self._filters: dict[int, SafetyFilter] = {}
-        self._motion: tuple[Values, Values] | None = None
+        self._motion: tuple[FloatArray, FloatArray] | None = None
 
     def decide(self, problem: LinearProblem) -> Verdict:
         """The answer to a problem in the unit box with the weights and eta of all of them."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.control_system import PERIOD, ControlSystem
 
 __all__ = ["chased", "corridor", "disc_of_degree_two", "quadrotor", "unicycle"]
 
-Values = NDArray[np.float64]
 
 _AHEAD = 0.1
 """m; the point of the unicycle whose distance is kept."""
@@ -20,11 +19,11 @@ def unicycle() -> ControlSystem:
     """(x, y [m], heading [rad]), speed of -0.5 to 1 m/s and 2 rad/s: four discs, from a point ahead of the wheels."""
     discs = np.array([[1.0, 0.0, 0.3], [0.0, 1.2, 0.4], [-1.1, -0.3, 0.3], [0.3, -1.2, 0.4]])
 
-    def h(x: Values) -> Values:
+    def h(x: FloatArray) -> FloatArray:
         nose = x[:, :2] + _AHEAD * np.stack([np.cos(x[:, 2]), np.sin(x[:, 2])], axis=1)
         return np.asarray(_distances(nose, discs[:, :2]) - discs[:, 2])
 
-    def g(x: Values) -> Values:
+    def g(x: FloatArray) -> FloatArray:
         return PERIOD * np.array([[np.cos(x[2]), 0.0], [np.sin(x[2]), 0.0], [0.0, 1.0]])
 
     return ControlSystem(
@@ -44,16 +43,16 @@ def unicycle() -> ControlSystem:
 def quadrotor() -> ControlSystem:
     """(x, z, tilt, vx, vz, rate), thrust of 0 to 2 g and 30 rad/s2: a floor, a ceiling, and tilt within 0.5 rad."""
 
-    def f(x: Values) -> Values:
+    def f(x: FloatArray) -> FloatArray:
         return np.array([*(x[:3] + PERIOD * x[3:]), x[3], x[4] - PERIOD * 9.81, x[5]])
 
-    def g(x: Values) -> Values:
+    def g(x: FloatArray) -> FloatArray:
         columns = np.zeros((6, 2))
         columns[3, 0], columns[4, 0], columns[5, 1] = -PERIOD * np.sin(x[2]), PERIOD * np.cos(x[2]), PERIOD
         columns[:3] = 0.5 * PERIOD * columns[3:]
         return columns
 
-    def h(x: Values) -> Values:
+    def h(x: FloatArray) -> FloatArray:
         z, tilt, vz, rate = x[:, 1], x[:, 2], x[:, 4], x[:, 5]
         rows = [
             _stop(z, -vz, 5.0),
@@ -80,7 +79,7 @@ def quadrotor() -> ControlSystem:
 def chased() -> ControlSystem:
     """(own x, y, its x, y [m]): a disc of 0.3 m follows at 0.6 m/s, one's own speed is up to 1 m/s on each axis."""
 
-    def f(x: Values) -> Values:
+    def f(x: FloatArray) -> FloatArray:
         apart = x[:2] - x[2:]
         return np.array([*x[:2], *(x[2:] + 0.6 * PERIOD * apart / max(float(np.hypot(*apart)), 1e-9))])
 
@@ -129,15 +128,15 @@ def disc_of_degree_two() -> ControlSystem:
     )
 
 
-def _distances(points: Values, centres: Values) -> Values:
+def _distances(points: FloatArray, centres: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(points[:, :1] - centres[:, 0], points[:, 1:2] - centres[:, 1]))
 
 
-def _stop(room: Values, speed: Values, braking: float) -> Values:
+def _stop(room: FloatArray, speed: FloatArray, braking: float) -> FloatArray:
     fast = np.maximum(speed, 0.0)
     return np.asarray(room - fast**2 / (2.0 * braking) - 0.1 * fast)
 
 
-def _around(random: np.random.Generator) -> Values:
+def _around(random: np.random.Generator) -> FloatArray:
     bearing = random.uniform(-np.pi, np.pi)
     return np.array([np.cos(bearing), np.sin(bearing)])

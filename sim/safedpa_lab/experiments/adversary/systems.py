@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa.safety import Verdict
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.control_system import ControlSystem
@@ -26,7 +26,6 @@ from safedpa_lab.experiments.adversary.wishes import WISHES
 
 __all__ = ["SYSTEMS", "Systems", "Tally"]
 
-Values = NDArray[np.float64]
 
 SYSTEMS: Final[tuple[Callable[[], ControlSystem], ...]] = (
     double_integrator,
@@ -131,7 +130,13 @@ def _episode(system: ControlSystem, random: np.random.Generator, number: int, st
 
 
 def _judge(
-    system: ControlSystem, margin: float, grid: Values, state: Values, wish: Values, verdict: Verdict, tally: Tally
+    system: ControlSystem,
+    margin: float,
+    grid: FloatArray,
+    state: FloatArray,
+    wish: FloatArray,
+    verdict: Verdict,
+    tally: Tally,
 ) -> None:
     """Holds one answer against the grid, by the barriers that the filter was given."""
     action = verdict.action
@@ -155,25 +160,25 @@ def _judge(
         tally.needless += int(bool((own / scale < -_BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
 
 
-def _kept(own: Values, required: Values, scale: Values, tally: Tally) -> None:
+def _kept(own: FloatArray, required: FloatArray, scale: FloatArray, tally: Tally) -> None:
     tally.kept += 1
     tally.broken = max(tally.broken, -float(((own - required) / np.maximum(scale, 1e-12)).min()))
     tally.below += int(own.min() < -1e-15)
 
 
-def _far(system: ControlSystem, actions: Values, wish: Values) -> Values:
+def _far(system: ControlSystem, actions: FloatArray, wish: FloatArray) -> FloatArray:
     width = np.array(system.high) - np.array(system.low)
     return np.asarray(np.sqrt((((actions - wish) / width) ** 2).sum(axis=1)))
 
 
-def _grid(system: ControlSystem) -> Values:
+def _grid(system: ControlSystem) -> FloatArray:
     fine = system.barriers is None
     count = (401 if fine else 41) if len(system.low) == 1 else (31 if fine else 9)
     sides = [np.linspace(low, high, count) for low, high in zip(system.low, system.high, strict=True)]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
 
 
-def _safe_start(system: ControlSystem, random: np.random.Generator) -> Values:
+def _safe_start(system: ControlSystem, random: np.random.Generator) -> FloatArray:
     while True:
         state = system.start(random)
         if min(system.heights(state[None]).min(), system.h(state[None]).min()) > 0.05:

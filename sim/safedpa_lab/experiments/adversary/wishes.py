@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.control_system import ControlSystem
 
 __all__ = ["WISHES"]
 
-Values = NDArray[np.float64]
-Wisher = Callable[[Values], Values]
+Wisher = Callable[[FloatArray], FloatArray]
 
 _HELD: Final = 8
 """Periods for which an adversary holds its wish in its mind."""
@@ -25,14 +24,14 @@ def _towards(system: ControlSystem, random: np.random.Generator) -> Wisher:
     """The corner of the box that brings the least h down furthest if it is held for a while."""
     corners = _corners(system)
 
-    def lowest(state: Values, corner: Values) -> float:
+    def lowest(state: FloatArray, corner: FloatArray) -> float:
         least, at = float("inf"), state
         for _ in range(_HELD):
             reached = system.after(at, corner[None])[0]
             least, at = min(least, system.least_on_the_way(at, reached)), reached
         return least
 
-    def wish(state: Values) -> Values:
+    def wish(state: FloatArray) -> FloatArray:
         then = np.array([lowest(state, corner) for corner in corners])
         return np.asarray(corners[int(np.argmin(then + 1e-12 * random.uniform(size=len(then))))])
 
@@ -45,7 +44,7 @@ def _anything(system: ControlSystem, random: np.random.Generator) -> Wisher:
 
 
 def _bang_bang(system: ControlSystem, random: np.random.Generator) -> Wisher:
-    def legs() -> Iterator[Values]:
+    def legs() -> Iterator[FloatArray]:
         corners = _corners(system)
         while True:
             yield from [corners[int(random.integers(len(corners)))]] * _LEG
@@ -58,7 +57,7 @@ def _broken(system: ControlSystem, random: np.random.Generator) -> Wisher:
     """Towards the obstacle, and NaN or infinity in every tenth period."""
     towards = _towards(system, random)
 
-    def wish(state: Values) -> Values:
+    def wish(state: FloatArray) -> FloatArray:
         wanted = towards(state).copy()
         if random.uniform() < 0.1:
             wanted[int(random.integers(len(wanted)))] = random.choice([np.nan, np.inf, -np.inf])
@@ -67,7 +66,7 @@ def _broken(system: ControlSystem, random: np.random.Generator) -> Wisher:
     return wish
 
 
-def _corners(system: ControlSystem) -> Values:
+def _corners(system: ControlSystem) -> FloatArray:
     sides = [np.array(side) for side in zip(system.low, system.high, strict=True)]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
 

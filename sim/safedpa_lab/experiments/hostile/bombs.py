@@ -92,14 +92,14 @@ def _archive(path: Path) -> object:
 
 
 def _message(path: Path) -> object:
-    from safedpa.bus.wire.codec import decode
-    from safedpa.bus.wire.messages import ModelMessage
+    from safedpa.bus.messages.codec import decode
+    from safedpa.bus.messages.messages import ModelMessage
 
     return decode(ModelMessage, path.read_bytes())
 
 
 def _margin(path: Path) -> object:
-    from safedpa.safety.margin_text import margin_from_text
+    from safedpa.safety.margins.calibration import margin_from_text
 
     return margin_from_text(path.read_text(encoding="utf-8"))
 

@@ -8,11 +8,11 @@ from typing import final
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport, ServiceLoop
-from safedpa.bus.wire.topics import TOPICS, key_of
+from safedpa.bus.messages.topics import TOPICS, key_of
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.runtime.node import SafetyFilterNode
+from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.hostile.mutations import mutated
 from safedpa_lab.experiments.hostile.targets import messages
 from safedpa_sim.robots import CarRobot, Scene

@@ -18,7 +18,7 @@ import msgpack
 
 from safedpa.errors import SafedpaError
 from safedpa.records import load_run
-from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.readers.mcap import read_payloads
 from safedpa.robots.car.system import CAR
 from safedpa_lab.experiments.hostile.targets import Target
 
@@ -143,10 +143,10 @@ def driven_again(path: Path) -> object:
     from safedpa.replay.report import what_if_document
     from safedpa.replay.setups import complete_setups
     from safedpa.replay.tape import read_tape
-    from safedpa.replay.what_if import Change, summary_of, what_if
+    from safedpa.replay.what_if import WhatIfChange, summary_of, what_if
     from safedpa_sim.recorded_drive import drive_again
 
-    tape, change = read_tape([path]), Change(filtered=True)
+    tape, change = read_tape([path]), WhatIfChange(filtered=True)
     complete_setups(tape)
     decisions = what_if(tape, change)
     driven = drive_again(tape, change)

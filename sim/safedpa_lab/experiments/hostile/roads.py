@@ -210,7 +210,7 @@ def prepare() -> None:
     """Imports what the commands import, so that a fork measures what a file costs."""
     for name in (
         "numpy", "pyarrow.parquet", "pyarrow.csv", "zstandard", "lz4.frame", "mcap.reader", "rosbags.typesys",
-        "pyulog.core", "safetensors", "safedpa.records.mcap_run", "safedpa.diagnosis", "safedpa.policy.node",
+        "pyulog.core", "safetensors", "safedpa.records.readers.mcap", "safedpa.diagnosis", "safedpa.policy.node",
         "safedpa_services.command_line.up", "safedpa_services.workbench.file_preview",
         "safedpa_services.workbench.session", "safedpa.ros.definitions",
     ):  # fmt: skip
@@ -246,12 +246,12 @@ def _walked(road: Road, bomb: Bomb, file: Path, good: Path, folder: Path) -> int
 
 def _opened(words: Sequence[str]) -> int:
     """What the Open button does."""
-    from safedpa_services.workbench.recordings import Choice, loaded
+    from safedpa_services.workbench.recordings import InputSelection, load_inputs
 
     model, run, columns = words
     bag = Path(run).suffix in _BAGS or Path(run).is_dir()
     try:
-        loaded(Choice(model, (run,), columns or (_COLUMNS[1] if bag else None)))
+        load_inputs(InputSelection(model, (run,), columns or (_COLUMNS[1] if bag else None)))
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -262,14 +262,14 @@ def _uploaded(file: Path) -> int:
     """What the page does with an upload: looks whether it is a recording, reads its first rows, then checks it."""
     from safedpa.dynamics import load_model
     from safedpa.records import load_column_map
-    from safedpa_services.web.shelf import Shelf
-    from safedpa_services.workbench.file_preview import checked, raw_rows
+    from safedpa_services.web.shelf import FileStore
+    from safedpa_services.workbench.file_preview import check_recording, raw_rows
 
     try:
-        (path,) = Shelf([file.parent]).recordings([str(file)])
+        (path,) = FileStore([file.parent]).recordings([str(file)])
         raw_rows(path)
         columns = load_column_map("f1tenth_bag") if file.suffix in _BAGS else None
-        problem = checked(path, load_model("car").system, columns).problem
+        problem = check_recording(path, load_model("car").system, columns).problem
     except InputError as error:
         problem = str(error)
     if problem:

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 
 from safedpa.bus import HealthMessage, ModelMessage, StateMessage
-from safedpa.bus.transport.bundle import packed, unbundled
-from safedpa.bus.wire.codec import decode, encode
-from safedpa.bus.wire.requests import Answer, Request
-from safedpa.bus.wire.topics import topic_of
+from safedpa.bus.messages.codec import decode, encode
+from safedpa.bus.messages.requests import Answer, Request
+from safedpa.bus.messages.topics import topic_of
+from safedpa.bus.transport.batching import pack_bundle, unpack_bundle
 from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.dynamics.model_offer import offered_model
 from safedpa.networks import load_weights
 from safedpa.records import load_column_map, load_run
-from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
+from safedpa.records.column_map.file import parse_column_map, shipped_column_maps
 from safedpa.robots.car.system import CAR
-from safedpa.safety.margin_text import margin_from_text, margin_text
+from safedpa.safety.defaults import margin_for
+from safedpa.safety.margins.calibration import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings
-from safedpa.safety.shipped import margin_for
 
 __all__ = ["Target", "messages", "state_at", "targets"]
 
@@ -89,7 +89,7 @@ def _codecs() -> Iterator[Target]:
         others = tuple(other for _, other in kinds)
         yield Target(f"message {kind.__name__}", (payload, *others), partial(_decoded, kind), 0.05)
     state = encode(state_at(1))
-    yield Target("bundle", (packed([("r1", state), ("r2", state)]),), unbundled, 0.05)
+    yield Target("bundle", (pack_bundle([("r1", state), ("r2", state)]),), unpack_bundle, 0.05)
     keys = (b"safedpa/fleet/r1/state", b"safedpa/fleet/-/health/policy", b"safedpa/fleet/+/action")
     yield Target("key", keys, lambda data: topic_of(data.decode("utf-8", "replace")), 0.05)
 

@@ -1,0 +1,114 @@
+"""What one service writes to its log: whom it meets, what it refuses, and how its own outputs change.
+
+Only changes are written, never ticks: a filter that falls back for a minute is one line when it begins and one when it
+ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from safedpa.bus.logging import log_event
+from safedpa.bus.messages.messages import FindingMessage, Message, ModelMessage, TakeoverMessage, VerdictMessage
+from safedpa.bus.service.node import Outputs
+
+__all__ = ["ServiceLog"]
+
+_STEPS = {"offer": "model.offered", "take": "model.decided", "drop": "model.dropped"}
+_ANSWERS = {"ready": "model.ready", "taken": "model.taken", "refused": "model.refused"}
+_MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
+_TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
+
+
+_TOLD = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
+
+
+@dataclass
+class _Status:
+    name: str
+    since: int
+    """Tick at which it came about."""
+
+
+class ServiceLog:
+    """Events of the service ``service``, written by ``log``, which is called like ``log_event``."""
+
+    def __init__(self, service: str, log: Callable[..., None] = log_event) -> None:
+        self._service, self._log = service, log
+        self._statuses: dict[str, _Status] = {}
+        self._stages: dict[str, str] = {}
+
+    @classmethod
+    def silent(cls) -> ServiceLog:
+        """One that writes nothing: for experiments in one process."""
+        return cls("", lambda *_arguments, **_more: None)
+
+    def met(self, robot: str, tick: int, *, again: bool) -> None:
+        """A robot is heard for the first time, or ``again`` with a new epoch."""
+        kind = "robot.began_anew" if again else "robot.met"
+        sentence = f"'{robot}' was started again" if again else f"'{robot}' is heard for the first time"
+        self._event(kind, sentence, robot, tick)
+        self._drop(robot)
+
+    def forgot(self, robot: str) -> None:
+        """A robot left."""
+        self._event("robot.forgotten", f"'{robot}' was silent for long and is forgotten", robot)
+        self._drop(robot)
+
+    def refused(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
+        """Something was not taken; ``second``: it came from a second robot under a name in use."""
+        kind = "robot.second_refused" if second else "message.refused"
+        self._event(kind, reason, robot, tick, level="warning")
+
+    def failed(self, reason: str, error: Exception, robot: str = "", tick: int = -1) -> None:
+        """Something went wrong about one robot that nobody foresaw; the line names where."""
+        trace = error.__traceback__
+        while trace is not None and trace.tb_next is not None:
+            trace = trace.tb_next
+        where = "" if trace is None else f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
+        self._event("robot.step_failed", reason, robot, tick, level="error", where=where)
+
+    def said(self, robot: str, outputs: Outputs) -> None:
+        """What the service publishes about a robot; told where it differs from what it said before."""
+        for message in outputs.values():
+            if type(message) in _TOLD:
+                self._said(robot, message)
+
+    def _said(self, robot: str, message: Message) -> None:
+        if isinstance(message, VerdictMessage):
+            self._verdict(robot, message)
+        elif isinstance(message, ModelMessage):
+            about: dict[str, Any] = {"model": message.fingerprint, "change": message.change, "who": message.who}
+            self._event(_STEPS[message.step], message.why or message.step, robot, message.tick, **about)
+        elif isinstance(message, TakeoverMessage):
+            sentence = message.reason or f"model {message.fingerprint} is {message.state}"
+            self._event(_ANSWERS[message.state], sentence, robot, message.tick, change=message.change)
+        elif isinstance(message, FindingMessage) and self._stages.get(robot, "learning") != message.stage:
+            self._stages[robot] = message.stage
+            level = "warning" if message.stage == "raised" else "info"
+            self._event("finding.changed", message.sentence, robot, message.tick, level=level, stage=message.stage)
+
+    def _verdict(self, robot: str, message: VerdictMessage) -> None:
+        before, name = self._statuses.get(robot), message.status
+        if before is not None and before.name == name:
+            return
+        self._statuses[robot] = _Status(name, message.tick)
+        if name == "fallback":
+            self._event("filter.fallback_entered", message.sentence, robot, message.tick)
+        elif name in _MARKED:
+            self._event(_MARKED[name], message.sentence, robot, message.tick)
+        if before is not None and before.name == "fallback":
+            lasted = message.tick - before.since
+            self._event("filter.fallback_left", f"decides again after {lasted} ticks", robot, message.tick)
+        elif before is not None and before.name == "stopped":
+            self._event("filter.released", "may drive again", robot, message.tick)
+
+    def _drop(self, robot: str) -> None:
+        self._statuses.pop(robot, None)
+        self._stages.pop(robot, None)
+
+    def _event(self, kind: str, sentence: str, robot: str, tick: int = -1, *, level: str = "", **more: Any) -> None:
+        chosen = level or ("warning" if kind in _TROUBLE else "info")
+        self._log(kind, sentence, level=chosen, robot=robot, tick=tick, service=self._service, **more)

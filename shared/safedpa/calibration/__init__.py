@@ -1,0 +1,1 @@
+"""Margins from measurements: runs, drives and recordings. Read ``from_runs`` first."""

@@ -1,0 +1,177 @@
+"""Margin calibration from recordings of the bus: what the filter knew, did, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.arrays import FloatArray
+from safedpa.bus import LatentMessage, StateMessage
+from safedpa.calibration.from_drives import DriveTick, barrier_residuals, calibration_from_drives, covered_shares
+from safedpa.calibration.theorem1 import recorded_bound
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import InputError
+from safedpa.records import read_messages
+from safedpa.runtime.scene import scene_of
+from safedpa.safety.margins.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.margins.conformal import smallest_sample
+from safedpa.safety.margins.error_clipping import ErrorClip
+from safedpa.safety.settings import FilterSettings
+
+__all__ = ["RecordedTransitions", "calibration_from_recordings"]
+
+
+_BLOCK = 100
+"""Transitions that stay together, 5 s at 20 Hz: neighbours are too much alike for one to be fresh to the other."""
+_SHARE = 5
+
+_Start = tuple[str, int]
+"""Robot and epoch."""
+
+
+@dataclass(frozen=True)
+class _RecordedTransition:
+    before: StateMessage
+    after: StateMessage
+    latent: tuple[float, ...]
+    drive: int
+
+
+@final
+class RecordedTransitions:
+    """The n transitions of drives in which the robot did what the filter said, as arrays, with the drive of each.
+
+    ``state`` (n, states), ``action`` (n, actions), ``following`` (n, states), ``latent`` (n, latents), ``drive`` (n,).
+
+    Raises InputError when there are none.
+    """
+
+    def __init__(self, drives: Sequence[Sequence[DriveTick]]) -> None:
+        found = [transition for number, ticks in enumerate(drives) for transition in _transitions(number, ticks)]
+        if not found:
+            raise InputError("recordings: got no transition under an action of the filter with a latent; record more")
+        self.drive = np.array([transition.drive for transition in found])
+        self.state = np.array([transition.before.values for transition in found])
+        self.action = np.array([transition.after.applied for transition in found])
+        self.following = np.array([transition.after.values for transition in found])
+        self.latent = np.array([transition.latent for transition in found])
+        self.footprints = {transition.before.footprint for transition in found}
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+
+def calibration_from_recordings(
+    model: PhysicsModel,
+    settings: FilterSettings,
+    recordings: Sequence[Path],
+    coverage: float,
+    date: str,
+) -> MarginCalibration:
+    """The margins by kind, and what share of fresh data each covers.
+
+    With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
+    for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
+    taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
+    InputError when the recordings hold too few transitions, latents of another model, or robots of several periods.
+    """
+    scene_of(model, settings)  # refuses the settings of another robot before anything is read
+    drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
+    period = _period_of(drives, model)
+    walked = [(ticks, barrier_residuals(model, settings, ticks)) for ticks in drives]
+    along = [heights for _, heights in walked if heights]
+    found = RecordedTransitions([ticks for ticks, heights in walked if heights])
+    if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
+        made = _over_drives(along, settings, coverage, date, fingerprint(model))
+    else:
+        made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
+    made = replace(made, period=period)
+    fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
+    bound = recorded_bound(model.with_period(period), settings, found, ~fresh, coverage)
+    theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
+    made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants})
+    return replace(made, covered=_covered(made, along, ErrorClip.of_settings(settings), by_drives=by_drives))
+
+
+def _period_of(drives: Sequence[Sequence[DriveTick]], model: PhysicsModel) -> float:
+    """Of all drives, s: the error of a step grows with its length. The model's own where there is no drive."""
+    periods = sorted({tick.state.period for ticks in drives for tick in ticks}) or [model.period]
+    if len(periods) > 1:
+        told = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
+        raise InputError(f"recordings: got steps of {told} s, wanted one period; calibrate for each by itself")
+    return periods[0]
+
+
+def _over_drives(
+    along: Sequence[Mapping[str, FloatArray]], settings: FilterSettings, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = [heights for number, heights in enumerate(along) if number % _SHARE != _SHARE - 1]
+    return calibration_from_drives(used, coverage, date, own, ErrorClip.of_settings(settings))
+
+
+def _over_blocks(
+    along: Sequence[Mapping[str, FloatArray]], eta: float, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, eta).items()}
+    return calibration_from_errors(used, coverage, date, own)
+
+
+def _all_errors(
+    along: Sequence[Mapping[str, FloatArray]], eta: float
+) -> dict[str, tuple[FloatArray, NDArray[np.bool_]]]:
+    """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
+    kinds = dict.fromkeys(kind for heights in along for kind in heights)
+    ceiling = ErrorClip(eta)
+    joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
+    return {
+        kind: (ceiling.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
+        for kind, rows in joined.items()
+    }
+
+
+def _covered(
+    made: MarginCalibration, along: Sequence[Mapping[str, FloatArray]], ceiling: ErrorClip, *, by_drives: bool
+) -> dict[str, float]:
+    """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
+    told: dict[str, float] = {}
+    blocks, fresh = _all_errors(along, ceiling.eta), along[_SHARE - 1 :: _SHARE]
+    for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
+        for kind, epsilon in table.items():
+            if by_drives:
+                shares = covered_shares(fresh, kind, epsilon, ceiling)
+                told[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
+            elif (left := blocks[kind][0][blocks[kind][1]]).size:
+                told[f"{name}.{kind}"] = float((left <= epsilon).mean())
+    return told
+
+
+def _drives(path: Path, model: str) -> list[list[DriveTick]]:
+    """One list for each start of a robot; messages may stand in the file in any order."""
+    states: dict[_Start, dict[int, StateMessage]] = {}
+    latents: dict[_Start, dict[int, LatentMessage]] = {}
+    for key, _, message in read_messages(path):
+        start = (key.split("/")[2], message.epoch)
+        if isinstance(message, LatentMessage):
+            if message.model != model:
+                raise InputError(f"{path}: latents of model {message.model}, wanted {model}; drive with that model")
+            latents.setdefault(start, {})[message.tick] = message
+        elif isinstance(message, StateMessage):
+            states.setdefault(start, {})[message.tick] = message
+    return [
+        [DriveTick(known[tick], latents.get(start, {}).get(tick)) for tick in sorted(known)]
+        for start, known in sorted(states.items())
+    ]
+
+
+def _transitions(drive: int, ticks: Sequence[DriveTick]) -> Iterator[_RecordedTransition]:
+    """Pairs of consecutive states with the latent of the first."""
+    for before, after in pairwise(ticks):
+        wanted = after.state.tick == before.state.tick + 1 and after.state.applied_by == "filter"
+        if wanted and before.latent is not None:
+            yield _RecordedTransition(before.state, after.state, before.latent.values, drive)

@@ -1,0 +1,223 @@
+"""What a comparison says in plain sentences, and as a JSON document."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from safedpa.comparison.comparison import PREDICTORS, Comparison
+from safedpa.comparison.rollout_error import RolloutError
+from safedpa.comparison.where import Bin, Factor
+
+__all__ = [
+    "as_json",
+    "bin_text",
+    "most_influential_factor",
+    "naive_sentence",
+    "run_sentence",
+    "shortened",
+    "state_sentence",
+    "where_sentence",
+    "worse_sentence",
+    "worst_bins",
+]
+
+_ODD = 2.0
+"""Times the usual error of a state, from which a run stands out."""
+_NOTHING = 0.01
+_GREW = 0.05
+_TOLD = 4
+"""States in runs that a sentence names."""
+_PLACE_AND_TIME = ("place", "time")
+
+
+def most_influential_factor(comparison: Comparison) -> Factor:
+    """The variable on which the error depends most.
+
+    Place and time stand for anything that happened there; they are named only where they explain clearly more
+    (half as much again, and 0.05) than every state and action.
+    """
+    physical = [item for item in comparison.factors if item.kind not in _PLACE_AND_TIME]
+    best = max(physical, key=lambda item: item.explained)
+    other = comparison.factors[0]
+    clearly = other.explained > 1.5 * max(best.explained, 0.0) + 0.05
+    return other if clearly else best
+
+
+def worst_bins(comparison: Comparison) -> list[Bin]:
+    """All bins of all variables, the largest error first."""
+    return sorted((b for item in comparison.factors for b in item.bins), key=lambda b: -b.error)
+
+
+def where_sentence(comparison: Comparison) -> str:
+    """One sentence: where the model fails, and by how much more than on average."""
+    if not (comparison.error.scale > 0).any():
+        return "Nothing changes in these runs: there is nothing to predict."
+    factor = most_influential_factor(comparison)
+    worst = max(factor.bins, key=lambda item: item.error)
+    average = comparison.error.value
+    if not average > 1e-6:
+        return "The model predicts these runs exactly."
+    if not math.isfinite(average):
+        return "The model's predictions grow without bound in more than 5 % of the windows."
+    if factor.explained < 0.02 or worst.ratio < 1.2:
+        return (
+            f"The model fails nowhere in particular: in no range is its error far above the average of {average:.2f}."
+        )
+    return (
+        f"The model fails most at {bin_text(worst)}: its error there is {worst.error:.2f}, {worst.ratio:.1f} times the "
+        f"average of {average:.2f} ({_percent(worst.share)} of the squared error "
+        f"in {_percent(worst.samples / len(comparison.windows))} of the windows)."
+    )
+
+
+def state_sentence(comparison: Comparison) -> str:
+    """One sentence: which state is predicted worst, and to which side."""
+    error = comparison.error
+    states = comparison.windows.system.state
+    moved = [index for index, size in enumerate(error.scale) if size > 0]
+    if not moved:
+        return "No state changes."
+    worst = max(moved, key=lambda index: error.per_state[index])
+    rms = error.per_state[worst] * error.scale[worst]
+    median = float(np.median(comparison.errors[:, worst]))
+    unit, side = states[worst].unit, "high" if median > 0 else "low"
+    biased = abs(median) > 0.3 * rms > 0.0
+    bias = f"in the median {abs(median):.3g} {unit} too {side}" if biased else "to either side"
+    return (
+        f"The state predicted worst is {states[worst].name}: off by {rms:.3g} {unit} after {comparison.horizon:g} s "
+        f"({bias}), {error.per_state[worst]:.2f} times as much as it usually changes."
+    )
+
+
+def run_sentence(comparison: Comparison) -> str:
+    """One sentence: in which run a state is far worse than elsewhere, or worse than "no change"; else empty."""
+    rows = [(run, name, value) for run in comparison.runs for name, value in run.per_state.items()]
+    if len(comparison.runs) < 2:
+        return ""
+    lost = [(run, name, value) for run, name, value in rows if value > max(run.no_change[name], _NOTHING)]
+    usual = {name: float(np.median([value for _, own, value in rows if own == name])) for _, name, _ in rows}
+    odd = [item for item in rows if item[2] > _ODD * usual[item[1]] and item[2] > _NOTHING]
+    parts = []
+    if odd:
+        run, name, value = max(odd, key=lambda item: item[2] / max(usual[item[1]], 1e-12))
+        parts.append(f"{name} is far worse in {run.name} than elsewhere: {value:.2f} where {usual[name]:.2f} is usual")
+    if lost and len(lost) < len(rows):
+        told = ", ".join(f"{name} in {run.name} ({value:.2f})" for run, name, value in lost[:_TOLD])
+        more = f" and {len(lost) - _TOLD} more" if len(lost) > _TOLD else ""
+        parts.append(f"worse than assuming no change: {told}{more}")
+    return (parts[0][0].upper() + "; ".join(parts)[1:] + ".") if parts else ""
+
+
+def worse_sentence(before: Comparison, after: Comparison) -> str:
+    """One sentence: which states one model predicts worse in which runs than another; both of the same windows."""
+    pairs = [
+        (run.name, name, old.per_state[name], value)
+        for old, run in zip(before.runs, after.runs, strict=True)
+        for name, value in run.per_state.items()
+        if name in old.per_state
+    ]
+    worse = [item for item in pairs if item[3] > (1.0 + _GREW) * item[2] and item[3] > item[2] + _NOTHING]
+    change = f"The mean error goes from {before.error.value:.3g} to {after.error.value:.3g}"
+    if not worse:
+        return f"{change}; no state gets worse in any run."
+    worse.sort(key=lambda item: item[2] - item[3])
+    told = ", ".join(f"{name} in {run} ({old:.2g} to {new:.2g})" for run, name, old, new in worse[:_TOLD])
+    more = f" and {len(worse) - _TOLD} more" if len(worse) > _TOLD else ""
+    return f"{change}; what gets worse: {told}{more}."
+
+
+def naive_sentence(comparison: Comparison) -> str:
+    """One sentence: the model beside the predictors that know no physics."""
+    errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
+    if not (comparison.error.scale > 0).any():
+        return "No predictor can be told from another."
+    beaten = [name for name in PREDICTORS[1:] if errors["model"] < errors[name]]
+    verdict = {2: "better than both", 0: "worse than both"}.get(len(beaten)) or "better than one of them only"
+    return (
+        f"After {comparison.horizon:g} s the model's error is {errors['model']:.2f}; assuming no change gives "
+        f"{errors['no_change']:.2f}, constant velocity {errors['constant_velocity']:.2f}: {verdict}."
+    )
+
+
+def bin_text(item: Bin, longest: int = 80) -> str:
+    """speed 2 to 2.5 m/s; names of runs lose their beginning where they are longer than ``longest``."""
+    unit = "" if item.unit == "1" else f" {item.unit}"
+    run = f" of {shortened(item.run, longest)}" if item.run else ""
+    return f"{item.variable} {item.low:.3g} to {item.high:.3g}{unit}{run}"
+
+
+def shortened(name: str, longest: int) -> str:
+    """The last ``longest`` characters of a name, marked where it was cut: what differs stands at the end of names."""
+    return name if len(name) <= longest else "…" + name[1 - longest :]
+
+
+def as_json(comparison: Comparison) -> dict[str, Any]:
+    """The document that ``compare --json`` prints; numbers that are not finite are null."""
+    windows = comparison.windows
+    names = windows.system.state_names
+    return {
+        "format": 1,
+        "robot": windows.system.name,
+        "effects": [item.name for item in comparison.model.effects],
+        "parameters": {path: setting.value for path, setting in comparison.model.settings.items()},
+        "horizon": comparison.horizon,
+        "windows": len(windows),
+        "summary": [
+            text
+            for text in (
+                where_sentence(comparison),
+                state_sentence(comparison),
+                naive_sentence(comparison),
+                run_sentence(comparison),
+            )
+            if text
+        ],
+        "error": _number(comparison.error.value),
+        "per_state": _named(names, comparison.error.per_state),
+        "scale": _named(names, comparison.error.scale),
+        "naive": {name: _error(names, comparison.horizons[-1].errors[name]) for name in PREDICTORS[1:]},
+        "horizons": [
+            {"seconds": item.seconds, **{name: _error(names, item.errors[name]) for name in PREDICTORS}}
+            for item in comparison.horizons
+        ],
+        "where": [_bin(item) for item in worst_bins(comparison)],
+        "explained": {item.variable: _number(item.explained) for item in comparison.factors},
+        "place": [{key: _number(value) for key, value in vars(cell).items()} for cell in comparison.cells],
+        "runs": [{key: _plain(value) for key, value in vars(run).items()} for run in comparison.runs],
+        "data_quality": [{"run": run, **vars(finding)} for run, finding in comparison.findings],
+    }
+
+
+def _error(names: tuple[str, ...], error: RolloutError) -> dict[str, Any]:
+    rms = error.per_state * error.scale
+    return {"error": _number(error.value), "per_state": _named(names, error.per_state), "rms": _named(names, rms)}
+
+
+def _bin(item: Bin) -> dict[str, Any]:
+    plain = {key: value for key, value in vars(item).items() if not (key == "run" and value is None)}
+    for key in ("low", "high", "error", "ratio", "share"):
+        plain[key] = _number(plain[key])
+    plain["bias"] = {name: _number(value) for name, value in item.bias.items()}
+    return plain
+
+
+def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]:
+    return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _plain(value: Any) -> Any:
+    """A run's entry: text, a number, or numbers by name."""
+    if isinstance(value, dict):
+        return {name: _number(item) for name, item in value.items()}
+    return value if isinstance(value, str) else _number(value)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
+
+
+def _number(value: float | int) -> float | int | None:
+    return value if math.isfinite(value) else None

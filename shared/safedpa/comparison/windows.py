@@ -1,0 +1,195 @@
+"""Windows: the stretches of measured time over which open-loop predictions are held against measurements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.arrays import FloatArray, IndexArray
+from safedpa.errors import InputError, RunError
+from safedpa.records.run import Run
+from safedpa.systems import System
+
+__all__ = ["Windows", "check_runs", "windows_of"]
+
+
+_SAME = 1e-6
+"""Largest relative difference of periods that count as one."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """All windows of all runs over one table of the rows that the runs trust, stretch after stretch.
+
+    A window starts at a row and takes ``steps`` rows after it; it never leaves its stretch. Shapes: per row t, time,
+    clock, period (rows,), states (rows, states), actions (rows, actions); per stretch bounds (stretches, 2), first row
+    and one past the last; per window start, steps, begin, run (windows,).
+    """
+
+    system: System
+    names: tuple[str, ...]
+    """Names of the runs."""
+    horizon: float
+    """s"""
+    t: FloatArray
+    """s; as recorded."""
+    time: FloatArray
+    """s; since the first trusted row of the run."""
+    clock: FloatArray
+    """s; grows over the whole table: time within a stretch, with a gap longer than the horizon between stretches."""
+    period: FloatArray
+    """s; from this row to the next; at the last row of a stretch the run's median, which nothing uses."""
+    states: FloatArray
+    actions: FloatArray
+    bounds: IndexArray
+    start: IndexArray
+    """Row at which the window starts."""
+    steps: IndexArray
+    begin: IndexArray
+    """First row of the window's stretch."""
+    run: IndexArray
+    """Index of the window's run in ``names``."""
+    memo: dict[Any, dict[str, FloatArray]] = field(default_factory=dict, repr=False, compare=False)
+    """What actuators make of the table's actions, by commands and their parameters; shared by every selection."""
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def end(self) -> IndexArray:
+        """Last row of each window, shape (windows,)."""
+        return self.start + self.steps
+
+    @cached_property
+    def common_period(self) -> float | None:
+        """The one period [s] of all rows, or None where rows are spaced irregularly."""
+        middle = float(np.median(self.period))
+        return middle if np.ptp(self.period) <= _SAME * middle else None
+
+    def rows_after(self, seconds: float) -> IndexArray:
+        """The row nearest to ``seconds`` after each start, inside the window and after the start, shape (windows,)."""
+        wanted = self.clock[self.start] + seconds
+        later = np.clip(np.searchsorted(self.clock, wanted), self.start + 1, self.end)
+        earlier = np.maximum(later - 1, self.start + 1)
+        nearer = wanted - self.clock[earlier] <= self.clock[later] - wanted
+        return np.asarray(np.where(nearer, earlier, later), dtype=np.int64)
+
+    def select(self, index: IndexArray | NDArray[np.bool_]) -> Windows:
+        """The same table with some of the windows only."""
+        return replace(
+            self,
+            start=self.start[index],
+            steps=self.steps[index],
+            begin=self.begin[index],
+            run=self.run[index],
+        )
+
+
+def windows_of(
+    runs: Sequence[Run], horizon: float, *, stride: int = 10, every: float | None = None, partial: bool = False
+) -> Windows:
+    """A window of ``horizon`` seconds from every ``stride``-th trusted row of each run, or ``every`` so many seconds.
+
+    The last row of a window is the last one up to the horizon, to half the run's median period. Windows that their
+    stretch cuts short are left out, or kept with the rows that there are when ``partial``.
+
+    Raises InputError for a horizon that is no positive number, shorter than half a period or longer than every
+    stretch, and RunError for runs of different systems, without rows, or with numbers that are not finite.
+    """
+    if not (math.isfinite(horizon) and horizon > 0):
+        raise InputError(f"horizon: got {horizon} s, wanted a positive number of seconds; choose 1, say")
+    check_runs(runs)
+    table = _table(runs, horizon)
+    strides = [stride if every is None else max(1, round(every / run.period)) for run in runs]
+    counts = [sum(len(part) for part in run.stretches) for run in runs]
+    chosen = [np.arange(count) % step == 0 for count, step in zip(counts, strides, strict=True)]
+    rows = np.flatnonzero(np.concatenate(chosen))
+    stretch = np.searchsorted(table.bounds[:, 1], rows, side="right")
+    last = table.bounds[stretch, 1] - 1
+    run = np.repeat(np.arange(len(runs)), [len(item.stretches) for item in runs])[stretch]
+    half = 0.5 * np.array([item.period for item in runs])[run]
+    until = np.searchsorted(table.clock, table.clock[rows] + horizon + half, side="right") - 1
+    steps = np.minimum(until, last) - rows
+    whole = (table.clock[last] >= table.clock[rows] + horizon - half) & (steps > 0)
+    if not whole.any():
+        raise _no_window(runs, horizon)
+    kept = steps > 0 if partial else whole
+    begin = table.bounds[stretch, 0]
+    return replace(table, start=rows[kept], steps=steps[kept], begin=begin[kept], run=run[kept])
+
+
+def check_runs(runs: Sequence[Run]) -> None:
+    """Raises RunError for runs of different systems, without rows, or with numbers that are not finite."""
+    if not runs:
+        raise RunError("runs: got none, wanted at least one recording")
+    for run in runs:
+        if (run.system.name, run.system.state_names, run.system.action_names) != _columns_of(runs[0].system):
+            raise RunError(
+                f"{run.name}: a run of robot '{run.system.name}' with actions {', '.join(run.system.action_names)} "
+                f"beside {runs[0].name} of '{runs[0].system.name}' with {', '.join(runs[0].system.action_names)}; "
+                "compare them one at a time"
+            )
+        if not any(len(part) > 1 for part in run.stretches):
+            raise RunError(f"{run.name}: no two rows that can be used follow each other; see its data quality findings")
+        for _, states, actions in run.parts():
+            if not (np.isfinite(states).all() and np.isfinite(actions).all()):
+                raise RunError(f"{run.name}: got numbers that are not finite inside a stretch; cut those rows out")
+
+
+def _columns_of(system: System) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    return system.name, system.state_names, system.action_names
+
+
+def _table(runs: Sequence[Run], horizon: float) -> Windows:
+    t, time, clock, period, bounds = [], [], [], [], []
+    row, elapsed = 0, 0.0
+    for run in runs:
+        first = next(part_t[0] for part_t, _, _ in run.parts() if len(part_t))
+        for part_t, _, _ in run.parts():
+            bounds.append((row, row + len(part_t)))
+            row += len(part_t)
+            if not len(part_t):
+                continue
+            t.append(part_t)
+            time.append(part_t - first)
+            clock.append(part_t - part_t[0] + elapsed)
+            period.append(np.append(np.diff(part_t), run.period))
+            elapsed = float(clock[-1][-1]) + 2.0 * horizon + 1.0
+    empty = np.zeros(0, dtype=np.int64)
+    return Windows(
+        system=runs[0].system,
+        names=tuple(run.name for run in runs),
+        horizon=horizon,
+        t=np.concatenate(t),
+        time=np.concatenate(time),
+        clock=np.concatenate(clock),
+        period=np.concatenate(period),
+        states=np.concatenate([states for run in runs for _, states, _ in run.parts()]),
+        actions=np.concatenate([actions for run in runs for _, _, actions in run.parts()]),
+        bounds=np.array(bounds, dtype=np.int64),
+        start=empty,
+        steps=empty,
+        begin=empty,
+        run=empty,
+    )
+
+
+def _no_window(runs: Sequence[Run], horizon: float) -> InputError:
+    longest = max(part_t[-1] - part_t[0] for run in runs for part_t, _, _ in run.parts() if len(part_t))
+    period = min(run.period for run in runs)
+    if horizon < period:
+        return InputError(f"horizon: got {horizon} s, the rows are {period:.4g} s apart; choose at least that")
+    if horizon <= longest:  # windows begin at some rows only: here in shorter stretches, or before a long step
+        return InputError(
+            f"horizon: got {horizon} s, after no row that begins a window do rows go on for so long, though the "
+            f"longest stretch without a gap lasts {longest:.4g} s; choose another horizon, or begin more windows"
+        )
+    return InputError(
+        f"horizon: got {horizon} s, the longest stretch without a gap lasts {longest:.4g} s; choose a shorter horizon"
+    )

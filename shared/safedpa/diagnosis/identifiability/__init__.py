@@ -1,0 +1,1 @@
+"""Before a diagnosis: which effects the data could show. Read ``rehearsal`` first."""

@@ -1,0 +1,378 @@
+"""A small library of terms for formulas: powers, absolute values, signs, sines of state and action, and products.
+
+Sparse regression in weak form: the short formula whose integrals explain the residuals of short rollouts.
+
+To first order a rate c phi(x, a) beside a model adds
+
+    delta(t) = c T(t) integral from 0 to t of T(s)^-1 e phi(s) ds,
+
+to its prediction, where T(t) is the derivative of the prediction with respect to its start and e the state whose rate
+it is: integrals of what was measured, no derivative of it. Terms join one by one while unseen blocks confirm them.
+
+Source: Messenger and Bortz, Weak SINDy, Multiscale Modeling and Simulation 19(3), 2021; forward selection as in
+Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.arrays import FloatArray, IndexArray
+from safedpa.comparison.rollout import effective_actions
+from safedpa.comparison.where import PLACE
+from safedpa.diagnosis.fit.multiple_shooting import Shooting
+from safedpa.diagnosis.fit.trial import EffectTrial
+from safedpa.effects.effect import Named
+from safedpa.operations import NUMPY, Operations, Scalar
+from safedpa.systems import System, Variable
+
+__all__ = [
+    "TIME",
+    "HasValues",
+    "Regression",
+    "SelectedTerms",
+    "Term",
+    "is_significant",
+    "regression_of",
+    "selected_terms",
+    "terms_of",
+]
+
+TIME = "time"
+"""Name of the seconds since the run's start among a term's variables."""
+
+_Function = Callable[[Scalar, float, Operations], Scalar]
+"""(value, size near rest, operations) -> value"""
+
+_REST = 0.02
+"""Share of a variable's usual size below which its sign is rounded off: noise has no sign."""
+
+_SHAPES: dict[str, tuple[int, _Function]] = {
+    "{0}": (1, lambda v, _r, _o: v),
+    "|{0}|": (1, lambda v, _r, o: o.absolute(v)),
+    "sign({0})": (0, lambda v, r, o: o.tanh(v / r)),
+    "{0}^2": (2, lambda v, _r, _o: v * v),
+    "{0} |{0}|": (2, lambda v, _r, o: v * o.absolute(v)),
+    "{0}^3": (3, lambda v, _r, _o: v * v * v),
+    "sin({0})": (0, lambda v, _r, o: o.sin(v)),
+    "cos({0})": (0, lambda v, _r, o: o.cos(v)),
+}
+"""Text and power of the unit."""
+
+_QUANTITY = ("{0}", "|{0}|", "sign({0})", "{0}^2", "{0} |{0}|", "{0}^3")
+_ANGLE = ("sin({0})", "cos({0})")
+_ACTION = ("{0}", "|{0}|", "sign({0})", "{0}^2", "{0} |{0}|")
+_IN_PRODUCTS = ("{0}", "|{0}|", "sign({0})", "{0}^2", "{0} |{0}|", "sin({0})", "cos({0})")
+_FEW_IN_PRODUCTS = ("{0}", "|{0}|", "{0}^2")
+
+
+@dataclass(frozen=True)
+class _Factor:
+    variable: str
+    unit: str
+    shape: str
+    rest: float
+
+    def value(self, named: Named, operations: Operations) -> Scalar:
+        return _SHAPES[self.shape][1](named[self.variable], self.rest, operations)
+
+    @property
+    def units(self) -> list[str]:
+        """The unit, as often as it counts."""
+        return [self.unit] * _SHAPES[self.shape][0] if self.unit not in ("1", "rad") else []
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of at most two factors; none: the constant 1."""
+
+    factors: tuple[_Factor, ...]
+
+    @property
+    def text(self) -> str:
+        """As in a formula."""
+        return " ".join(factor.shape.format(factor.variable) for factor in self.factors) or "1"
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What it depends on, each once."""
+        return tuple(dict.fromkeys(factor.variable for factor in self.factors))
+
+    @property
+    def units(self) -> list[str]:
+        """Units of its value, one by one."""
+        return [unit for factor in self.factors for unit in factor.units]
+
+    def value(self, named: Named, operations: Operations) -> Scalar:
+        """Its value for named states, actions and ``time``."""
+        result: Scalar = 1.0
+        for factor in self.factors:
+            result = result * factor.value(named, operations)
+        return result
+
+
+def terms_of(system: System, sizes: dict[str, float]) -> list[Term]:
+    """Every term for a system; ``sizes`` are usual absolute values by variable, which say what is near rest."""
+
+    def factors(variable: Variable, shapes: Sequence[str]) -> list[_Factor]:
+        rest = max(_REST * sizes.get(variable.name, 1.0), 1e-6)
+        return [_Factor(variable.name, variable.unit, shape, rest) for shape in shapes]
+
+    place = [item for item in system.state if item.name in PLACE]
+    angles = [item for item in system.state if item.angle]
+    states = [item for item in system.state if not item.angle and item.name not in PLACE]
+    singles = [factor for item in states for factor in factors(item, _QUANTITY)]
+    singles += [factor for item in angles for factor in factors(item, _ANGLE)]
+    singles += [factor for item in system.action for factor in factors(item, _ACTION)]
+    singles += [factor for item in place for factor in factors(item, ("{0}",))]
+    singles += [_Factor(TIME, "s", "{0}", 1.0)]
+    found = [Term(()), *(Term((factor,)) for factor in singles)]
+    first = [factor for item in [*states, *angles] for factor in singles if factor.variable == item.name]
+    second = [factor for item in system.action for factor in singles if factor.variable == item.name]
+    found += _products(first, second)
+    found += _products([f for f in first if f.shape in _FEW_IN_PRODUCTS], [f for f in first if f.shape in _ANGLE])
+    for index, one in enumerate(system.action):
+        for other in system.action[index + 1 :]:
+            found += _products(factors(one, _FEW_IN_PRODUCTS), factors(other, _FEW_IN_PRODUCTS))
+    return found
+
+
+def _products(ones: Sequence[_Factor], others: Sequence[_Factor]) -> list[Term]:
+    return [
+        Term((one, other))
+        for one, other in product(ones, others)
+        if one.variable != other.variable and one.shape in _IN_PRODUCTS and other.shape in (*_FEW_IN_PRODUCTS, *_ANGLE)
+    ]
+
+
+SURE = 5.0
+"""Standard errors on unseen blocks that the first term needs: hundreds are looked at."""
+LARGE = 0.2
+"""Share of the squares of unseen blocks with which it may be FEW standard errors: where a few blocks hold all of it,
+their differences are as large as their sum."""
+FEW = 3.0
+"""As many as a named effect needs."""
+MORE = 3.0
+"""Standard errors that each further term needs."""
+_SHARE = 0.02
+"""Of the squares of the residual, noise included, that a term has to take off."""
+_MOST = 4
+"""Terms."""
+_LOOKED_AT = 8
+"""Terms whose gain on unseen data is worked out at each step."""
+_REGULAR = 1e-6
+"""Determinant from which a derivative is inverted as it is."""
+
+
+class HasValues(Protocol):
+    """Anything with a value for named states, actions and time."""
+
+    def value(self, named: Named, operations: Operations) -> Scalar: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class SelectedTerms:
+    """(state, term) pairs, their coefficients, and terms that are as good as the first."""
+
+    terms: tuple[tuple[str, Term], ...]
+    coefficients: FloatArray
+    alternatives: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Regression:
+    """residual (windows, numbers) + columns (windows, numbers, terms) c = noise; the first ``always`` stay in.
+
+    What is ``chosen`` is counted behind those: 0 is the first column that does not stay in.
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+    always: int
+    fold: IndexArray
+    block: IndexArray
+
+    def _index(self, chosen: Sequence[int]) -> list[int]:
+        return [*range(self.always), *(self.always + number for number in chosen)]
+
+    @cached_property
+    def grams(self) -> FloatArray:
+        """Products of columns and residual with each other, by fold."""
+        return np.stack([self._products(self.fold == fold) for fold in np.unique(self.fold)])
+
+    def _products(self, used: NDArray[np.bool_]) -> FloatArray:
+        flat = np.concatenate([self.columns[used], self.residual[used][..., None]], axis=-1)
+        flat = flat.reshape(-1, flat.shape[-1])
+        return np.asarray(flat.T @ flat, dtype=np.float64)
+
+    @cached_property
+    def whole(self) -> FloatArray:
+        """Products of columns and residual with each other, by all windows."""
+        return np.asarray(self.grams.sum(axis=0))
+
+    def solved(self, chosen: Sequence[int], grams: FloatArray) -> FloatArray:
+        """Coefficients (..., always and chosen) of the always-in and the chosen columns by least squares, from products
+        (..., columns and residual, columns and residual)."""
+        index = self._index(chosen)
+        square, right = grams[..., index, :][..., index], grams[..., index, -1]
+        # a column that only the fold left out has is rounding here, and counts nothing
+        least = 1e-9 * np.diag(self.whole)[index] + 1e-300
+        size = np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), least))
+        scaled = square / (size[..., :, None] * size[..., None, :])
+        inverse = np.linalg.pinv(scaled, rcond=1e-7, hermitian=True)
+        return np.asarray(-(inverse @ (right / size)[..., None])[..., 0] / size)
+
+    def coefficients(self, chosen: Sequence[int]) -> FloatArray:
+        """Of the chosen columns, by all windows."""
+        return self.solved(chosen, self.whole)[self.always :]
+
+    def unseen(self, chosen: Sequence[int]) -> FloatArray:
+        """Squares (windows,) with coefficients fitted without the window's fold."""
+        columns = self.columns[..., self._index(chosen)]
+        values = self.solved(chosen, self.whole - self.grams)[np.unique(self.fold, return_inverse=True)[1]]
+        left = self.residual + (columns @ values[..., None])[..., 0]
+        return np.asarray((left**2).sum(axis=1))
+
+    def falls(self, chosen: Sequence[int]) -> FloatArray:
+        """How much each column takes off the squares beside the chosen ones, to order them by."""
+        gram, index = self.whole, self._index(chosen)
+        part = np.linalg.pinv(gram[np.ix_(index, index)], rcond=1e-10, hermitian=True) @ gram[index]
+        left = gram - gram[index].T @ part
+        own = np.diag(left)[:-1]
+        usable = own > 1e-6 * np.diag(gram)[:-1]
+        return np.asarray(np.where(usable, left[:-1, -1] ** 2 / np.where(usable, own, 1.0), 0.0))[self.always :]
+
+    def sure(self, one: FloatArray, other: FloatArray) -> float:
+        """Gain of ``other`` over ``one`` in standard errors of independent blocks."""
+        difference = one - other
+        # no glitch may decide; where few of the windows are concerned, the median knows nothing of them
+        size = np.abs(difference)
+        most = max(20.0 * float(np.median(size)), 3.0 * float(np.quantile(size, 0.9))) + 1e-12
+        sums = np.bincount(self.block, np.clip(difference, -most, most))[np.unique(self.block)]
+        if len(sums) < 8:
+            return 0.0
+        return float(sums.sum() / max(float(sums.std(ddof=1)) * np.sqrt(len(sums)), 1e-300))
+
+
+def selected_terms(
+    trial: EffectTrial, shooting: Shooting, states: Sequence[str], most: int = _MOST
+) -> SelectedTerms | None:
+    """The terms that unseen blocks confirm beside a fitted model, at most ``most``; None where none is."""
+    system = shooting.windows.system
+    terms = terms_of(system, _sizes(shooting))
+    pairs = [(state, term) for state in states for term in terms]
+    problem = regression_of(trial, shooting, states, terms)
+    chosen, alternatives = _forward(problem, most)
+    chosen = _backward(problem, chosen)
+    if not chosen:
+        return None
+    texts = tuple(f"{pairs[i][0]}: {pairs[i][1].text}" for i in alternatives)
+    found = tuple(pairs[index] for index in chosen)
+    return SelectedTerms(found, problem.coefficients(chosen), texts)
+
+
+def is_significant(standard_errors: float, share: float) -> bool:
+    """Whether what was chosen among hundreds holds: surely, or a large share of the squares of unseen blocks."""
+    return (standard_errors > SURE and share > _SHARE) or (standard_errors > FEW and share > LARGE)
+
+
+def regression_of(
+    trial: EffectTrial, shooting: Shooting, states: Sequence[str], terms: Sequence[HasValues]
+) -> Regression:
+    """The regression of a fitted model's residual on rates of ``states``: every term of the first, then of the next."""
+    own = trial.fit.columns
+    columns = np.concatenate([own, _columns(trial, shooting, states, terms)], axis=-1)
+    return Regression(trial.fit.residual, columns, own.shape[-1], shooting.fold, shooting.block)
+
+
+def _forward(problem: Regression, most: int) -> tuple[list[int], list[int]]:
+    chosen: list[int] = []
+    alternatives: list[int] = []
+    now = problem.unseen(chosen)
+    for step in range(most):
+        falls = problem.falls(chosen)
+        order = [int(index) for index in np.argsort(-falls)[:_LOOKED_AT] if index not in chosen]
+        tried = {index: problem.unseen([*chosen, index]) for index in order}
+        best = min(order, key=lambda index: float(tried[index].sum()))
+        gain, share = problem.sure(now, tried[best]), 1.0 - float(tried[best].sum() / max(now.sum(), 1e-300))
+        if not (is_significant(gain, share) if step == 0 else gain > MORE and share > _SHARE):
+            break
+        if not step:
+            close = [i for i in order if i != best and problem.sure(tried[i], tried[best]) < 1.0]
+            alternatives = close[:3]
+        chosen.append(best)
+        now = tried[best]
+    return chosen, alternatives
+
+
+def _backward(problem: Regression, chosen: list[int]) -> list[int]:
+    """Without the terms that the later ones made superfluous."""
+    for index in chosen[:-1]:
+        if len(chosen) < 2:
+            break
+        less = [other for other in chosen if other != index]
+        if problem.sure(problem.unseen(less), problem.unseen(chosen)) < 2.0:
+            chosen = less
+    return chosen
+
+
+def _sizes(shooting: Shooting) -> dict[str, float]:
+    """Root mean square of states and actions by name."""
+    windows = shooting.windows
+    names = (*windows.system.state_names, *windows.system.action_names)
+    values = (*windows.states.T, *windows.actions.T)
+    return {name: float(np.sqrt(np.mean(column**2))) for name, column in zip(names, values, strict=True)}
+
+
+def _columns(trial: EffectTrial, shooting: Shooting, states: Sequence[str], terms: Sequence[HasValues]) -> FloatArray:
+    """What a coefficient of 1 adds to the reduced residual: (windows, numbers, states * terms)."""
+    system = shooting.windows.system
+    seconds, values = _integrands(trial, shooting, terms)
+    tangent = shooting.tangent
+    inverse = _inverses(tangent)
+    first, second = (0.5 * seconds[..., None] * end for end in values)
+    whole = np.zeros((*tangent.shape[:3], len(states) * len(terms)))
+    for number, state in enumerate(states):
+        pulled = inverse[..., system.state_names.index(state), None]  # T(s)^-1 e
+        steps = pulled[:, :-1] * first[:, :, None]
+        steps += pulled[:, 1:] * second[:, :, None]
+        sums = np.cumsum(steps, axis=1, out=steps)
+        whole[:, 1:, :, number * len(terms) : (number + 1) * len(terms)] = tangent[:, 1:] @ sums
+    return shooting.eliminated(whole, trial.fit.scale)
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Inverses (..., n, n), of directions that are gone none."""
+    if (np.abs(np.linalg.det(matrices)) > _REGULAR).all():
+        return np.asarray(np.linalg.inv(matrices))
+    return np.asarray(np.linalg.pinv(matrices, rcond=1e-9))
+
+
+def _integrands(
+    trial: EffectTrial, shooting: Shooting, terms: Sequence[HasValues]
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Seconds of each interval between compared rows, and every term at its two ends: (windows, intervals, terms)."""
+    windows, system = shooting.windows, shooting.windows.system
+    model = trial.fit.model
+    predicted = shooting.residuals([model])[0] + shooting.measured
+    states = np.where(shooting.counts > 0, shooting.measured, predicted)
+    at = np.minimum(windows.start[:, None] + shooting.rows, windows.end[:, None])
+    sums = np.concatenate([np.zeros((1, len(system.action))), np.cumsum(effective_actions(model, windows), axis=0)])
+    rows = np.maximum(at[:, 1:] - at[:, :-1], 1)
+    means = (sums[np.minimum(at[:, :-1] + rows, len(sums) - 1)] - sums[at[:, :-1]]) / rows[..., None]
+    ends = []
+    for part, time in ((states[:, :-1], at[:, :-1]), (states[:, 1:], at[:, 1:])):
+        named = {name: part[..., index] for index, name in enumerate(system.state_names)}
+        named |= {name: means[..., index] for index, name in enumerate(system.action_names)}
+        named[TIME] = windows.time[time]
+        values = [np.broadcast_to(term.value(named, NUMPY), time.shape) for term in terms]
+        ends.append(np.stack(values, axis=-1))
+    seconds = np.diff(windows.clock[at], axis=1)
+    return seconds, (ends[0], ends[1])

@@ -1,0 +1,221 @@
+"""From the raw columns of a log to time, states and actions of a system, as its column map says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import ColumnMapError, did_you_mean
+from safedpa.records.column_map.column_map import SLOPE, ColumnMap, DerivedColumn, SourceColumn
+from safedpa.records.column_map.derive import slope
+from safedpa.records.column_map.units import factor_to_si
+from safedpa.records.quality.clock import gap_rows, reset_rows
+from safedpa.records.readers.table import Table
+from safedpa.records.run import Finding, Stretch
+from safedpa.systems import System
+
+__all__ = ["Rows", "check_map", "derive_states", "joined_column", "mapped_rows", "resample_rows"]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """t (rows,), states (rows, states) and actions (rows, actions) before anything was judged."""
+
+    t: NDArray[np.float64]
+    states: NDArray[np.float64]
+    actions: NDArray[np.float64]
+
+    def taken(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Rows:
+        """Some of the rows."""
+        return Rows(self.t[index], self.states[index], self.actions[index])
+
+
+def check_map(columns: ColumnMap, system: System) -> None:
+    """Raises ColumnMapError when the map does not give exactly what the system needs."""
+    if columns.robot != system.name:
+        raise ColumnMapError(f"{columns.name}: robot: the map is for a {columns.robot}, the model for a {system.name}")
+    needed = ("t", *system.state_names, *system.action_names)
+    for target in columns.columns:
+        if target not in needed:
+            raise ColumnMapError(
+                f"{columns.name}: columns.{target}: the model has no '{target}'; {did_you_mean(target, needed)}; "
+                "correct the name, or take a model that fits this log"
+            )
+    for target in needed:
+        if target not in columns.columns:
+            raise ColumnMapError(
+                f"{columns.name}: columns.{target}: missing; the {system.name} needs {', '.join(needed)}"
+            )
+    if columns.tracked_point is not None and not {"x", "y", "yaw"} <= set(system.state_names):
+        raise ColumnMapError(f"{columns.name}: tracked_point: a {system.name} has no x, y and yaw; remove the table")
+    for target, column in columns.columns.items():
+        if isinstance(column, DerivedColumn) and (target not in system.state_names or column.of == target):
+            raise ColumnMapError(f"{columns.name}: columns.{target}.derive: wanted for a state, of another state")
+        if isinstance(column, DerivedColumn) and column.of and column.of not in system.state_names:
+            known = did_you_mean(column.of, system.state_names)
+            raise ColumnMapError(f"{columns.name}: columns.{target}.of: got '{column.of}'; {known}")
+        if isinstance(column, SourceColumn) and column.unit is not None:
+            factor_to_si(column.unit, _unit(system, target), f"{columns.name}: columns.{target}.unit")
+
+
+def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
+    """Rows in SI units under the system's names; derived states are NaN until ``derive_states``."""
+    keep = _kept(table, columns)
+    values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
+    turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
+    turns = turns if columns.unwrap is None else [name for name in turns if name in columns.unwrap]
+    values = {name: _aligned(values["t"], part, columns.columns[name], name in turns) for name, part in values.items()}
+    count = int(keep.sum())
+    states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
+    actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
+    if columns.tracked_point is not None and count:
+        states[~np.isfinite(states)] = np.nan  # judged later; infinity has no cosine
+        point, at = columns.tracked_point, [system.state_names.index(name) for name in ("x", "y", "yaw")]
+        yaw = states[:, at[2]] + point.yaw_offset
+        states[:, at[0]] -= point.ahead * np.cos(yaw) - point.left * np.sin(yaw)
+        states[:, at[1]] -= point.ahead * np.sin(yaw) + point.left * np.cos(yaw)
+        states[:, at[2]] = yaw
+    return Rows(values["t"], states, actions)
+
+
+def _aligned(
+    t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn, turns: bool
+) -> NDArray[np.float64]:
+    """A column that comes late, at the times to which it belongs; NaN where the log does not reach.
+
+    The one place where values between rows are made, straight between two: because the map asks for it. Never from one
+    side of a gap or of a clock reset to the other; of an angle that ``turns`` the short way round.
+    """
+    if isinstance(column, DerivedColumn) or column.shift == 0.0 or len(t) < 2:
+        return values
+    timed = np.flatnonzero(np.isfinite(t))
+    ends = np.flatnonzero(reset_rows(t[timed])[0] | gap_rows(t[timed])[0])
+    found = np.full(len(t), np.nan)
+    for rows in np.split(timed, ends):
+        if len(rows):
+            there = np.isfinite(values[rows])
+            part = values[rows].copy()
+            part[there] = np.unwrap(part[there]) if turns else part[there]
+            found[rows] = np.interp(t[rows] + column.shift, t[rows], part, left=np.nan, right=np.nan)
+    return found
+
+
+def _unit(system: System, target: str) -> str:
+    units = {variable.name: variable.unit for variable in (*system.state, *system.action)}
+    return "s" if target == "t" else units[target]
+
+
+def _values(table: Table, columns: ColumnMap, system: System, target: str) -> NDArray[np.float64]:
+    column = columns.columns[target]
+    if isinstance(column, DerivedColumn):
+        return np.full(len(next(iter(table.columns.values()))), np.nan)
+    factor = 1.0 if column.unit is None else factor_to_si(column.unit, _unit(system, target), target)
+    gain = column.gain(factor)
+    raw = joined_column(table, column)
+    return raw if gain == 1.0 and column.offset == 0.0 else raw * gain + column.offset
+
+
+def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
+    """The raw column, or several as one, (rows,)."""
+    if not column.others:
+        return table.columns[column.source]
+    parts = np.stack([table.columns[name] for name in column.sources])
+    if column.join == "norm":
+        return np.asarray(np.sqrt((parts**2).sum(axis=0)))
+    if column.join == "difference":
+        return np.asarray(parts[0] - parts[1:].sum(axis=0))
+    if column.join == "first":
+        there = np.isfinite(parts)
+        return np.asarray(np.take_along_axis(parts, there.argmax(axis=0)[None], axis=0)[0])
+    return np.asarray(parts.sum(axis=0) if column.join == "sum" else parts.mean(axis=0))
+
+
+def _kept(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
+    keep = np.ones(len(next(iter(table.columns.values()))), dtype=bool)
+    keep[: columns.skip_first_rows] = False
+    for rule in columns.skip_where:
+        keep &= table.columns[rule.column] != rule.equals
+    return keep
+
+
+def derive_states(
+    rows: Rows, stretches: list[Stretch], columns: ColumnMap, system: System
+) -> tuple[Rows, list[Stretch], list[Finding]]:
+    """Fills the derived states within each stretch and trims the rows at its ends, where the window does not fit."""
+    derived = {name: column for name, column in columns.columns.items() if isinstance(column, DerivedColumn)}
+    if not derived:
+        return rows, stretches, []
+    states = rows.states.copy()
+    names = system.state_names
+    for stretch in stretches:
+        part = slice(stretch.start, stretch.stop)
+        for target, column in derived.items():
+            states[part, names.index(target)] = _derivative(rows.t[part], states[part], names, column)
+    trimmed = [_trimmed(states, stretch) for stretch in stretches]
+    findings = [_derived_finding(target, column) for target, column in derived.items()]
+    return Rows(rows.t, states, rows.actions), [stretch for stretch in trimmed if len(stretch) > 1], findings
+
+
+def _derivative(
+    t: NDArray[np.float64], states: NDArray[np.float64], names: tuple[str, ...], column: DerivedColumn
+) -> NDArray[np.float64]:
+    if column.derive in ("rate_from_angle", SLOPE):
+        return slope(t, states[:, names.index(column.of or "angle")], column.window)
+    along_x = slope(t, states[:, names.index("x")], column.window)
+    along_y = slope(t, states[:, names.index("y")], column.window)
+    yaw = states[:, names.index("yaw")]
+    return np.asarray(along_x * np.cos(yaw) + along_y * np.sin(yaw))
+
+
+def _trimmed(states: NDArray[np.float64], stretch: Stretch) -> Stretch:
+    good = np.flatnonzero(np.isfinite(states[stretch.start : stretch.stop]).all(axis=1))
+    if not len(good):
+        return Stretch(stretch.start, stretch.start)
+    return Stretch(stretch.start + int(good[0]), stretch.start + int(good[-1]) + 1)
+
+
+def _derived_finding(target: str, column: DerivedColumn) -> Finding:
+    source = column.of or ("angle" if column.derive == "rate_from_angle" else "position")
+    return Finding(
+        "derived_state",
+        f"{target} is the slope of the measured {source} over {column.window:g} s, central; "
+        f"the first and last {column.window / 2:g} s of each stretch were cut for it",
+    )
+
+
+def resample_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[Rows, list[Stretch]]:
+    """Of each stretch the row nearest to each multiple of ``period`` [s], with the action's mean up to the next one.
+
+    Averaged so that a command that changes between two kept rows acts neither earlier nor later than it did. States are
+    picked, not averaged.
+    """
+    picked: list[NDArray[np.intp]] = []
+    actions: list[NDArray[np.float64]] = []
+    kept: list[Stretch] = []
+    for stretch in stretches:
+        chosen = _nearest_to_multiples(rows.t[stretch.start : stretch.stop], period) + stretch.start
+        if len(chosen) < 2:
+            continue
+        held = np.diff(rows.t[stretch.start : stretch.stop], append=rows.t[stretch.stop - 1])[:, None]
+        held[-1] = held[:-1].mean()
+        starts = chosen - stretch.start
+        impulse = np.add.reduceat(rows.actions[stretch.start : stretch.stop] * held, starts)
+        actions.append(impulse / np.add.reduceat(held, starts))
+        first = sum(len(part) for part in picked)
+        picked.append(chosen)
+        kept.append(Stretch(first, first + len(chosen)))
+    if not picked:
+        return rows.taken(np.zeros(len(rows.t), dtype=bool)), []
+    index = np.concatenate(picked)
+    return Rows(rows.t[index], rows.states[index], np.concatenate(actions)), kept
+
+
+def _nearest_to_multiples(t: NDArray[np.float64], period: float) -> NDArray[np.intp]:
+    if len(t) < 2:
+        return np.zeros(len(t), dtype=np.intp)
+    wanted = np.arange(t[0], t[-1] + float(np.median(np.diff(t))) / 2.0, period)
+    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
+    nearest = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
+    return np.unique(nearest)

@@ -1,0 +1,1 @@
+"""Defects of a log: clocks, values, channels, consistency. Read ``quality`` first."""

@@ -1,0 +1,352 @@
+"""Do the columns agree with each other, in size, in sign and in time?
+
+Speed with the change of position, heading with the direction of motion, what is driven with the command that drives it;
+and whether a channel comes late beside what it should be the rate of.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.arrays import FloatArray
+from safedpa.records.column_map.apply import Rows
+from safedpa.records.column_map.derive import slopes_within
+from safedpa.records.quality.clock import hold_rows
+from safedpa.records.quality.findings import finding
+from safedpa.records.run import Finding, Stretch
+from safedpa.systems import System
+
+__all__ = ["consistency_findings", "drive_findings", "late_findings"]
+
+_FARTHEST = 1.0
+"""s that are looked at, to either side."""
+_SAME = 0.9
+"""Correlation at the best shift, without which two channels do not say the same."""
+_BETTER = 0.02
+"""By which it has to be better than without a shift."""
+_SEVERE = 0.15
+"""s, and twice what a channel is held, from which nothing is judged before it is aligned."""
+_TOLD = 0.05
+"""s from which it is said at all."""
+
+
+def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Measured rates that come later, or earlier, than the change of what they are the rate of; nothing is cut."""
+    found = []
+    for name, said, seen in _rates_beside_slopes(rows, stretches, system, measured):
+        late = _lateness(rows.t, said, seen)
+        if late is None or abs(late[0]) < _TOLD:
+            continue
+        seconds, best, now = late
+        held = hold_rows(said[np.isfinite(said)]) * _period(rows.t)
+        side = "late" if seconds > 0 else "early"
+        kind = "time_offset" if abs(seconds) >= max(_SEVERE, 2.0 * held) else "slightly_late"
+        text = (
+            f"{name} comes {abs(seconds):.2f} s {side} against the change of what it is the rate of (correlation "
+            f"{best:.3f} when it is shifted, {now:.3f} as it is)"
+        )
+        done = f"align it with shift = {seconds:.2f} for {name} in a column map"
+        found.append(finding(kind, text, done=done))
+    return found
+
+
+def _rates_beside_slopes(
+    rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]
+) -> list[tuple[str, FloatArray, FloatArray]]:
+    """(name of a measured rate, its values, the slope that it should be)."""
+    names, states = system.state_names, rows.states
+    if {"x", "y", "yaw", "speed"} <= set(names):
+        index = names.index("speed")
+        x, y, yaw = (states[:, names.index(name)] for name in ("x", "y", "yaw"))
+        along = slopes_within(rows.t, x, stretches, _WINDOW) * np.cos(yaw) + slopes_within(
+            rows.t, y, stretches, _WINDOW
+        ) * np.sin(yaw)
+        return [("speed", states[:, index], along)] if measured[index] else []
+    found = []
+    for at, variable in enumerate(system.state):
+        for index, rate in enumerate(system.state):
+            if rate.unit == f"{variable.unit}/s" and measured[index] and measured[at]:
+                found.append((rate.name, states[:, index], slopes_within(rows.t, states[:, at], stretches, _WINDOW)))
+    return found
+
+
+def _lateness(t: FloatArray, said: FloatArray, seen: FloatArray) -> tuple[float, float, float] | None:
+    """(seconds by which ``said`` comes after ``seen``, correlation then, correlation as it is); None where unclear."""
+    period = _period(t)
+    if not period > 0.0:
+        return None
+    most = max(1, round(_FARTHEST / period))
+    step = max(1, most // 40)
+    shifts = np.unique(np.concatenate([np.arange(-most, most + 1, step), [0]]))
+    values = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in shifts])
+    best = int(np.nanargmax(values)) if np.isfinite(values).any() else -1
+    if best < 0 or values[best] < _SAME:
+        return None
+    around = np.arange(shifts[best] - step, shifts[best] + step + 1)
+    finer = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in around])
+    top = int(np.nanargmax(finer))
+    now = _correlation_when_shifted(said, seen, 0)
+    if finer[top] < now + _BETTER or abs(around[top]) >= most:
+        return None
+    return float(around[top]) * period, float(finer[top]), now
+
+
+def _period(t: FloatArray) -> float:
+    """Usual seconds between rows; 0 where there are none."""
+    steps = np.diff(t[np.isfinite(t)])
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _correlation_when_shifted(said: FloatArray, seen: FloatArray, shift: int) -> float:
+    """Of said[k + shift] with seen[k]."""
+    if abs(shift) > len(said) - _FEWEST:
+        return float("nan")
+    if shift >= 0:
+        one, other = said[shift:], seen[: len(seen) - shift]
+    else:
+        one, other = said[:shift], seen[-shift:]
+    good = np.isfinite(one) & np.isfinite(other)
+    if good.sum() < _FEWEST or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+        return float("nan")
+    return float(np.corrcoef(one[good], other[good])[0, 1])
+
+
+_DRIVES = {"throttle": "speed", "target_speed": "speed", "torque": "rate"}
+"""Actions, and the state that grows with them."""
+_FEWEST = 100
+_AGAINST = 0.5
+"""Partial correlation from which it certainly goes against the command."""
+_CLEAR = 0.3
+"""Partial correlation from which a delay shows anything."""
+
+
+def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Actions that slow down what they should drive: d(state)/dt on action, state and constant; nothing is cut.
+
+    The action is correlated with what the rest leaves, at delays of up to half a second. Drags, gains, lags and loads
+    change the size, and never the sign.
+    """
+    found = []
+    for index, variable in enumerate(system.action):
+        driven = _DRIVES.get(variable.name)
+        if driven not in system.state_names:
+            continue
+        value = _partial(rows, stretches, rows.actions[:, index], system, driven)
+        if value < -_AGAINST:
+            text = f"{driven} falls as {variable.name} rises (correlation {value:.2f} beside what else drives it)"
+            done = f"flip {variable.name} in a column map"
+            found.append(finding("opposite_sign", text, done=done))
+    return found
+
+
+def _partial(rows: Rows, stretches: list[Stretch], action: FloatArray, system: System, driven: str) -> float:
+    """Partial correlation of the slope of a state with an earlier action, of the sign that shows first."""
+    at = system.state_names.index(driven)
+    slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)
+    angles = [np.sin(rows.states[:, index]) for index, item in enumerate(system.state) if item.angle]
+    beside = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
+    steps = np.diff(rows.t[np.isfinite(rows.t)])
+    period = float(np.median(steps)) if len(steps) else 1.0
+    most = max(0, round(_LATEST / max(period, 1e-6)))
+    values = [_beside(slopes, action, beside, shift) for shift in range(0, most + 1, max(1, most // 10))]
+    # what comes late by half a swing goes against anything: the first delay at which anything shows has the sign
+    first = next((value for value in values if abs(value) > _CLEAR), 0.0)
+    return min(values) if first < 0.0 else max(first, 0.0)
+
+
+def _beside(slopes: FloatArray, action: FloatArray, beside: NDArray[np.float64], shift: int) -> float:
+    """Partial correlation of slopes[k + shift] with action[k] beside some columns (rows, columns) at k + shift."""
+    count = len(slopes) - shift
+    if count < _FEWEST:
+        return 0.0
+    wanted, command, columns = slopes[shift:], action[:count], beside[shift:]
+    good = np.isfinite(wanted) & np.isfinite(command) & np.isfinite(columns).all(axis=1)
+    if good.sum() < _FEWEST or not np.ptp(command[good]) > 1e-9:
+        return 0.0
+    both = np.column_stack([wanted[good], command[good]])
+    left = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
+    size = float(np.sqrt((left[:, 0] ** 2).sum() * (left[:, 1] ** 2).sum()))
+    return float(left[:, 0] @ left[:, 1]) / size if size > 1e-12 else 0.0
+
+
+_WINDOW = 0.2
+"""s over which slopes are taken; long enough for noise, short against a robot's motion."""
+_FEWEST_ROWS = 30
+_SCALE_TOLERANCE = 0.2
+_FEWEST_STEERED = 100
+"""Rows from which the steering is judged."""
+_STEERED = 0.03
+"""rad or rad/s of standard deviation without which nothing can be told."""
+_LATEST = 0.5
+"""s by which the heading may follow the steering."""
+_TURNS = 0.5
+"""Correlation from which the heading certainly depends on the steering."""
+_UNRELATED = 0.2
+"""Correlation below which it certainly does not."""
+_MISTAKES = (
+    (1.0 / 3.6, "km/h"),
+    (3.6, "t or speed scaled the other way (m/s divided by 3.6)"),
+    (1.0 / 2.2369, "mph"),
+    (0.01, "cm/s"),
+    (0.001, "mm/s, or t in milliseconds"),
+    (180.0 / np.pi, "radians while the angle is in degrees"),
+    (np.pi / 180.0, "deg/s"),
+    (2.0 * np.pi / 60.0, "rpm"),
+    (1000.0, "m/s while positions are in mm"),
+    (100.0, "m/s while positions are in cm"),
+)
+"""Slope of the position over the measured speed, and the unit in which the speed then probably is."""
+
+
+def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """What does not fit together; nothing is cut for it."""
+    names = system.state_names
+    if {"x", "y", "yaw", "speed"} <= set(names):
+        found = _car(rows, stretches, names, measured[names.index("speed")])
+        return found or _steering(rows, stretches, system) + _turning(rows, stretches, names, measured)
+    if {"angle", "rate"} <= set(names):
+        angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
+        moved = slopes_within(rows.t, angle, stretches, _WINDOW)
+        found = _scale("rate", "angle", rate, moved) if measured[names.index("rate")] else []
+        return found + _upright(angle, moved, slopes_within(rows.t, moved, stretches, _WINDOW), rows.actions)
+    return []
+
+
+def _upright(angle: FloatArray, rate: FloatArray, acceleration: FloatArray, actions: FloatArray) -> list[Finding]:
+    """Gravity pulls away from angle 0: in acceleration = a torque + b sin(angle) + c rate + d, b must be positive."""
+    good = np.isfinite(acceleration) & np.isfinite(rate)
+    if int(good.sum()) < _FEWEST_ROWS or np.ptp(angle[good]) < 1.0:
+        return []
+    columns = np.column_stack([np.sin(angle), rate, np.ones_like(rate), actions])[good]
+    wanted = acceleration[good]
+    solution = np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    explained = 1.0 - float(np.var(wanted - columns @ solution)) / max(float(np.var(wanted)), 1e-12)
+    if explained < 0.5 or solution[0] > -1.0:
+        return []
+    text = f"gravity pulls towards angle 0 (acceleration = {solution[0]:.3g} sin(angle) + ...): 0 must be upright"
+    return [finding("angle_zero", f"{text}; offset the angle by half a turn in a column map")]
+
+
+def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Does the heading turn as it is steered? Correlation of d(yaw)/dt with speed tan(steer) up to half a second later.
+
+    Lags, delays and offsets leave it well above 0.5; the other sign, another column or shuffled rows do not.
+    """
+    if "steer" not in system.action_names:
+        return []
+    speed, yaw = (rows.states[:, system.state_names.index(name)] for name in ("speed", "yaw"))
+    steer = rows.actions[:, system.action_names.index("steer")]
+    turning, asked = slopes_within(rows.t, yaw, stretches, _WINDOW), speed * np.tan(np.clip(steer, -1.5, 1.5))
+    good = np.isfinite(turning) & np.isfinite(asked)
+    moved = [float(np.std(values[good])) if good.any() else 0.0 for values in (steer, asked, turning)]
+    if int(good.sum()) < _FEWEST_STEERED or min(moved) < _STEERED:
+        return []
+    period = float(np.median(np.diff(rows.t[good])))
+    shifts = range(0, max(1, round(_LATEST / max(period, 1e-6))) + 1, max(1, round(0.05 / max(period, 1e-6))))
+    found = [_correlation(asked[: len(asked) - shift], turning[shift:]) for shift in shifts]
+    best = max(found, key=abs)
+    if best < -_TURNS:
+        text = f"the heading turns against steer (correlation {best:.2f}); flip steer or yaw in a column map"
+        return [finding("opposite_sign", text)]
+    if abs(best) < _UNRELATED:
+        text = f"the heading does not turn as it is steered (correlation {best:.2f}, up to {_LATEST:g} s later)"
+        return [finding("steer_inconsistent", f"{text}; check the column steer and that the rows belong together")]
+    return []
+
+
+def _turning(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], measured: list[bool]) -> list[Finding]:
+    """Does the heading turn at the measured rate? A gyroscope counts the other way round as easily, or in degrees."""
+    if "turn_rate" not in names or not measured[names.index("turn_rate")]:
+        return []
+    yaw, rate = (rows.states[:, names.index(name)] for name in ("yaw", "turn_rate"))
+    known = rate[np.isfinite(rate)]
+    if len(known) < _FEWEST_ROWS or float(known.std()) < _STEERED:
+        return []
+    return _scale("turn_rate", "yaw", rate, slopes_within(rows.t, yaw, stretches, _WINDOW))
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    good = np.isfinite(one) & np.isfinite(other)
+    if int(good.sum()) < _FEWEST_ROWS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+        return 0.0
+    return float(np.corrcoef(one[good], other[good])[0, 1])
+
+
+def _car(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], speed_measured: bool) -> list[Finding]:
+    x, y, yaw, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "yaw", "speed"))
+    along_x, along_y = slopes_within(rows.t, x, stretches, _WINDOW), slopes_within(rows.t, y, stretches, _WINDOW)
+    course_speed = np.hypot(along_x, along_y)
+    moving = np.isfinite(course_speed)
+    moving &= course_speed > max(0.05, 0.1 * float(np.quantile(course_speed[moving], 0.9)) if moving.any() else 0.0)
+    if int(moving.sum()) < _FEWEST_ROWS:
+        return []
+    sign = np.where(speed[moving] < 0.0, -1.0, 1.0) if speed_measured else 1.0
+    found = _scale("speed", "position", np.abs(speed), course_speed) if speed_measured else []
+    velocity = np.asarray(sign * (along_x + 1j * along_y)[moving], dtype=np.complex128)
+    return found + _direction(velocity, yaw[moving])
+
+
+def _scale(name: str, source: str, measured: FloatArray, moved: FloatArray) -> list[Finding]:
+    """Compares a measured speed with the slope of what moves: gain = sum(moved measured) / sum(measured^2).
+
+    Noise in the measured speed lowers this gain and raises its inverse gain / correlation^2: the true one lies between.
+    """
+    good = np.isfinite(moved) & np.isfinite(measured)
+    measured, moved = measured[good], moved[good]
+    power = float(measured @ measured)
+    if len(measured) < _FEWEST_ROWS or power == 0.0 or not np.any(moved):
+        return []
+    gain = float(measured @ moved) / power
+    correlation = float(measured @ moved) / float(np.sqrt(power * (moved @ moved)))
+    if correlation < -0.7:
+        text = (
+            f"{name} has the opposite sign of the change of {source} (correlation {correlation:.2f}); flip one of them"
+        )
+        return [finding("opposite_sign", text)]
+    highest = gain / max(correlation, 1e-9) ** 2
+    if correlation < 0.7 or (gain <= 1.0 + _SCALE_TOLERANCE and highest >= 1.0 - _SCALE_TOLERANCE):
+        return []
+    gain = float(np.sqrt(gain * highest))
+    ratio = f"the change of {source} is {gain:.4g} times {name} (correlation {correlation:.2f})"
+    for factor, unit in _MISTAKES:
+        if abs(gain / factor - 1.0) < 0.1:
+            return [finding("unit_mistake", f"{ratio}, as if {name} were in {unit}; name the unit in a column map")]
+    return [finding("scale_mismatch", f"{ratio}; check units, wheel radius or gear ratio")]
+
+
+def _direction(velocity: NDArray[np.complex128], yaw: FloatArray) -> list[Finding]:
+    """Compares the direction of motion with the heading.
+
+    direct = mean exp(i (course - yaw)), mirrored = mean exp(i (course + yaw)), weighted with speed: near 1 in absolute
+    value when the two agree up to a constant angle, directly or as mirror images.
+    """
+    weight = float(np.abs(velocity).sum())
+    direct = complex(np.sum(velocity * np.exp(-1j * yaw))) / weight
+    mirrored = complex(np.sum(velocity * np.exp(1j * yaw))) / weight
+    both_ways = abs(complex(np.sum(velocity**2 / np.abs(velocity) * np.exp(-2j * yaw)))) / weight
+    if abs(direct) >= 0.8 or abs(direct) >= abs(mirrored) - 0.1:
+        if abs(direct) >= 0.8 and abs(np.angle(direct)) > 0.5:
+            degrees = np.degrees(np.angle(direct))
+            text = (
+                f"the direction of motion is turned by {degrees:.0f} degrees against yaw (agreement {abs(direct):.2f})"
+            )
+            return [finding("yaw_offset", f"{text}; offset yaw in a column map, or the car drives backwards")]
+        if abs(direct) < 0.8 and both_ways < 0.8:
+            text = f"yaw does not follow the direction of motion (agreement {abs(direct):.2f}, 1 is perfect)"
+            return [finding("yaw_inconsistent", f"{text}; check the columns x, y and yaw and their units")]
+        return []
+    if abs(mirrored) < 0.8:
+        text = f"yaw does not follow the direction of motion (agreement {abs(direct):.2f}, 1 is perfect)"
+        return [finding("yaw_inconsistent", f"{text}; check the columns x, y and yaw and their units")]
+    return [_mirrored_finding(direct, mirrored)]
+
+
+def _mirrored_finding(direct: complex, mirrored: complex) -> Finding:
+    turned = abs(float(np.degrees(np.angle(mirrored))))
+    agreement = f"agreement {abs(mirrored):.2f} mirrored, {abs(direct):.2f} as it is"
+    if 45.0 < turned < 135.0:
+        text = f"x and y look swapped, or yaw is a compass heading ({agreement}); correct it in a column map"
+        return finding("swapped_columns", text)
+    wrong = "yaw or y" if turned <= 45.0 else "x"
+    return finding("opposite_sign", f"{wrong} seems to have the opposite sign ({agreement}); flip it in a column map")

@@ -1,0 +1,216 @@
+"""Defects of single values: not a number, beyond bounds, inputs that never change, another unit than was said.
+
+What looks like another unit (time, commands, angles in degrees) spoils every row until a column map names the unit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.records.column_map.apply import Rows
+from safedpa.records.column_map.column_map import ColumnMap, SourceColumn
+from safedpa.records.quality.findings import count_text, finding
+from safedpa.records.run import Finding, Stretch
+from safedpa.systems import System, Variable
+
+__all__ = ["constant_findings", "degrees_for_radians", "not_a_number", "other_units", "out_of_bounds"]
+
+Found = tuple[NDArray[np.bool_], list[Finding]]
+
+
+def _columns(rows: Rows, system: System, measured: list[bool]) -> list[tuple[Variable, NDArray[np.float64]]]:
+    """Every measured column with its variable; derived ones are not judged, they follow from others."""
+    states = [(variable, rows.states[:, index]) for index, variable in enumerate(system.state) if measured[index]]
+    return states + [(variable, rows.actions[:, index]) for index, variable in enumerate(system.action)]
+
+
+def not_a_number(rows: Rows, system: System, measured: list[bool]) -> Found:
+    """Rows in which time, a measured state or an action is missing, NaN or infinite."""
+    columns = [("t", rows.t), *((variable.name, values) for variable, values in _columns(rows, system, measured))]
+    masks = {name: ~np.isfinite(values) for name, values in columns}
+    bad = np.any(list(masks.values()), axis=0)
+    count = int(bad.sum())
+    if not count:
+        return bad, []
+    names = ", ".join(name for name, mask in masks.items() if mask.any())
+    text = f"{count_text(count, 'row', 'rows')} without a finite number in {names}"
+    return bad, [finding("not_a_number", text, count, _time_at(rows.t, int(np.argmax(bad))), "cut out")]
+
+
+def _time_at(t: NDArray[np.float64], row: int) -> float | None:
+    """Time of a row, or of the last one before it that has a time."""
+    before = t[: row + 1][np.isfinite(t[: row + 1])]
+    return float(before[-1]) if len(before) else None
+
+
+def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
+    """Rows with a measured state or an action outside the range that its system declares."""
+    bad = np.zeros(len(rows.t), dtype=bool)
+    found = []
+    for variable, values in _columns(rows, system, measured):
+        slack = 1e-6 * max(abs(variable.low), abs(variable.high)) if np.isfinite(variable.high) else 0.0
+        mask = np.isfinite(values) & ((values < variable.low - slack) | (values > variable.high + slack))
+        count = int(mask.sum())
+        if count:
+            worst = float(values[mask][np.argmax(np.abs(values[mask]))])
+            text = (
+                f"{count_text(count, 'row', 'rows')} with {variable.name} outside "
+                f"{variable.low:g} .. {variable.high:g} "
+                f"{variable.unit}, the worst {worst:.4g}"
+            )
+            done = (
+                "cut out; if the robot does that, widen the bound in its system, or say "
+                'keep = ["out_of_bounds"] in a column map; else name the unit or scale there'
+            )
+            found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), done))
+            bad |= mask
+    return bad, found
+
+
+def constant_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Actions that never change, and runs in which nothing moves."""
+    if not stretches:
+        return []
+    kept = np.concatenate([np.arange(stretch.start, stretch.stop) for stretch in stretches])
+    found = []
+    for index, variable in enumerate(system.action):
+        values = rows.actions[kept, index]
+        if np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())):
+            text = (
+                f"{variable.name} is always {values[0]:.4g} {variable.unit}: "
+                "the run cannot show what it does; nothing was cut for it"
+            )
+            found.append(finding("constant_input", text, len(kept)))
+    if np.nanmax(np.ptp(rows.states[kept], axis=0), initial=0.0) <= 1e-9:
+        found.append(finding("no_motion", "no state ever changes: the run says nothing about dynamics", len(kept)))
+    return found
+
+
+_PERIODS = (2e-4, 0.5)
+"""s between rows of a log that one may take for another unit's."""
+_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_EPOCH = (1e9, 4e9)
+"""s since 1970: 2001 to 2096."""
+_PERCENT = (1.5, 100.5)
+"""What a command of which 1 is all reaches in percent."""
+_FEWEST = 20
+_FEWEST_STEPS = 30
+_DONE = 'name unit = "deg" in a column map'
+
+
+def other_units(rows: Rows, system: System, mapping: ColumnMap) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Every row, where time looks like ms, us or ns, or a command like percent, and no column map names the unit."""
+    named = {name for name, item in mapping.columns.items() if isinstance(item, SourceColumn) and item.unit is not None}
+    found = [] if "t" in named else _time(rows, system)
+    found += _percent(rows, system, named)
+    return np.full(len(rows.t), bool(found)), found
+
+
+def _time(rows: Rows, system: System) -> list[Finding]:
+    steps = np.diff(rows.t[np.isfinite(rows.t)])
+    steps = steps[steps > 0.0]
+    if len(steps) < _FEWEST:
+        return []
+    period, last = float(np.median(steps)), float(np.nanmax(np.abs(rows.t)))
+    for unit, factor in _UNITS:
+        if not _PERIODS[0] <= factor * period <= _PERIODS[1]:
+            continue
+        slow = period > 10.0 * _PERIODS[1]  # taken for seconds; a log of 1 kHz that counts ms is not
+        epoch = _EPOCH[0] <= factor * last <= _EPOCH[1]
+        if epoch or (slow and (_faster(rows, system, factor) or _counted(rows.t, period))):
+            text = f"t steps by {period:.4g}: it looks like {unit}, not seconds, so every row was cut"
+            done = f'name unit = "{unit}" for t in a column map, or unit = "s" if it is seconds'
+            return [finding("unit_mistake", text, len(rows.t), None, done)]
+    return []
+
+
+def _counted(t: NDArray[np.float64], period: float) -> bool:
+    """Whether time is counted in whole steps of a finer unit, the rows a round number of them apart."""
+    return bool((t[np.isfinite(t)] % 1.0 == 0.0).all()) and period in (10.0, 20.0, 25.0, 40.0, 50.0, 100.0)
+
+
+def _faster(rows: Rows, system: System, factor: float) -> bool:
+    """Whether some state moves as fast as another says only once time is multiplied with a factor."""
+    for at, variable in enumerate(system.state):
+        for other, rate in enumerate(system.state):
+            if rate.unit != f"{variable.unit}/s" or variable.name in ("x", "y"):
+                continue
+            if _agrees(rows.t, rows.states[:, at], rows.states[:, other], factor):
+                return True
+    names = system.state_names
+    if not {"x", "y", "speed"} <= set(names):
+        return False
+    x, y, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "speed"))
+    good = np.isfinite(x) & np.isfinite(y) & np.isfinite(speed) & np.isfinite(rows.t)
+    with np.errstate(all="ignore"):
+        moved = np.hypot(np.diff(x[good]), np.diff(y[good])).sum()
+        said = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
+        return bool(0.7 < said / moved < 1.4)  # of one that stands no number
+
+
+def _agrees(t: NDArray[np.float64], values: NDArray[np.float64], rates: NDArray[np.float64], factor: float) -> bool:
+    good = np.isfinite(values) & np.isfinite(rates) & np.isfinite(t)
+    if good.sum() < _FEWEST:
+        return False
+    moved = np.abs(np.diff(np.unwrap(values[good]))).sum()
+    said = float((np.abs(rates[good][:-1]) * np.diff(t[good])).sum()) * factor
+    return bool(moved > 0 and 0.7 < said / moved < 1.4)
+
+
+def _percent(rows: Rows, system: System, named: set[str]) -> list[Finding]:
+    found = []
+    for index, variable in enumerate(system.action):
+        values = rows.actions[:, index]
+        values = np.abs(values[np.isfinite(values)])
+        if variable.unit != "1" or variable.high > 1.0 or len(values) < _FEWEST or variable.name in named:
+            continue
+        largest = float(np.quantile(values, 0.99))
+        if _PERCENT[0] < largest <= _PERCENT[1] and float((values > variable.high).mean()) > 0.2:
+            text = f"{variable.name} reaches {largest:.4g} where 1 is all: it looks like percent, so every row was cut"
+            done = f'name unit = "%" for {variable.name} in a column map'
+            found.append(finding("unit_mistake", text, len(rows.t), None, done))
+    return found
+
+
+def degrees_for_radians(rows: Rows, system: System) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Every row, when an angle commanded to an actuator or the heading is in degrees; before anything is unwrapped."""
+    found = _commanded(rows, system) + _heading(rows, system)
+    return np.full(len(rows.t), bool(found)), found
+
+
+def _commanded(rows: Rows, system: System) -> list[Finding]:
+    """Actions in rad beyond pi / 2: no joint and no wheel turns that far."""
+    found = []
+    for index, variable in enumerate(system.action):
+        values = rows.actions[:, index]
+        values = values[np.isfinite(values)]
+        if variable.unit == "rad" and len(values):
+            largest = float(np.quantile(np.abs(values), 0.99))
+            if largest > np.pi / 2.0:
+                text = f"{variable.name} reaches {largest:.4g} rad: it looks like degrees, so every row was cut"
+                found.append(finding("unit_mistake", text, len(rows.t), None, _DONE))
+    return found
+
+
+def _heading(rows: Rows, system: System) -> list[Finding]:
+    """Compares the direction of the steps with yaw as it is and with yaw taken for degrees.
+
+    agreement = |sum step exp(-i yaw)| / sum |step|: 1 when the car moves the way it looks, up to a constant angle.
+    """
+    if not {"x", "y", "yaw"} <= set(system.state_names):
+        return []
+    x, y, yaw = (rows.states[:, system.state_names.index(name)] for name in ("x", "y", "yaw"))
+    steps = np.diff(x) + 1j * np.diff(y)
+    good = np.isfinite(steps) & np.isfinite(yaw[:-1])
+    steps, yaw = steps[good], yaw[:-1][good]
+    total = float(np.abs(steps).sum())
+    if len(steps) < _FEWEST_STEPS or total == 0.0 or float(np.abs(yaw).max()) < 2.0 * np.pi:
+        return []
+    as_it_is = float(np.abs(np.sum(steps * np.exp(-1j * yaw)))) / total
+    as_degrees = float(np.abs(np.sum(steps * np.exp(-1j * np.radians(yaw))))) / total
+    if as_degrees < 0.8 or as_degrees < as_it_is + 0.3:
+        return []
+    text = f"yaw follows the direction of motion only when it is read as degrees (agreement {as_degrees:.2f}, "
+    text += f"{as_it_is:.2f} as radians), so every row was cut"
+    return [finding("unit_mistake", text, len(rows.t), None, _DONE)]

@@ -1,0 +1,1 @@
+"""Readers of logs: each file format becomes a table. Read ``table`` first."""

@@ -1,0 +1,104 @@
+"""What a file is, by its first bytes; a wrong kind is named for what it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safedpa.errors import RunError, near_files
+from safedpa.limits import readable
+from safedpa.records.readers.bags.rosbag1 import MAGIC as ROS1
+from safedpa.records.readers.bags.rosbag1 import Ros1Bag
+from safedpa.records.readers.bags.rosbag2 import MAGIC as SQLITE
+from safedpa.records.readers.bags.rosbag2 import (
+    FolderBag,
+    McapBag,
+    PackedBag,
+    SqliteBag,
+    is_bag_folder,
+    is_recording_of_the_bus,
+)
+from safedpa.records.readers.bags.topics import AbstractLog
+from safedpa.records.readers.bags.ulog import MAGIC as ULOG
+from safedpa.records.readers.bags.ulog import UlogLog
+
+__all__ = ["kind_of", "topic_log"]
+
+_WANTED = "a recording: .csv, .parquet, .mcap, .db3, .bag, .ulg or a rosbag2 folder"
+_MCAP, _PARQUET, _ZSTD = b"\x89MCAP0\r\n", b"PAR1", b"\x28\xb5\x2f\xfd"
+_OTHERS: tuple[tuple[bytes, str, str], ...] = (
+    (b"#ROSBAG V1", "a ROS 1 bag of format 1", "bring it up to format 2.0: rosbag fix"),
+    (b"\x1f\x8b", "packed by gzip", "unpack it: gunzip"),
+    (b"BZh", "packed by bzip2", "unpack it: bunzip2"),
+    (b"\xfd7zXZ", "packed by xz", "unpack it: unxz"),
+    (b"\x04\x22\x4d\x18", "packed by lz4", "unpack it: lz4 -d"),
+    (b"PK\x03\x04", "a zip archive, or a spreadsheet", "unpack it, or save the sheet as CSV"),
+    (b"\x89HDF", "an HDF5 file", "write its columns as CSV or Parquet"),
+    (b"MATLAB", "a MATLAB file", "write its columns as CSV: writetable"),
+    (b"\x93NUMPY", "a NumPy array", "write its columns as CSV: numpy.savetxt with a header"),
+    (b"ARROW1", "an Arrow file", "write it as Parquet"),
+    (b"RRF", "a Rerun recording", "name the log that it was made from"),
+    (b"\xa3\x95", "an ArduPilot log", "write its messages as CSV: mavlogdump.py --format csv"),
+    (b"\x80\x04\x95", "a Python pickle, which is never opened", "write its columns as CSV"),
+    (b"%PDF", "a PDF document", "name the log itself"),
+    (b"\x89PNG", "a picture", "name the log itself"),
+    (b"\xff\xd8\xff", "a picture", "name the log itself"),
+    (b"\x7fELF", "a program", "name a log"),
+)
+
+
+def kind_of(path: Path) -> str:
+    """csv, parquet, mcap (a recording of the bus), or topics: a log of topics, which needs a map that names them.
+
+    Raises RunError for what is not there, is empty, or is something else, and says what.
+    """
+    if any("\ud800" <= sign <= "\udfff" for sign in str(path)):
+        raise RunError(f"{readable(str(path))}: its name is not UTF-8, which readers of tables want; rename it")
+    if path.is_dir():
+        if is_bag_folder(path):
+            return "topics"
+        raise RunError(f"{path}: is a folder without a bag; {near_files(path)}wanted {_WANTED}")
+    if not path.is_file():
+        raise RunError(f"{path}: no such file; {near_files(path)}wanted {_WANTED}")
+    with path.open("rb") as file:
+        start = file.read(128)
+    if not start:
+        raise RunError(f"{path}: the file is empty; wanted a recording with a header and rows")
+    if start.startswith(_MCAP):
+        return "mcap" if is_recording_of_the_bus(path) else "topics"
+    if start.startswith((ROS1, SQLITE, ULOG)) or path.name.endswith((".mcap.zstd", ".db3.zstd")):
+        return "topics"
+    if path.name == "metadata.yaml":
+        raise RunError(f"{path}: is the metadata of a bag; name its folder, {path.parent}")
+    if path.suffix.lower() == ".mcap":
+        return "mcap"  # its reader says what is wrong
+    if start.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
+        return "parquet"
+    _refuse_others(path, start)
+    return "csv"
+
+
+def _refuse_others(path: Path, start: bytes) -> None:
+    for magic, what, cure in _OTHERS:
+        if start.startswith(magic):
+            raise RunError(f"{path}: is {what}; {cure}, or name {_WANTED}")
+    if start.startswith(_ZSTD):
+        raise RunError(f"{path}: is packed by zstd; unpack it, or call it NAME.mcap.zstd; wanted {_WANTED}")
+    ending = path.suffix.lower()
+    if ending in (".bag", ".db3", ".ulg"):
+        what = {".bag": "ROS 1 bag", ".db3": "rosbag2 in SQLite", ".ulg": "PX4 flight log"}[ending]
+        raise RunError(f"{path}: is called {ending}, but is no {what}; copy it once more, or name {_WANTED}")
+
+
+def topic_log(path: Path) -> AbstractLog:
+    """The log in a file or folder of which ``kind_of`` says topics."""
+    if path.is_dir():
+        return FolderBag(path)
+    with path.open("rb") as file:
+        start = file.read(16)
+    if path.name.endswith(".zstd"):
+        return PackedBag(path)
+    if start.startswith(ROS1):
+        return Ros1Bag(path)
+    if start.startswith(ULOG):
+        return UlogLog(path)
+    return SqliteBag(path) if start.startswith(SQLITE) else McapBag(path)

@@ -1,0 +1,337 @@
+"""rosbag2 as it lies on disk: a folder of ``metadata.yaml`` and one or more files, packed or not.
+
+rosbag2 in SQLite (``.db3``): one table of topics, one of messages, read by the standard library alone.
+
+Nothing in the file is believed to be harmless: it is opened for reading, its tables must be tables, a row has a largest
+size, and functions of a schema are not run.
+
+MCAP files with ROS messages: what rosbag2 writes by default, and many recorders besides.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sqlite3
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from safedpa.errors import RunError
+from safedpa.extras import need
+from safedpa.limits import limit, readable, text_of_file, too_much
+from safedpa.records.readers.bags.messages import AbstractBag, DeclaredTopic
+from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
+from safedpa.records.run import Finding
+from safedpa.ros.definitions import plain_type
+
+__all__ = [
+    "FolderBag",
+    "McapBag",
+    "PackedBag",
+    "SqliteBag",
+    "bag_in",
+    "is_bag_folder",
+    "is_recording_of_the_bus",
+]
+
+MAGIC = b"SQLite format 3\0"
+_CURE = "it was damaged or made to harm: sqlite3 FILE.db3 .recover brings back what is there"
+_WANTED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
+
+
+class SqliteBag(AbstractBag):
+    """A ``.db3`` of rosbag2."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "rosbag2 in SQLite")
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receipt in ns, encoded message) in the file's order; a damaged end is told and left out."""
+        size = self.path.stat().st_size
+        if size > limit("bag_bytes"):
+            raise too_much("bag_bytes", f"{size} bytes", str(self.path))
+        try:
+            with closing(self._opened()) as base:
+                self._check(base)
+                numbers = self._declare(base)
+                chosen = {number: name for number, name in numbers.items() if topics is None or name in topics}
+                yield from self._rows(base, chosen, every=topics is None)
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # its own message may quote bytes that are no text
+            raise RunError(
+                f"{self.path}: cannot be read as SQLite ({readable(str(error), 100)}); if it was cut off, "
+                "sqlite3 FILE.db3 .recover brings back what is left"
+            ) from error
+
+    def _opened(self) -> sqlite3.Connection:
+        from urllib.parse import quote
+
+        base = sqlite3.connect(f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1", uri=True)
+        base.text_factory = lambda text: text.decode("utf-8", "replace")
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limit("bag_message_bytes"))
+        base.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        base.execute("PRAGMA trusted_schema = OFF")
+        base.execute("PRAGMA cell_size_check = ON")
+        return base
+
+    def _check(self, base: sqlite3.Connection) -> None:
+        """Raises RunError where the file is no bag."""
+        kinds = dict(base.execute("SELECT name, type FROM sqlite_master").fetchmany(1000))
+        for table, wanted in _WANTED.items():
+            present = {row[1] for row in base.execute(f"PRAGMA table_info({table})")} if table in kinds else set()
+            if kinds.get(table) != "table" or not wanted <= present:
+                raise RunError(f"{self.path}: is a SQLite database, but no rosbag2: it has no table '{table}' of one")
+        log = self.path.with_name(self.path.name + "-wal")
+        if log.exists() and log.stat().st_size:
+            sentence = f"{log.name} holds messages that never came into the bag: it was not closed; without them"
+            self.findings.append(Finding("cut_off", f"{sentence} the rest is read. 'ros2 bag reindex' takes them in"))
+
+    def _declare(self, base: sqlite3.Connection) -> dict[int, str]:
+        texts: dict[str, tuple[str, str]] = {}
+        columns = {row[1] for row in base.execute("PRAGMA table_info(message_definitions)")}
+        if {"topic_type", "encoding", "encoded_message_definition"} <= columns:
+            asked = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            for kind, form, text in base.execute(asked).fetchmany(limit("bag_topics")):
+                if form in ("ros2msg", "ros2idl"):
+                    texts[str(kind)] = (str(text), str(form))
+        rows = base.execute("SELECT id, name, type, serialization_format FROM topics").fetchmany(
+            limit("bag_topics") + 1
+        )
+        if len(rows) > limit("bag_topics"):
+            raise too_much("bag_topics", len(rows), str(self.path))
+        for _, name, kind, encoding in rows:
+            self.declared[str(name)] = DeclaredTopic(
+                readable(plain_type(str(kind))), str(encoding), *texts.get(str(kind), ("", ""))
+            )
+        return {number: str(name) for number, name, _, _ in rows if isinstance(number, int)}
+
+    def _rows(
+        self, base: sqlite3.Connection, chosen: dict[int, str], *, every: bool
+    ) -> Iterator[tuple[str, int, bytes]]:
+        data = "x''" if every else "data"  # counting needs no message
+        marks = ",".join("?" * len(chosen)) if len(chosen) <= 500 else ""
+        where = f" WHERE topic_id IN ({marks})" if marks and not every else ""
+        cursor = base.execute(
+            f"SELECT topic_id, timestamp, {data} FROM messages{where}", tuple(chosen) if where else ()
+        )
+        left = max(limit("expansion_free_bytes"), self.path.stat().st_size)  # rows may share their bytes in the file
+        try:
+            for number, at, content in cursor:
+                if number in chosen and isinstance(at, int) and isinstance(content, bytes):
+                    left -= len(content)
+                    if left < 0:
+                        raise RunError(f"{self.path}: its messages are longer than the file; {_CURE}")
+                    yield chosen[number], at, content
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+            sentence = f"the bag is damaged ({readable(str(error), 60)}); read up to there, the rest left out"
+            self.findings.append(Finding("cut_off", sentence))
+
+
+class McapBag(AbstractBag):
+    """An ``.mcap`` whose channels hold CDR or ROS 1 messages."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "MCAP file")
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receipt in ns, encoded message) in the file's order; a damaged end is told and left out."""
+        from mcap.records import Channel, Message, Schema
+
+        size = self.path.stat().st_size
+        if size > limit("bag_bytes"):
+            raise too_much("bag_bytes", f"{size} bytes", str(self.path))
+        schemas: dict[int, tuple[str, str, bytes]] = {}
+        names: dict[int, str] = {}
+        try:
+            for record in records_of(self.path):
+                if isinstance(record, Message):
+                    name = names.get(record.channel_id)
+                    if name is not None and (topics is None or name in topics):
+                        yield name, record.log_time, record.data
+                elif isinstance(record, Schema):
+                    schemas[record.id] = (record.name, record.encoding, record.data)
+                elif isinstance(record, Channel):
+                    names[record.id] = record.topic
+                    kind, form, text = schemas.get(record.schema_id, ("", "", b""))
+                    told = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
+                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(told[0])), *told[1:])
+        except DamageError as damage:
+            where = f"is cut off or damaged at byte {damage.offset} of {damage.size}"
+            self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest left out"))
+
+
+def is_recording_of_the_bus(path: Path) -> bool:
+    """Whether an MCAP file is a recording of this project's bus; so is one that cannot be read: its reader says why."""
+    from mcap.records import Channel
+
+    from safedpa.records.readers.table import require_file
+
+    require_file(path)
+    channels = channels_at_end(path)
+    if channels is None:
+        channels = []
+        try:
+            for record in records_of(path, validate=False):
+                if isinstance(record, Channel):
+                    channels.append(record)
+                    break
+        except DamageError:
+            pass
+    return not channels or any(channel.message_encoding == "msgpack" for channel in channels)
+
+
+_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_MOST_FILES = 10_000
+_KEY = re.compile(r"( +)([a-z_]+):[ \t]*(.*)")
+_ITEM = re.compile(r" +- (.*)")
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder holds a bag: metadata, or files of one."""
+    return path.is_dir() and bool((path / "metadata.yaml").is_file() or _files_in(path))
+
+
+def _files_in(folder: Path) -> list[Path]:
+    return sorted(item for item in folder.iterdir() if item.name.endswith(_ENDINGS) and item.is_file())
+
+
+class FolderBag(AbstractBag):
+    """All files of a folder as one bag, whatever order or index its metadata give."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "rosbag2 folder")
+        about = _metadata(path)
+        self._files = list(dict.fromkeys(path / Path(name).name for name in about.files))
+        there = [file for file in self._files if file.is_file()]
+        if len(there) < len(self._files):
+            lost = [file.name for file in self._files if not file.is_file()]
+            self.findings.append(
+                Finding(
+                    "cut_off",
+                    f"{len(lost)} of the bag's {len(self._files)} files are not there ({readable(lost[0])}); "
+                    "read without",
+                )
+            )
+        self._files = there or _files_in(path)
+        if not self._files:
+            raise RunError(f"{path}: metadata.yaml names no file that is there; wanted .mcap or .db3 files beside it")
+        self._each = about.mode.upper() == "MESSAGE"
+        if self._each and about.format != "zstd":
+            raise RunError(
+                f"{path}: messages are packed by '{readable(about.format)}'; wanted zstd; unpack with ros2 bag convert"
+            )
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receipt in ns, encoded message), file after file."""
+        for file in self._files:
+            bag = bag_in(file)
+            bag.declared = self.declared
+            for name, at, data in bag.messages(topics):
+                yield name, at, _unpacked(data) if self._each and data else data
+            self.findings += bag.findings
+
+
+class PackedBag(AbstractBag):
+    """One file of a bag that was packed whole by zstd."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "packed rosbag2")
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receipt in ns, encoded message) of what is unpacked beside, for as long as it is read."""
+        with tempfile.TemporaryDirectory(prefix="safedpa-bag-") as folder:
+            file = Path(folder) / self.path.name.removesuffix(".zstd")
+            self._unpack(file)
+            bag = bag_in(file)
+            bag.declared = self.declared
+            try:
+                yield from bag.messages(topics)
+            except RunError as error:
+                raise RunError(str(error).replace(str(file), str(self.path))) from error
+            self.findings += bag.findings
+
+    def _unpack(self, to: Path) -> None:
+        import zstandard
+
+        left = max(limit("expansion_free_bytes"), self.path.stat().st_size * limit("expansion"))
+        try:
+            unpacker = zstandard.ZstdDecompressor(max_window_size=limit("bag_chunk_bytes"))
+            with self.path.open("rb") as packed, to.open("wb") as out, unpacker.stream_reader(packed) as stream:
+                while piece := stream.read(1 << 20):
+                    left -= len(piece)
+                    if left < 0:
+                        raise too_much("expansion", "more", str(self.path))
+                    out.write(piece)
+        except zstandard.ZstdError as error:
+            raise RunError(f"{self.path}: cannot be unpacked ({str(error)[:80]}); wanted one packed by zstd") from error
+
+
+def bag_in(file: Path) -> AbstractBag:
+    """The bag in one file, by its ending."""
+    if file.name.endswith(".zstd"):
+        return PackedBag(file)
+    return SqliteBag(file) if file.suffix == ".db3" else McapBag(file)
+
+
+def _unpacked(data: bytes) -> bytes:
+    import zstandard
+
+    most = limit("bag_message_bytes")
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=most).stream_reader(data) as stream:
+            found: bytes = stream.read(most + 1)
+    except zstandard.ZstdError:
+        return b""  # counted as unreadable
+    if len(found) > most:
+        raise too_much("bag_message_bytes", f"more than {most}")
+    return found
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What of metadata.yaml is wanted; the files themselves say the rest."""
+
+    files: tuple[str, ...] = ()
+    mode: str = ""
+    format: str = ""
+
+
+def _metadata(folder: Path) -> _Metadata:
+    """What metadata.yaml says; nothing without one, or where it is damaged: the files speak for themselves.
+
+    Read line by line, as rosbag2 writes it, since YAML lets a kilobyte of references become any number of entries.
+    """
+    need("ros", what="reading ROS logs")
+    path = folder / "metadata.yaml"
+    if not path.is_file():
+        return _Metadata()
+    try:
+        lines = text_of_file(path, "yaml_bytes").splitlines()
+    except UnicodeDecodeError:
+        return _Metadata()
+    names: list[str] = []
+    told: dict[str, str] = {}
+    margin, key = None, ""
+    for line in lines:
+        entry = _KEY.fullmatch(line)
+        if entry and margin in (None, entry[1]):
+            margin, key = entry[1], entry[2]
+            told.setdefault(key, _scalar(entry[3]))
+        elif key == "relative_file_paths" and len(names) < _MOST_FILES and (item := _ITEM.fullmatch(line)):
+            names.append(_scalar(item[1]))
+    return _Metadata(tuple(filter(None, names)), told.get("compression_mode", ""), told.get("compression_format", ""))
+
+
+def _scalar(written: str) -> str:
+    """A YAML scalar on one line; empty where its quotes do not end."""
+    text = written.strip()
+    if text.startswith("'"):
+        return text[1:-1].replace("''", "'") if len(text) > 1 and text.endswith("'") else ""
+    if text.startswith('"'):
+        try:
+            return str(json.loads(text))
+        except (ValueError, RecursionError):
+            return ""
+    return text

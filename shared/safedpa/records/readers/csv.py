@@ -1,0 +1,341 @@
+"""CSV files as tables, fast, and with line and column of what is no number."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import RunError
+from safedpa.limits import limit, readable, too_much
+from safedpa.records.readers.table import Table, require_columns, require_file
+from safedpa.records.run import Finding
+
+if TYPE_CHECKING:
+    import pyarrow
+
+__all__ = ["read_csv_table"]
+
+_DELIMITERS = ",;\t"
+_NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"]
+_PIECE = 1 << 16
+_FIRST = 60
+"""Lines among which the header is looked for."""
+_COMMENTS = ("#", "%", "//")
+_DATE = re.compile(r"\s*\d{1,4}[-/.:]\d{1,2}[-/.:]\d")
+
+
+def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
+    """The wanted columns of a CSV file with a header line, separated by comma, semicolon or tab.
+
+    Lines with too few or too many cells, and a last line that was cut off within a number, are dropped and reported.
+    Raises RunError when a column is missing, or naming line and column of the first cell that is no number.
+    """
+    import pyarrow
+
+    require_file(path)
+    if path.stat().st_size > limit("table_bytes"):
+        raise too_much("table_bytes", f"{path.stat().st_size} bytes", str(path))
+    layout = _layout(path, wanted)
+    if len(layout.header) > limit("columns"):
+        raise too_much("columns", len(layout.header), str(path))
+    require_columns(path, wanted, layout.header)
+    if not _has_rows(path, layout):
+        return Table({name: np.empty(0) for name in wanted}, layout.findings)
+    malformed: list[tuple[int, int]] = []
+    try:
+        columns = _numbers(_parse(path, wanted, layout, pyarrow.float64(), malformed), wanted)
+    except pyarrow.ArrowInvalid:
+        malformed.clear()
+        columns = _numbers_of_texts(path, _texts(path, wanted, layout, malformed), wanted, malformed, layout)
+    _refuse_open_quotes(path, layout, len(columns[wanted[0]]) + len(malformed))
+    findings = (_malformed_finding(path, malformed, layout),) if malformed else ()
+    return Table(columns, (*layout.findings, *findings))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a file is written: lines before the header's, the columns' names, what separates cells, the decimal mark."""
+
+    before: int
+    header: list[str]
+    delimiter: str
+    point: str
+    findings: tuple[Finding, ...]
+    encoding: str = "utf8"
+
+
+def _layout(path: Path, wanted: Sequence[str]) -> _Layout:
+    read = [_decoded(line) for line in _first_lines(path)]
+    lines = [line or "" for line in read]
+    before = _lines_before(lines, wanted)
+    if read[0] is None:  # a header behind it has names, and so is text
+        raise RunError(f"{path}: the first line is no text; wanted a CSV file in UTF-8 with a header line")
+    text = lines[before].lstrip("".join(_COMMENTS)).strip() if before or _commented(lines[0]) else lines[0]
+    if not text:
+        raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
+    delimiter = max(_DELIMITERS, key=text.count)
+    header = _cells(path, text, delimiter)
+    findings = []
+    if before:
+        said = f"{before} {'line' if before == 1 else 'lines'} before the header were taken for comments and left out"
+        findings.append(Finding("comment_lines", f"{said}; the header is line {before + 1}", before))
+    point = "." if delimiter == "," else _decimal_mark(lines[before + 1 :], header, delimiter, wanted)
+    if point == ",":
+        text = "numbers have decimal commas; they were read as such; write points to be understood everywhere"
+        findings.append(Finding("decimal_comma", text))
+    elif delimiter == "," and _twice_as_many(lines[before + 1 :], len(header)):
+        raise RunError(
+            f"{path}: rows have twice as many cells as the header's {len(header)}: decimal commas in a file that "
+            "commas separate; save it with decimal points, or with semicolons between the cells"
+        )
+    return _Layout(before, header, delimiter, point, tuple(findings))
+
+
+def _decoded(line: bytes) -> str | None:
+    """A line in UTF-8, else in what Windows writes where people say degrees; None for what is neither."""
+    for encoding in ("utf-8-sig", "cp1252"):
+        with contextlib.suppress(UnicodeDecodeError):
+            text = line.decode(encoding).strip()
+            return None if "\0" in text else text
+    return None
+
+
+def _cells(path: Path, text: str, delimiter: str) -> list[str]:
+    try:
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error as error:
+        raise RunError(f"{path}: the first line cannot be read ({error}); wanted the columns' names") from error
+
+
+def _lines_before(lines: Sequence[str], wanted: Sequence[str]) -> int:
+    """How many lines stand before the header: none where the first one is no comment and no other has the names."""
+    for number, line in enumerate(lines):
+        text = line.lstrip("".join(_COMMENTS)).strip()
+        if set(wanted) <= {cell.strip() for cell in text.split(max(_DELIMITERS, key=text.count))}:
+            return number
+    return next((number for number, line in enumerate(lines) if line and not _commented(line)), 0)
+
+
+def _commented(line: str) -> bool:
+    return line.startswith(_COMMENTS)
+
+
+def _decimal_mark(rows: Sequence[str], header: Sequence[str], delimiter: str, wanted: Sequence[str]) -> str:
+    """A comma where cells of the wanted columns look like 1,5 and none like 1.5; beside them may stand a date."""
+    used = [place for place, name in enumerate(header) if name in wanted]
+    cells = [row.split(delimiter) for row in rows]
+    text = " ".join(row[place] for row in cells for place in used if place < len(row))
+    return "," if re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text) else "."
+
+
+def _twice_as_many(rows: Sequence[str], cells: int) -> bool:
+    """Whether every row has twice the header's cells, whole numbers all: 0,05,1,25 for 0.05 and 1.25."""
+    filled = [row for row in rows if row][:-1]  # the last one may be cut off
+    numbers = all(re.fullmatch(r"[-+\d, ]+", row) for row in filled)
+    return bool(filled) and numbers and all(row.count(",") + 1 == 2 * cells for row in filled)
+
+
+def _first_lines(path: Path) -> list[bytes]:
+    """The lines among which the header is looked for, up to line ends of any kind."""
+    most = limit("header_bytes")
+    with path.open("rb") as file:
+        start = file.read(most + 1)
+    lines = start.splitlines()[:_FIRST] or [b""]
+    if len(start) > most and len(lines) == 1:
+        raise too_much("header_bytes", f"more than {most} bytes in the first line", str(path))
+    return lines
+
+
+def _has_rows(path: Path, layout: _Layout) -> bool:
+    with path.open("rb") as file:
+        file.seek(sum(len(line) for line in _first_lines(path)[: layout.before + 1]))
+        while piece := file.read(_PIECE):
+            if piece.strip():
+                return True
+    return False
+
+
+def _texts(path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[tuple[int, int]]) -> pyarrow.Table:
+    import pyarrow
+
+    with contextlib.suppress(pyarrow.ArrowInvalid):
+        return _parse(path, wanted, layout, pyarrow.string(), malformed)
+    malformed.clear()
+    try:  # a line that is not UTF-8 is told by its cells, as others are
+        return _parse(path, wanted, replace(layout, encoding="latin-1"), pyarrow.string(), malformed)
+    except pyarrow.ArrowInvalid as error:
+        reason = str(error).splitlines()[0]
+        raise RunError(f"{path}: cannot be read as CSV ({reason}); wanted a header line and rows of numbers") from error
+
+
+def _parse(
+    path: Path, wanted: Sequence[str], layout: _Layout, kind: pyarrow.DataType, malformed: list[tuple[int, int]]
+) -> pyarrow.Table:
+
+    def skip(row: Any) -> str:
+        malformed.append((row.number, row.actual_columns))
+        return "skip"
+
+    with _quiet():
+        return _read(path, wanted, layout, kind, skip)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """A line that is no text makes the library print a traceback before it gives up."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _read(
+    path: Path, wanted: Sequence[str], layout: _Layout, kind: pyarrow.DataType, skip: Callable[[Any], str]
+) -> pyarrow.Table:
+    from pyarrow import csv as arrow_csv
+
+    return arrow_csv.read_csv(
+        path,
+        read_options=arrow_csv.ReadOptions(
+            use_threads=False,  # with threads the reader does not know line numbers
+            skip_rows=layout.before + 1,
+            column_names=layout.header,
+            encoding=layout.encoding,
+        ),
+        parse_options=arrow_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=skip),
+        convert_options=arrow_csv.ConvertOptions(
+            include_columns=list(wanted),
+            column_types=dict.fromkeys(wanted, kind),
+            null_values=_NULLS,
+            decimal_point=layout.point,
+        ),
+    )
+
+
+def _numbers(table: pyarrow.Table, wanted: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    return {name: np.asarray(table.column(name).to_numpy(), dtype=np.float64) for name in wanted}
+
+
+def _numbers_of_texts(
+    path: Path, texts: pyarrow.Table, wanted: Sequence[str], malformed: list[tuple[int, int]], layout: _Layout
+) -> dict[str, NDArray[np.float64]]:
+    """The slow road, when some cell is no number: finds the first; forgives it in a last line that was cut off."""
+    rows = texts.num_rows
+    cells, point = {name: texts.column(name).to_pylist() for name in wanted}, layout.point
+    bad = min((_first_bad(cells[name], point), name) for name in wanted)
+    row, name = bad
+    if row == rows:  # blanks around a number, of a kind that the fast reader does not know
+        return {name: np.array([_number(cell, point) for cell in column]) for name, column in cells.items()}
+    line = _line_of(row, malformed, layout.before)
+    if row < rows - 1 or _ends_with_newline(path):
+        place = f"{path}: line {_with_blanks(path, line, layout.before)}, column '{name}'"
+        raise RunError(f"{place}: {_no_number(str(cells[name][row]), point)}")
+    malformed.append((line, -1))
+    return {name: np.array([_number(cell, point) for cell in column[:-1]]) for name, column in cells.items()}
+
+
+def _no_number(cell: str, point: str) -> str:
+    """What is wrong with a cell, and what to do."""
+    wanted = "wanted a number" if point == "." else "wanted a number with a decimal comma, as others have here"
+    cure = "write it as seconds" if _DATE.match(cell) else "correct or remove the line"
+    return f"got '{readable(cell)}', {wanted}; {cure}"
+
+
+def _first_bad(cells: Sequence[str | None], point: str) -> int:
+    for row, cell in enumerate(cells):
+        try:
+            _number(cell, point)
+        except ValueError:
+            return row
+    return len(cells)
+
+
+def _number(cell: str | None, point: str) -> float:
+    """Raises ValueError for what is no number; Python would take 1_0 for ten, and digits of any script.
+
+    Among decimal commas a point may separate thousands: 1.234 is then no number of which one could be sure.
+    """
+    if cell is None or cell.strip() in _NULLS:
+        return float("nan")
+    if "_" in cell or not cell.isascii() or (point == "," and "." in cell):
+        raise ValueError(cell)
+    return float(cell.replace(",", ".") if point == "," else cell)
+
+
+def _line_of(row: int, malformed: list[tuple[int, int]], before: int) -> int:
+    """Line (from 1, blank ones not counted behind the header) of a row, given the lines that were dropped before it."""
+    line = row + before + 2
+    for dropped, _ in sorted(malformed):
+        line += dropped <= line
+    return line
+
+
+def _with_blanks(path: Path, line: int, before: int) -> int:
+    """The line in the file of one that was counted without the blank lines behind the header."""
+    with path.open(encoding="latin-1") as file:
+        filled = (number for number, text in enumerate(file, 1) if text != "\n" or number <= before + 1)
+        return next(islice(filled, line - 1, None), line)
+
+
+def _refuse_open_quotes(path: Path, layout: _Layout, read: int) -> None:
+    """Raises RunError where a quotation mark opens and whole rows stand before the next one: the reader takes them for
+    one cell, and would lose them without a word. A note that goes over several lines is none of these.
+
+    ``read``: lines behind the header that the reader knows.
+    """
+    if not _may_have_open_quotes(path, layout.before + 1 + read):
+        return
+    mark = re.escape(layout.delimiter)
+    closed, opens = re.compile(f'(^|{mark})"(?:[^"]|"")*"'), re.compile(f'(?:^|{mark})"')
+    opened = 0
+    with path.open(encoding="latin-1") as file:
+        for number, line in enumerate(file, 1):
+            if opened and '"' not in line and line.count(layout.delimiter) + 1 == len(layout.header) > 1:
+                raise RunError(
+                    f"{path}: line {opened}: a quotation mark opens there and none closes it on that line, so the rows "
+                    "behind it cannot be told from a text; correct or remove the line"
+                )
+            rest = line.partition('"')[2] if opened else line
+            if '"' in line and number > layout.before:
+                opened = number if opens.search(closed.sub(r"\1", rest)) else 0
+
+
+def _may_have_open_quotes(path: Path, known: int) -> bool:
+    """Whether there are quotation marks, and other lines than those that the reader knows."""
+    marks = ends = 0
+    last = b"\n"
+    with path.open("rb") as file:
+        while piece := file.read(1 << 20):
+            marks += piece.count(b'"')
+            ends += piece.count(b"\n")
+            last = piece[-1:]
+    return marks > 0 and ends + (last != b"\n") != known
+
+
+def _ends_with_newline(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) in b"\r\n"
+
+
+def _malformed_finding(path: Path, malformed: list[tuple[int, int]], layout: _Layout) -> Finding:
+    line = _with_blanks(path, malformed[0][0], layout.before)
+    lines = "line was" if len(malformed) == 1 else "lines were"
+    return Finding(
+        "malformed_line",
+        f"{len(malformed)} {lines} cut off or had another number of cells than the header's {len(layout.header)}, "
+        f"first line {line}; dropped",
+        len(malformed),
+    )

@@ -1,0 +1,264 @@
+"""Writing what is said on the bus to an MCAP file, so that neither a kill nor a full disk costs what was written.
+
+Each channel carries the JSON Schema of its message, for tools that know MCAP and not this project.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import errno
+import inspect
+import json
+import os
+from dataclasses import MISSING, fields
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, BinaryIO, final
+
+from safedpa.bus.messages import messages
+from safedpa.bus.messages.messages import Message
+from safedpa.bus.messages.topics import topic_of
+from safedpa.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mcap.writer import Writer
+
+__all__ = ["McapRecorder", "schema_of"]
+
+_CHUNK_BYTES = 16 * 1024
+"""About half a second of one robot; with flushing, a kill then loses less than a second."""
+_FLUSH_NANOSECONDS = 500_000_000
+
+
+@final
+class McapRecorder:
+    """One MCAP file: a channel per key with the JSON Schema of its message, messages msgpack as on the bus.
+
+    What is older than 0.5 s (by log time) when ``write`` is called has reached the file; ``flush`` writes the rest,
+    ``sync`` waits until all of it is on the disk: the first ``acknowledged`` messages are there, whatever happens to
+    process or power afterwards. When the disk is full the file is cut back to its last whole record and stays readable;
+    from then on every call but ``close`` raises RecordingError. A file that exists is never overwritten: ``path`` then
+    ends in -2, -3, ... ``about`` is kept as the metadata record ``safedpa``.
+    """
+
+    def __init__(self, path: str | Path, about: Mapping[str, str] | None = None) -> None:
+        from mcap.writer import Writer
+
+        self.path = _free_path(Path(path))
+        self._schemas: dict[type[Message], int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequences: dict[int, int] = {}
+        self._last_flush_ns: int | None = None
+        self._failure = ""
+        self.written = 0
+        """Messages taken so far."""
+        self.acknowledged = 0
+        """Messages, the first ones, that are known to be on the disk."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = _WholeRecordFile(self.path.open("wb", buffering=0))
+            _sync_folder(self.path.parent)
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: cannot be written ({error.strerror}); choose another place for the recording"
+            ) from error
+        self._writer: Writer | None = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._guarded(lambda writer: (writer.start(profile="safedpa"), writer.flush()))
+        if about:
+            self._guarded(lambda writer: (writer.add_metadata("safedpa", dict(about)), writer.flush()))
+
+    def write(self, key: str, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Adds one message as it came from the bus; times in nanoseconds since 1970.
+
+        Raises RecordingError when the file cannot grow, InputError when the key is not one of this project's.
+        """
+        if key not in self._channels:
+            self._register(key)
+        channel = self._channels[key]
+        sequence = self._sequences[channel] = self._sequences[channel] + 1
+        self._guarded(
+            lambda writer: writer.add_message(
+                channel, max(log_time_ns, 0), payload, max(publish_time_ns, 0), sequence=sequence
+            )
+        )
+        self.written += 1
+        if self._last_flush_ns is None:
+            self._last_flush_ns = log_time_ns
+        elif log_time_ns - self._last_flush_ns >= _FLUSH_NANOSECONDS:
+            self._last_flush_ns = log_time_ns
+            self.flush()
+
+    def flush(self) -> None:
+        """Ends the chunk in progress and hands everything to the operating system. Raises RecordingError."""
+        self._guarded(lambda writer: writer.flush())
+
+    def sync(self) -> None:
+        """Flushes, and returns when all is on the disk: ``acknowledged`` then counts it. Raises RecordingError."""
+        self._guarded(lambda writer: self._file.sync(after=writer.flush))
+        self.acknowledged = self.written
+
+    def close(self) -> None:
+        """Writes index and end, and waits for the disk; after a failure it does nothing. Raises RecordingError."""
+        if self._writer is not None and not self._failure:
+            try:
+                self._guarded(lambda writer: self._file.sync(after=writer.finish))
+                self.acknowledged = self.written
+            finally:
+                self._writer = None
+                self._file.close()
+        self._writer = None
+
+    def _register(self, key: str) -> None:
+        kind = topic_of(key)[2].message
+        if kind not in self._schemas:
+            name, text = f"safedpa.{kind.__name__}", schema_of(kind)
+            self._guarded(lambda writer: self._schemas.update({kind: writer.register_schema(name, "jsonschema", text)}))
+        schema, metadata = self._schemas[kind], {"message": kind.__name__}
+        self._guarded(
+            lambda writer: self._channels.update(
+                {key: writer.register_channel(key, "msgpack", schema, metadata=metadata)}
+            )
+        )
+        self._sequences[self._channels[key]] = 0
+
+    def _guarded(self, work: Callable[[Writer], object]) -> None:
+        if self._failure:
+            raise RecordingError(self._failure)
+        if self._writer is None:
+            raise RecordingError(f"{self.path}: the recording is closed; open a new one")
+        try:
+            work(self._writer)
+        except OSError as error:
+            self._failure = (
+                f"{self.path}: the recording stopped after {self._file.whole} bytes ({error.strerror}); what was "
+                "written before is readable; free space or choose another place, then record anew"
+            )
+            self._file.cut_back()
+            self._file.close()
+            raise RecordingError(self._failure) from error
+
+    def __enter__(self) -> McapRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@final
+class _WholeRecordFile:
+    """An unbuffered file that takes every write whole or not at all.
+
+    The MCAP writer hands over one or several whole records at a time, so that a kill leaves whole records behind.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.whole = 0
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) :]
+        self.whole += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.whole
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def sync(self, after: Callable[[], None]) -> None:
+        """Returns when what ``after`` wrote, and all before, is on the disk; a pipe knows no such thing."""
+        after()
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EROFS, errno.ENOTSUP):
+                raise
+
+    def cut_back(self) -> None:
+        """Removes the part of a record that still fitted."""
+        with contextlib.suppress(OSError):  # a device has no length to cut
+            os.ftruncate(self._file.fileno(), self.whole)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _sync_folder(folder: Path) -> None:
+    """The file's name on the disk, too: else a power cut could leave its content without a name."""
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # not every file system can
+            os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def _free_path(path: Path) -> Path:
+    free, number = path, 1
+    while free.is_file() and free.stat().st_size:
+        number += 1
+        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return free
+
+
+_NUMBER = {"type": "number"}
+_VECTOR = {"type": "array", "items": _NUMBER}
+_TYPES: dict[str, dict[str, Any]] = {
+    "Count": {"type": "integer", "minimum": 0},
+    "Number": _NUMBER,
+    "Positive": {"type": "number", "exclusiveMinimum": 0},
+    "bool": {"type": "boolean"},
+    "str": {"type": "string"},
+    "Vector": _VECTOR,
+    "Rows": {"type": "array", "items": _VECTOR},
+    "tuple[str, ...]": {"type": "array", "items": {"type": "string"}},
+}
+
+
+def schema_of(kind: type[Message]) -> bytes:
+    """The JSON Schema of a message's map of fields, with each field's meaning and unit in words."""
+    meanings = {name: text for owner in reversed(kind.__mro__) for name, text in _meanings().get(owner.__name__, ())}
+    properties = {
+        item.name: {**_TYPES[str(item.type)], **({"description": meanings[item.name]} if item.name in meanings else {})}
+        for item in fields(kind)
+    }
+    table = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": kind.__name__,
+        "description": inspect.cleandoc(kind.__doc__ or ""),
+        "type": "object",
+        "properties": properties,
+        "required": [item.name for item in fields(kind) if item.default is MISSING],
+    }
+    return json.dumps(table).encode()
+
+
+@cache
+def _meanings() -> dict[str, tuple[tuple[str, str], ...]]:
+    """(field, meaning) pairs by message, from the texts below the fields; nothing where the source is not there."""
+    try:
+        tree = ast.parse(inspect.getsource(messages))
+    except OSError:
+        return {}
+    classes = (node for node in tree.body if isinstance(node, ast.ClassDef))
+    return {node.name: tuple(_of_body(node.body)) for node in classes}
+
+
+def _of_body(body: list[ast.stmt]) -> list[tuple[str, str]]:
+    found = []
+    for node, following in pairwise(body):
+        if not (isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)):
+            continue
+        if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
+            found.append((node.target.id, " ".join(str(following.value.value).split())))
+    return found

@@ -1,0 +1,1 @@
+"""The car for other software: ROS and Gazebo."""

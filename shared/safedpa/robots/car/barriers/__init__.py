@@ -1,0 +1,1 @@
+"""Barriers of the car. Read ``obstacles`` first."""

@@ -1,0 +1,230 @@
+"""The car's barriers: obstacles and walls around a body that its stopping distance stretches, and limits of its speed.
+
+Each is one equation; ``written_barriers.py`` holds what recording them gives, and is made anew with
+``python -m safedpa.robots.car.generate_barriers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from safedpa.bus import StateMessage
+from safedpa.equations import Given
+from safedpa.errors import InputError
+from safedpa.operations import FLOATS, Operations, Scalar
+from safedpa.robots.car.barriers.body import body_of, hitch_of, steepest, to_segment
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.settings import FilterSettings
+
+__all__ = [
+    "FieldBarrier",
+    "Footprint",
+    "ObstacleBarrier",
+    "braking_of",
+    "car_barriers",
+    "checked_footprint",
+    "swept_capsule",
+    "with_towed_load",
+]
+
+Footprint = tuple[float, float, float]
+"""(rear, front, radius) [m]: the body is the segment p - rear e .. p + front e, thickened by the radius."""
+
+_STATES = ("x", "y", "yaw", "speed")
+_WRITTEN = "safedpa.robots.car.written_barriers"
+
+
+@final
+class ObstacleBarrier(AbstractEquationBarrier):
+    """h_i = distance(c_i, S(x)) - (R_i + r + clearance), for obstacles with centre c_i and radius R_i [m].
+
+    State x = (x, y, yaw, speed); e = (cos yaw, sin yaw), p = (x, y); the swept segment is
+    S(x) = [p - (rear - min(D, 0)) e, p + (front + max(D, 0)) e], D = stopping distance at that speed (``Braking``).
+
+    With something ``towed`` its hitch is the rear end, whose radius grows with the way driven backwards: h_i is also no
+    more than distance(c_i, T(x)) - (R_i + r + growth + clearance), T(x) = what a reversing stop lets the rear end pass.
+
+    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape, a number that is not finite or a negative
+    length.
+    """
+
+    kind = "obstacle"
+    reads = _STATES
+    numbers = 3
+    written = _WRITTEN
+    steepest = staticmethod(steepest)
+
+    def __init__(
+        self,
+        obstacles: ArrayLike,
+        footprint: Sequence[float],
+        braking: Braking,
+        clearance: float = 0.0,
+        names: Sequence[str] | None = None,
+        towed: TrailerEnvelope | None = None,
+    ) -> None:
+        table = np.asarray(obstacles, dtype=np.float64)
+        if table.size == 0:
+            table = table.reshape(0, 3)
+        if table.ndim != 2 or table.shape[1] != 3:
+            raise InputError(f"obstacles: got shape {table.shape}, wanted (obstacles, 3): x, y, radius in m")
+        if not np.isfinite(table).all() or (table[:, 2] < 0.0).any():
+            raise InputError(
+                "obstacles: got NaN, infinity or a negative radius, wanted finite x, y and radius >= 0 in m"
+            )
+        rear, front, radius = checked_footprint(footprint)
+        room = radius + _checked_clearance(clearance)
+        self.names = tuple(names) if names is not None else tuple(f"obstacle {i}" for i in range(len(table)))
+        if len(self.names) != len(table):
+            raise InputError(f"names of obstacles: got {len(self.names)}, wanted {len(table)}, one for each obstacle")
+        self.shared = _shared(rear, front, braking, towed)
+        rows: Any = table.tolist()
+        self.each = tuple([(x, y, size + room) for x, y, size in rows])
+
+    @staticmethod
+    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Of an obstacle x, y and what its distance has to exceed [m]."""
+        x, y, reach = given.each
+        body = body_of(given, operations)
+        h = to_segment(body, given, body.rear, body.front, (x, y), operations) - reach
+        hitch = hitch_of(body, given, operations)
+        if hitch is None:
+            return (h,)
+        end, growth = hitch
+        towed = to_segment(body, given, body.rear, end, (x, y), operations) - reach - growth
+        return (operations.minimum(h, towed),)
+
+
+@final
+class FieldBarrier(AbstractEquationBarrier):
+    """h = b - n . end - (r + clearance), for both ends of the swept segment and each of four walls n . p <= b.
+
+    ``field`` = lowest x, highest x, lowest y, highest y [m]; state, footprint and stretched ends as in ObstacleBarrier.
+    Eight barriers; the segment lies within a half plane exactly when both of its ends do.
+
+    With something ``towed`` the radius at the rear end is larger by its growth, all the way that a reversing stop lets
+    that end pass: the nearer end of this way counts.
+    Raises InputError when a side is not finite or the field is empty.
+    """
+
+    kind = "field"
+    reads = _STATES
+    numbers = 4
+    written = _WRITTEN
+    steepest = staticmethod(steepest)
+    names = tuple(
+        f"{wall} wall, {end} end" for end in ("front", "rear") for wall in ("left", "right", "lower", "upper")
+    )
+
+    def __init__(
+        self,
+        field: Sequence[float],
+        footprint: Sequence[float],
+        braking: Braking,
+        clearance: float = 0.0,
+        towed: TrailerEnvelope | None = None,
+    ) -> None:
+        sides = tuple(float(side) for side in field)
+        if len(sides) != 4 or not all(isfinite(side) for side in sides) or sides[0] >= sides[1] or sides[2] >= sides[3]:
+            raise InputError(f"field: got {sides}, wanted lowest x < highest x, lowest y < highest y, finite, in m")
+        rear, front, radius = checked_footprint(footprint)
+        room = radius + _checked_clearance(clearance)
+        self.shared = _shared(rear, front, braking, towed)
+        self.each = ((sides[0] + room, sides[1] - room, sides[2] + room, sides[3] - room),)
+
+    @staticmethod
+    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Of the four walls, less what they have to be away: how far both ends lie within each."""
+        body = body_of(given, operations)
+        h = [*_within(body.front, body, given), *_within(body.rear, body, given)]
+        hitch = hitch_of(body, given, operations)
+        if hitch is None:
+            return h
+        end, growth = hitch
+        folds = growth > 0.0
+        towed = zip(h[4:], _within(end, body, given), strict=True)
+        lower = [(swept, operations.minimum(swept, still) - growth) for swept, still in towed]
+        return [*h[:4], *(operations.where(folds, room, swept) for swept, room in lower)]
+
+
+def car_barriers(
+    settings: FilterSettings,
+    footprint: Sequence[float],
+    obstacles: ArrayLike,
+    field: Sequence[float] | None = None,
+    towed: TrailerEnvelope | None = None,
+) -> list[AbstractBarrier]:
+    """Obstacles (m, 3), field (4,) if there is one, and speed, for state (x, y, yaw, speed) and footprint (3,).
+
+    ``towed``: what hangs at the footprint's rear end, if anything.
+
+    Raises InputError for a wrong shape or a number that is not finite.
+    """
+    braking, clearance = braking_of(settings), settings.barrier("clearance")
+    barriers: list[AbstractBarrier] = [ObstacleBarrier(obstacles, footprint, braking, clearance, towed=towed)]
+    if field is not None:
+        barriers.append(FieldBarrier(field, footprint, braking, clearance, towed))
+    return [*barriers, SpeedBarrier(settings.barrier("speed_low"), settings.barrier("speed_high"))]
+
+
+def with_towed_load(parts: Sequence[AbstractEquationBarrier], towed: TrailerEnvelope) -> list[AbstractEquationBarrier]:
+    """The same barriers of a car that tows, where its load is by now."""
+    numbers = towed.numbers
+    shared = (*parts[0].shared[: -len(numbers)], *numbers)
+    return [part.sharing(shared) if isinstance(part, ObstacleBarrier | FieldBarrier) else part for part in parts]
+
+
+def braking_of(settings: FilterSettings) -> Braking:
+    """The guaranteed braking ability."""
+    return Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
+
+
+def swept_capsule(state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:
+    """Rear and front end of the swept segment along the heading, and the radius around it [m]; None: not known."""
+    if len(state.footprint) != 3 or len(state.values) != len(_STATES) or not all(map(isfinite, state.values)):
+        return None
+    rear, front, radius = state.footprint
+    braking = braking_of(settings)
+    body = body_of(Given(state.values, (rear, front, braking.deceleration, braking.gain), ()), FLOATS)
+    return body.rear, body.front, radius
+
+
+def checked_footprint(footprint: Sequence[float]) -> Footprint:
+    """(rear, front, radius) as floats; raises InputError unless finite, radius >= 0 and rear + front >= 0."""
+    if len(footprint) != 3:
+        raise InputError(f"footprint: got {len(footprint)} numbers, wanted 3: rear, front, radius in m")
+    rear, front, radius = (float(value) for value in footprint)
+    if not (isfinite(rear) and isfinite(front) and isfinite(radius)) or radius < 0.0 or rear + front < 0.0:
+        raise InputError(
+            f"footprint: got {rear}, {front}, {radius}, wanted finite rear, front, radius in m, radius >= 0, "
+            "front not behind rear"
+        )
+    return rear, front, radius
+
+
+def _within(reach: Scalar, body: Any, given: Given) -> list[Scalar]:
+    """How far the point ``reach`` ahead along the heading [m] lies within each of the four walls."""
+    low_x, high_x, low_y, high_y = given.each
+    x, y = given.state[0] + reach * body.cosine, given.state[1] + reach * body.sine
+    return [x - low_x, high_x - x, y - low_y, high_y - y]
+
+
+def _shared(rear: float, front: float, braking: Braking, towed: TrailerEnvelope | None) -> tuple[float, ...]:
+    """What the swept segment follows from, as ``body_of`` and ``hitch_of`` take it."""
+    own = (rear, front, braking.deceleration, braking.gain)
+    return own if towed is None else (*own, *towed.numbers)
+
+
+def _checked_clearance(clearance: float) -> float:
+    if not (isfinite(clearance) and clearance >= 0.0):
+        raise InputError(f"clearance: got {clearance}, wanted a finite number >= 0 in m")
+    return clearance

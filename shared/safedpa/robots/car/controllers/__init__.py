@@ -1,0 +1,1 @@
+"""Controllers of the car: goal seeker, route follower and MPPI planner."""

@@ -1,0 +1,289 @@
+"""How long it still takes to the goal from any pose, turning circle and reversing included.
+
+A planner that looks one or two seconds ahead must know what comes after. T(x, y, yaw) solves Bellman's equation
+
+    T(pose) = min over manoeuvres m of  seconds(m) w(pose) + T(pose after m),     T = 0 at the goal,
+
+on a grid of poses, for arcs of one heading's width to the left, straight and to the right, forwards and backwards.
+Among what a car sees it is kept on a map from tick to tick, while what it sees changes (``TimeToGoMap``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, floor
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.arrays import FloatArray
+from safedpa.robots.car.controllers.route_cost import Clearances, VisibleObstacles
+
+__all__ = ["ANGLES", "HEADINGS", "PlanningGrid", "TimeToGo", "TimeToGoMap", "clearance", "grid_distances", "shifts"]
+
+_NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_DIAGONAL = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+class PlanningGrid:
+    """Places x (nx,), y (ny,) at most ``cell`` apart, edge to edge of a field (low x, high x, low y, high y) [m]."""
+
+    def __init__(self, field: Sequence[float], cell: float) -> None:
+        west, east, south, north = field
+        columns, rows = (max(2, int(np.ceil((high - low) / cell)) + 1) for low, high in ((west, east), (south, north)))
+        self.x: FloatArray = np.linspace(west, east, columns)
+        self.y: FloatArray = np.linspace(south, north, rows)
+        self.cell: FloatArray = np.array((self.x[1] - self.x[0], self.y[1] - self.y[0]))
+
+    def shares(self, place: FloatArray, axis: int) -> tuple[NDArray[np.intp], FloatArray]:
+        """Index of the grid line below each place (any shape) and the share of the next one, held at the edges."""
+        lines = self.x if axis == 0 else self.y
+        at = np.clip((place - lines[0]) / self.cell[axis], 0.0, len(lines) - 1 - 1e-9)
+        low = at.astype(np.intp)
+        return low, at - low
+
+
+def grid_distances(grid: PlanningGrid, goal: Sequence[float], weight: FloatArray) -> FloatArray:
+    """D (nx, ny): the least D with D(c) <= D(n) + |c - n| w(c) for all eight neighbours n; the distance at the goal.
+
+    ``weight`` (nx, ny) >= 1 is what a metre counts. Relaxed for all cells at a time until nothing changes (Bellman and
+    Ford).
+    """
+    distance = np.hypot(grid.x[:, None] - goal[0], grid.y[None, :] - goal[1])
+    framed = np.full((weight.shape[0] + 2, weight.shape[1] + 2), np.inf)
+    inside = framed[1:-1, 1:-1]
+    inside[:] = np.where(distance <= np.hypot(*grid.cell) + distance.min(), distance, np.inf)
+    ways = [
+        (
+            framed[1 + i : framed.shape[0] - 1 + i, 1 + j : framed.shape[1] - 1 + j],
+            float(np.hypot(i * grid.cell[0], j * grid.cell[1])) * weight,
+        )
+        for i, j in _NEAR + _DIAGONAL
+    ]
+    while True:
+        before = inside.copy()
+        for neighbour, way in ways:
+            np.minimum(inside, neighbour + way, out=inside)
+        if np.array_equal(before, inside):
+            return before
+
+
+HEADINGS = 16
+"""Of the grid of poses, evenly, the first along x."""
+ANGLES: FloatArray = np.arange(HEADINGS, dtype=np.float64) * (2.0 * np.pi / HEADINGS)
+"""rad."""
+_THROUGH = 8.0
+"""A second within something solid counts as so many: a planner that got too near still knows which way leads out."""
+_GRAZING = 1.0
+"""A second next to something solid counts as so many more, falling to none at ``_BERTH``."""
+_BERTH = 0.3
+"""m"""
+_SPEEDS = (1.5, 0.4)
+"""m/s forwards and backwards, until something else is known."""
+_SETTLED = 0.02
+"""s of change in a round below which T is as good as solved."""
+
+
+@final
+class TimeToGo:
+    """T [s], begun with the way of a disc and refined by ``relax``; multilinear between the grid's poses.
+
+    The capsule ``footprint`` (rear, front, radius) must keep ``room`` to obstacles (m, 3) and to the field's edges, all
+    in m; ``turning`` is the radius of the tightest arc [m]. How fast it goes is the model's business: ``drive_at``.
+    """
+
+    def __init__(
+        self,
+        goal: Sequence[float],
+        obstacles: FloatArray,
+        field: Sequence[float],
+        footprint: Sequence[float],
+        room: float,
+        turning: float = 0.92,
+        cell: float = 0.2,
+    ) -> None:
+        grid = PlanningGrid(field, cell)
+        yaw, x, y = np.meshgrid(ANGLES, grid.x, grid.y, indexing="ij")
+        rear, front, radius = footprint
+        free = clearance((x, y, yaw), (np.array(-rear), np.array(front)), obstacles, field) - radius - room
+        weight = np.where(free < 0.0, _THROUGH, 1.0 + _GRAZING * np.clip(1.0 - free / _BERTH, 0.0, 1.0))
+        self._begin(grid, goal, weight, turning, cell)
+
+    @classmethod
+    def weighed(cls, grid: PlanningGrid, goal: Sequence[float], weight: FloatArray, turning: float = 0.92) -> TimeToGo:
+        """T where a second at the poses of ``grid`` counts ``weight`` (HEADINGS, nx, ny) >= 1, from whatever source."""
+        made = cls.__new__(cls)
+        made._begin(grid, goal, weight, turning, float(grid.cell.max()))
+        return made
+
+    def _begin(
+        self, grid: PlanningGrid, goal: Sequence[float], weight: FloatArray, turning: float, cell: float
+    ) -> None:
+        self._grid, angles = grid, ANGLES
+        ways = grid_distances(grid, goal, weight.min(axis=0)) / _SPEEDS[0]
+        self._times = np.repeat(ways[None].astype(np.float32), HEADINGS, axis=0)
+        self._arrived = ways < 1.5 * cell / _SPEEDS[0]
+        moves = _manoeuvres(turning)
+        self._turned = (np.arange(HEADINGS) + [[turn] for _, _, turn, _ in moves]) % HEADINGS
+        self._weight = weight.astype(np.float32)
+        self._lengths = np.array([length for *_, length in moves])
+        self.drive_at(*_SPEEDS)
+        along, across = (np.array([move[index] for move in moves])[:, None] for index in (0, 1))
+        self._across = shifts(grid, 0, along * np.cos(angles) - across * np.sin(angles))
+        self._along = shifts(grid, 1, along * np.sin(angles) + across * np.cos(angles)).swapaxes(-1, -2)
+
+    def reweigh(self, weight: FloatArray) -> None:
+        """Goes on from the T of before with another ``weight`` (HEADINGS, nx, ny): ``relax`` makes it true."""
+        self._weight = weight.astype(np.float32)
+        self.drive_at(*self._speeds)
+
+    def drive_at(self, forwards: float, backwards: float) -> None:
+        """What the robot makes of its speeds from now on, > 0 [m/s]: a load may leave little of the reverse gear."""
+        self._speeds = forwards, backwards
+        speeds = np.where(self._lengths > 0.0, forwards, -backwards)
+        self._seconds = (self._lengths / speeds).astype(np.float32)[:, None, None, None] * self._weight
+        self.settled = False
+
+    def relax(self, sweeps: int) -> None:
+        """Some rounds of Bellman's equation for all poses at once; T goes towards the solution."""
+        for _ in range(0 if self.settled else sweeps):
+            after = self._across @ self._times[self._turned] @ self._along  # (manoeuvres, headings, nx, ny)
+            after += self._seconds
+            better = after.min(axis=0)
+            better[:, self._arrived] = self._times[:, self._arrived]
+            self.settled = bool(np.abs(better - self._times).max() < _SETTLED)
+            self._times = better
+
+    def __call__(self, x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
+        """T at poses of any one shape; outside of the field that of the nearest place inside."""
+        i, s = self._grid.shares(x, 0)
+        j, t = self._grid.shares(y, 1)
+        turn = np.mod(yaw * (HEADINGS / (2.0 * np.pi)), HEADINGS)
+        k = turn.astype(np.intp)
+        r = turn - k
+        found = np.zeros(np.shape(x))
+        for heading, share in ((k % HEADINGS, 1.0 - r), ((k + 1) % HEADINGS, r)):
+            low = self._times[heading, i, j] * (1.0 - s) + self._times[heading, i + 1, j] * s
+            high = self._times[heading, i, j + 1] * (1.0 - s) + self._times[heading, i + 1, j + 1] * s
+            found += share * (low * (1.0 - t) + high * t)
+        return found
+
+
+def clearance(
+    pose: tuple[FloatArray, FloatArray, FloatArray],
+    ends: tuple[FloatArray, FloatArray],
+    obstacles: FloatArray,
+    field: Sequence[float],
+) -> FloatArray:
+    """From the segment p + t e, t between the two ends, to the nearest obstacle or wall [m], negative beyond it.
+
+    Pose (x, y, yaw) of any one shape, e = (cos yaw, sin yaw), obstacles (m, 3), field as everywhere.
+    """
+    x, y, yaw = pose
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    west, east, south, north = field
+    room = np.full(x.shape, np.inf)
+    for end in ends:
+        end_x, end_y = x + end * cosine, y + end * sine
+        for wall in (end_x - west, east - end_x, end_y - south, north - end_y):
+            np.minimum(room, wall, out=room)
+    for ox, oy, radius in obstacles.tolist():
+        along, across = (ox - x) * cosine + (oy - y) * sine, (oy - y) * cosine - (ox - x) * sine
+        beyond = along - np.clip(along, *ends)
+        np.minimum(room, np.hypot(beyond, across) - radius, out=room)
+    return room
+
+
+def shifts(grid: PlanningGrid, axis: int, distance: FloatArray) -> NDArray[np.float32]:
+    """Matrices (..., n, n) that read a table along an axis some distance (...) [m] further on, linear in between."""
+    lines = grid.x if axis == 0 else grid.y
+    low, share = grid.shares(lines + distance[..., None], axis)
+    matrix = np.zeros((*low.shape, len(lines)), np.float32)
+    np.put_along_axis(matrix, low[..., None], 1.0 - share[..., None], axis=-1)
+    np.put_along_axis(matrix, low[..., None] + 1, share[..., None], axis=-1)
+    return matrix
+
+
+def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
+    """(along [m], across [m], headings turned, signed length [m]) of six arcs, a heading wide where tightest."""
+    angle = 2.0 * np.pi / HEADINGS
+    length = turning * angle
+    found: list[tuple[float, float, int, float]] = []
+    for side in (-1, 0, 1):
+        along = turning * float(np.sin(angle)) if side else length
+        across = side * turning * (1.0 - float(np.cos(angle)))
+        found += [(along, across, side, length), (-along, across, -side, -length)]
+    return found
+
+
+_CELL = 0.2
+"""m"""
+_BEYOND = 2.0
+"""m around robot and goal."""
+_INSIDE = 0.6
+"""m from the edge, where a new map is made."""
+_FARTHEST = 7.0
+"""m; of a goal farther away the way there counts."""
+_AT_FIRST = 12
+"""Rounds of refining a new map, ..."""
+_SWEEPS = 4
+"""and one that was looked at before."""
+
+
+@final
+class TimeToGoMap:
+    """T [s] (``TimeToGo``) on a field of its own around the car at ``place`` and its ``goal``, both (x, y) [m]."""
+
+    def __init__(
+        self,
+        place: tuple[float, float],
+        goal: tuple[float, float],
+        footprint: tuple[float, float, float],
+        room: VisibleObstacles,
+        speeds: tuple[float, float],
+    ) -> None:
+        self.goal = goal
+        apart = np.array(goal) - place
+        towards = np.array(place) + apart * min(1.0, _FARTHEST / max(float(np.hypot(*apart)), 1e-6))
+        low, high = np.minimum(place, towards) - _BEYOND, np.maximum(place, towards) + _BEYOND
+        self._low, self._high = np.array([floor(value) for value in low]), np.array([ceil(value) for value in high])
+        grid = self._grid = PlanningGrid((self._low[0], self._high[0], self._low[1], self._high[1]), _CELL)
+        rear, front, _ = footprint
+        at = np.array((-rear, 0.5 * (front - rear), front))[:, np.newaxis]
+        self._across = shifts(grid, 0, at * np.cos(ANGLES)).astype(np.float64)
+        self._along = shifts(grid, 1, at * np.sin(ANGLES)).swapaxes(-1, -2).astype(np.float64)
+        self._x, self._y = np.meshgrid(grid.x, grid.y, indexing="ij")
+        self._rest: FloatArray = room.to_rest(self._x, self._y)
+        self._moves: FloatArray = room.to_moves(self._x, self._y)
+        self.time = TimeToGo.weighed(grid, tuple(towards.tolist()), self._prices(room))
+        self.drive_at(*speeds)
+        self.time.relax(_AT_FIRST)
+
+    def holds(self, place: tuple[float, float], goal: tuple[float, float]) -> bool:
+        """Whether it is a map to ``goal`` around ``place``."""
+        inside = (np.array(place) > self._low + _INSIDE).all() and (np.array(place) < self._high - _INSIDE).all()
+        return goal == self.goal and bool(inside)
+
+    def drive_at(self, forwards: float, backwards: float) -> None:
+        """m/s, above 0."""
+        self.speeds = forwards, backwards
+        self.time.drive_at(forwards, backwards)
+
+    def take(self, room: VisibleObstacles, *, moves: bool) -> None:
+        """Takes up what is at rest, or else what ``moves``; in turn, so that no tick takes long."""
+        if moves:
+            self._moves = room.to_moves(self._x, self._y)
+        else:
+            self._rest = room.to_rest(self._x, self._y)
+        self.time.reweigh(self._prices(room))
+
+    def refine(self) -> None:
+        """Some rounds more."""
+        self.time.relax(_SWEEPS)
+
+    def _prices(self, room: VisibleObstacles) -> FloatArray:
+        """(headings, nx, ny), of the body at the grid's poses: by its rear end, middle and front end."""
+        rest = (self._across @ self._rest @ self._along).min(axis=0)
+        moves = (self._across[1:] @ self._moves @ self._along[1:]).min(axis=0)
+        return room.price(Clearances(rest, moves))

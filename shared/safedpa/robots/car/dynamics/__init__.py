@@ -1,0 +1,1 @@
+"""Base models of the car and its limits."""

@@ -1,0 +1,163 @@
+"""How quick a model of a car is: its largest acceleration, its tightest arc, and how far it goes for its speed.
+
+How soon a car stands that drives against its own motion to brake, and the action that does it.
+
+A speed servo that is told 0 lets the car run out: the slower it is, the less it brakes. Told a speed the other way
+round it brakes as hard as it can almost to the end. Among things that move by themselves, seconds count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import isfinite
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import AbstractDynamics, PhysicsModel
+from safedpa.errors import InputError
+from safedpa.operations import Operations, Scalar
+from safedpa.safety.settings import FilterSettings
+
+__all__ = [
+    "ORDINARY",
+    "STANDS",
+    "PerformanceLimits",
+    "ReversalBraking",
+    "performance_limits",
+]
+
+_SPEEDS = 9
+_MARGIN, _MARGIN_OF_REACH = 1.25, 1.05
+"""Between the states that are looked at there are others."""
+
+
+@dataclass(frozen=True)
+class PerformanceLimits:
+    """Bounds of what one period does, of a car of speed v and with u = |v| + A p.
+
+    |v+ - v| <= A p; |yaw+ - yaw| <= K u p; |x+ - x|, |y+ - y| <= R u p. The least that is assumed lies above
+    the car's equations with every load: 6.0 m/s2, and of its arcs the tightest, tan(0.34) / 0.32 m, is 1.1.
+    """
+
+    acceleration: float = 9.0
+    """A [m/s2]."""
+    curvature: float = 1.4
+    """K [1/m]."""
+    reach: float = 1.0
+    """R [1]."""
+
+
+ORDINARY: Final = PerformanceLimits()
+"""The least that is assumed."""
+
+
+def performance_limits(model: AbstractDynamics, settings: FilterSettings) -> PerformanceLimits:
+    """Of a model of x, y, yaw, speed: over speeds, the corners of its actions, of those before, and of its latents.
+
+    The bounds that are found are widened by a quarter, and never less than the least that is assumed. Infinite where
+    the model gives what is no number.
+    """
+    speeds = np.linspace(settings.barrier("speed_low"), settings.barrier("speed_high"), _SPEEDS)
+    state = np.zeros((_SPEEDS, 1, 1, 1, 4))
+    state[..., 3] = speeds[:, None, None, None]
+    corners = np.array(list(product(*zip(settings.action_low, settings.action_high, strict=True))))
+    actions = np.concatenate([corners, settings.resting_action[None]])
+    latent = _latents(model)
+    memory = model.initial_memory(actions[:, None, None], latent)
+    after = model.advance(state, actions, memory, latent)[0]
+    changes = np.abs(after - state).max(axis=(1, 2, 3))
+    if not np.isfinite(changes).all():
+        return PerformanceLimits(np.inf, np.inf, np.inf)
+    acceleration = max(ORDINARY.acceleration, _MARGIN * float(changes[:, 3].max()) / model.period)
+    way = (np.abs(speeds) + acceleration * model.period) * model.period
+    turned, moved = (float((changes[:, columns].max(axis=1) / way).max()) for columns in ([2], [0, 1]))
+    curvature, reach = max(ORDINARY.curvature, _MARGIN * turned), max(ORDINARY.reach, _MARGIN_OF_REACH * moved)
+    return PerformanceLimits(acceleration, curvature, reach)
+
+
+def _latents(model: AbstractDynamics) -> NDArray[np.float64] | None:
+    """(corners, 1, latents): what it has by itself, and the corners of what an adaptation may find."""
+    if not isinstance(model, PhysicsModel) or not model.latent_names:
+        return None
+    ranges = [model.parameters[name] for name in model.latent_names]
+    return np.array([model.latent, *product(*((one.low, one.high) for one in ranges))])[:, None]
+
+
+STANDS: Final = 0.1
+"""m/s; slower than that a car counts as standing."""
+_LAG: Final = 0.05
+"""s until the motor brakes as it is told."""
+_SHARE: Final = 3.0
+"""Of the speed that is commanded the other way round: more drives a car backwards before it stands."""
+_PERIOD: Final = 0.05
+"""s; of a robot that is commanded more rarely it is less, for the same reason."""
+
+
+@final
+@dataclass(frozen=True)
+class ReversalBraking:
+    """Guaranteed braking of a speed servo that is told the speed -u: d|v|/dt = -min(k (|v| + u), b), after a lag l.
+
+    ``deceleration`` b [m/s2] and ``gain`` k [1/s] are those of ``Braking``, ``against`` u [m/s] the largest speed
+    command the other way round. With s = ``STANDS``, c = max(b / k - u, s) and q = min(k (s + u), b) <= that braking,
+
+        T(v) = l min(|v|, s) / s + clip(|v| - s, 0, c - s) / q + max(|v| - c, 0) / b    until |v| <= s
+        D(v) = sign(v) (l |v| + min(|v|, c)^2 / (2 q) + (max(|v|, c)^2 - c^2) / (2 b))  until v = 0
+
+    Neither grows under this braking, and D'(v) >= |v| T'(v): the promise is measured on docs/robot.md.
+    Raises InputError unless b and k are positive and u is not below 0.
+    """
+
+    deceleration: float
+    gain: float
+    against: float
+
+    def __post_init__(self) -> None:
+        for name, value, least in (
+            ("deceleration", self.deceleration, "above 0"),
+            ("gain", self.gain, "above 0"),
+            ("against", self.against, "of 0 or more"),
+        ):
+            if not (isfinite(value) and (value > 0.0 or (value == 0.0 and name == "against"))):
+                raise InputError(f"counter braking {name}: got {value}, wanted a finite number {least}")
+
+    @property
+    def numbers(self) -> tuple[float, float, float]:
+        """b [m/s2], q [m/s2], c [m/s], for ``seconds`` and ``distance`` in an equation."""
+        corner = max(self.deceleration / self.gain - self.against, STANDS)
+        return self.deceleration, min(self.gain * (STANDS + self.against), self.deceleration), corner
+
+    @staticmethod
+    def seconds(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> Scalar:
+        """T(speed) [s]."""
+        hard, soft, corner = numbers
+        size = operations.absolute(speed)
+        late = operations.minimum(size, STANDS) * (_LAG / STANDS)
+        slow = operations.maximum(operations.minimum(size, corner) - STANDS, 0.0) / soft
+        return late + slow + operations.maximum(size - corner, 0.0) / hard
+
+    @staticmethod
+    def distance(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> Scalar:
+        """D(speed) [m], with the sign of ``speed``."""
+        hard, soft, corner = numbers
+        size = operations.absolute(speed)
+        slow, fast = operations.minimum(size, corner), operations.maximum(size, corner)
+        way = _LAG * size + slow * slow / (2.0 * soft) + (fast * fast - corner * corner) / (2.0 * hard)
+        return operations.where(speed > 0.0, way, -way)
+
+    @staticmethod
+    def steepest(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> tuple[Scalar, float]:
+        """What neither D'(speed) [s] nor |T'| [s2/m] exceeds."""
+        hard, soft, _ = numbers
+        most = operations.maximum(1.0 / hard, 1.0 / soft)
+        return _LAG + operations.absolute(speed) * most, operations.maximum(_LAG / STANDS, most)
+
+    def action(self, state: NDArray[np.float64] | None, period: float) -> NDArray[np.float64]:
+        """(2,) speed command [m/s] and steer [rad] at ``state`` (4,); of a state that is not known, rest."""
+        if state is None or len(state) < 4 or not isfinite(state[3]):
+            return np.zeros(2)
+        share = _SHARE * min(1.0, _PERIOD / period)
+        return np.array([min(max(-share * float(state[3]), -self.against), self.against), 0.0])

@@ -1,0 +1,1 @@
+"""Scenes of the car: obstacles that are given, perceived and sensed."""

@@ -1,0 +1,208 @@
+"""The barriers of what a car's sensors see: the discs that can matter now, and the speed limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import inf
+from typing import Final, TypeAlias, final
+
+import numpy as np
+
+from safedpa.arrays import FloatArray
+from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.equations import Given
+from safedpa.operations import NUMPY
+from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
+from safedpa.robots.car.barriers.obstacles import Footprint, ObstacleBarrier, checked_footprint
+from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
+from safedpa.robots.car.barriers.trailer import TrailerEnvelope
+from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking
+from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
+from safedpa.safety.barriers.equation import AbstractEquationBarrier
+from safedpa.safety.barriers.limits import SpeedBarrier
+from safedpa.safety.barriers.stack import CompiledBarrierSet
+from safedpa.safety.barriers.stopping import Braking
+from safedpa.safety.settings import FilterSettings
+
+__all__ = ["MOST_ROWS", "SensedBarriers", "reversal_braking", "sensed_barriers"]
+
+Far: TypeAlias = Callable[[AbstractEquationBarrier], float]
+"""h from which on an item of a barrier need not be looked at."""
+
+MOST_ROWS: Final = 64
+"""Discs of each kind, at rest and not, that a decision looks at: those with the least h."""
+_NUMBERS: Final = (
+    "braking_deceleration",
+    "braking_gain",
+    "clearance",
+    "creeping",
+    "own_radius",
+    "speed_low",
+    "speed_high",
+)
+_ROUNDING: Final = 1e-6
+"""m by which rounding misses a distance at most, and far more."""
+
+
+@final
+@dataclass(frozen=True)
+class SensedBarriers:
+    """The barriers of one tick, and what is to be said of them."""
+
+    barriers: AbstractBarrierSet
+    yields_to: str
+    """Who may be at the car before it stands, in words; empty where there is nobody."""
+    left_out: str
+    """What was not looked at though it is near, in words; empty where everything was."""
+
+
+def reversal_braking(settings: FilterSettings, *, servo: bool = True) -> ReversalBraking:
+    """The braking that is guaranteed to a car that may be told a speed the other way round: one with a ``servo``."""
+    against = max(-settings.action_low[0], 0.0) if servo else 0.0
+    return ReversalBraking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"), against)
+
+
+def sensed_barriers(
+    settings: FilterSettings,
+    counter: ReversalBraking,
+    state: StateMessage,
+    seen: SurroundingsMessage,
+    towed: TrailerEnvelope | None,
+    epsilon: Mapping[str, float] | None = None,
+    late: float = 0.0,
+    quick: PerformanceLimits = ORDINARY,
+) -> SensedBarriers:
+    """Of what is around a car at the moment of ``state``. Raises InputError for rows of a wrong width.
+
+    ``epsilon`` by kind are the margins in force, else those of the settings; an action acts ``late`` [s] after the
+    state. ``quick``: how quick the model of the car is.
+    """
+    body = checked_footprint(state.footprint)
+    still, able, limits = _nothing_seen(tuple([settings.barrier(name) for name in _NUMBERS]), counter, body, towed)
+    margins = {**settings.epsilon, **(epsilon or {})}
+
+    def far(barrier: AbstractEquationBarrier) -> float:
+        return irrelevance_distance(
+            barrier, state, settings.eta, margins.get(barrier.kind, margins.get("default", 0.0)), late, quick
+        )
+
+    clearance, speeds = settings.barrier("clearance"), limits.each[0]
+    resting, fewer = _resting(still, state, seen, body[2] + clearance, speeds, far, towed)
+    moving, fewer_movers, who = _moving(able, state, seen, clearance, speeds, far)
+    left_out = " and ".join(
+        filter(None, (f"{fewer} points" * bool(fewer), f"{fewer_movers} movers" * bool(fewer_movers)))
+    )
+    return SensedBarriers(
+        CachingBarrierSet(CompiledBarrierSet([resting, moving, limits])),
+        who,
+        f"Of {left_out} near it, those with the least h were looked at." if left_out else "",
+    )
+
+
+@lru_cache(maxsize=16)
+def _nothing_seen(
+    numbers: tuple[float, ...], counter: ReversalBraking, body: Footprint, towed: TrailerEnvelope | None
+) -> tuple[ObstacleBarrier, MovingObstacleBarrier, SpeedBarrier]:
+    """The barriers of what is at rest, of what is not, and of the speed, with nothing in sight."""
+    deceleration, gain, clearance, creeps, own_radius, low, high = numbers
+    braking = Braking(deceleration, gain)
+    still = ObstacleBarrier((), body, braking, clearance, (), towed)
+    able = MovingObstacleBarrier((), (), body, braking, counter, clearance, 0.0, (), towed, creeps, own_radius)
+    return still, able, SpeedBarrier(low, high)
+
+
+def _resting(
+    still: ObstacleBarrier,
+    state: StateMessage,
+    seen: SurroundingsMessage,
+    room: float,
+    speeds: Sequence[float],
+    far: Far,
+    towed: TrailerEnvelope | None,
+) -> tuple[ObstacleBarrier, int]:
+    """The points that can matter in this tick, and how many there were if not all were taken."""
+    values, limit, within = state.values, inf, inf
+    known = len(values) == len(MovingObstacleBarrier.reads)
+    if known and seen.points:
+        limit, arm = far(still), still.alone(len(values)).steepest(values)[2]
+        within = limit + arm + (0.0 if towed is None else towed.most) + _ROUNDING
+    x, y = values[:2] if known else (0.0, 0.0)
+    rows, discs = discs_near(seen.points, x, y, within, room)
+    near = list(range(len(rows)))
+    if known:
+        near = below(still.holding(discs, ()).alone(len(values)).heights(values), limit)
+    taken = _of_least_h(still, discs, near, state, speeds) if known and len(near) > MOST_ROWS else near
+    names = tuple([f"point {rows[place]}" for place in taken])
+    return still.holding([discs[place] for place in taken], names), len(near) if len(taken) < len(near) else 0
+
+
+def _moving(
+    able: MovingObstacleBarrier,
+    state: StateMessage,
+    seen: SurroundingsMessage,
+    clearance: float,
+    speeds: Sequence[float],
+    far: Far,
+) -> tuple[MovingObstacleBarrier, int, str]:
+    """What can matter of what may move, how much there was if not all was taken, and who may touch the car.
+
+    What is far is told by the numbers that hold everywhere, where others hold behind the car alone: a little turn
+    brings a place before it, and h falls there all at once.
+    """
+    if not (seen.movers or seen.hidden):
+        return able, 0, ""
+    values, fastest = state.values, fastest_of(seen.movers, seen.hidden)
+    known = len(values) == len(MovingObstacleBarrier.reads)
+    # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
+    swiftest = able.with_speed(fastest, creeps=0.0)
+    limit, within, place = inf, inf, (0.0, 0.0, 0.0)
+    if known:
+        limit, place = far(swiftest), (values[0], values[1], able.seconds(values[3]))
+        if not able.tows:  # of what is towed more than the body counts
+            within = limit + swiftest.alone(len(values)).steepest(values)[2] + _ROUNDING
+    room = able.thick + clearance
+    rows, discs, everywhere = moving_near(seen.movers, seen.hidden, place, within, room, state.period)
+    taken, near, who = list(range(len(discs))), 0, ""
+
+    def named(place: int) -> str:
+        row = rows[place]
+        return f"mover {row}" if row < len(seen.movers) else f"hidden {row - len(seen.movers)}"
+
+    if known and discs:
+        heights = swiftest.holding([*discs, *everywhere], ()).alone(len(values)).heights(values)
+        movers = len(discs) - len(everywhere)
+        taken = below([*heights[:movers], *heights[len(discs) :]], limit)
+        if len(taken) > MOST_ROWS:
+            near, taken = len(taken), _of_least_h(swiftest, discs, taken, state, speeds)
+        who = _who_may_touch(heights[: movers if abs(values[3]) <= STANDS else len(discs)], named)
+    kept = [discs[place] for place in taken]
+    chosen = able.with_speed(max([disc[3] for disc in kept], default=0.0))
+    return chosen.holding(kept, tuple(map(named, taken))), near, who
+
+
+def _of_least_h(
+    barrier: AbstractEquationBarrier,
+    discs: Sequence[tuple[float, ...]],
+    near: Sequence[int],
+    state: StateMessage,
+    speeds: Sequence[float],
+) -> list[int]:
+    """``MOST_ROWS`` of the places ``near`` in ``discs``, those with the least h at the state or at either end of the
+    ``speeds``: what moves by itself matters to a car that drives off, though it may be far while the car stands."""
+    at = np.array([[state.values[3]], *([speed] for speed in speeds)])
+    items = tuple(np.array([discs[place] for place in near]).T)
+    least: FloatArray = np.asarray(barrier.h(Given((*state.values[:3], at), barrier.shared, items), NUMPY)[0]).min(
+        axis=0
+    )
+    return sorted([near[place] for place in np.argpartition(least, MOST_ROWS)[:MOST_ROWS].tolist()])
+
+
+def _who_may_touch(h: Sequence[float], named: Callable[[int], str]) -> str:
+    """Of movers and, behind them, hidden places: who may be at the car before it stands."""
+    least = min(h, default=0.0)
+    if least >= 0.0:
+        return ""
+    who = named(h.index(least))
+    return f"{who if who.startswith('mover') else 'somebody whom nobody sees'} may be at the robot before it stands"

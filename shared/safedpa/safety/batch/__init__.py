@@ -1,0 +1,1 @@
+"""The same filter for many robots at once, over arrays. Read ``filter`` first."""

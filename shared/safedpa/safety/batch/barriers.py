@@ -1,0 +1,243 @@
+"""Barriers of many robots at once, the robots first: what ``BatchFilter`` asks.
+
+``StoppingBarrier`` around many robots at once: the same rooms and slopes, the robots first.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import Any, final
+
+import numpy as np
+
+from safedpa.arrays import FloatArray, IndexArray
+from safedpa.errors import InputError
+from safedpa.safety.barriers.base import AbstractBarrier
+from safedpa.safety.barriers.equation import AbstractEquationBarrier, Pattern, many_rows_of, pattern_of
+from safedpa.safety.barriers.stack import make_barrier_set
+from safedpa.safety.barriers.stopping import (
+    ALIKE,
+    ENDS,
+    NUDGE,
+    Motion,
+    StoppingBarrier,
+    nearer_end,
+    stopping_path,
+    stopping_room,
+)
+
+__all__ = [
+    "AbstractBatchBarriers",
+    "BatchStopping",
+    "CompiledBatchBarriers",
+    "SequentialBarriers",
+    "batch_barriers",
+]
+
+
+class AbstractBatchBarriers(ABC):
+    """The same rows around each of many robots."""
+
+    kinds: tuple[str, ...]
+    """(rows,) the kind of barrier that each row belongs to."""
+    reads: tuple[str, ...] = ()
+    """As in ``AbstractBarrier``."""
+    at_once: tuple[bool, ...] = ()
+    """(rows,) as in ``AbstractBarrier``; empty: none."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many robots."""
+
+    @abstractmethod
+    def only(self, which: IndexArray) -> AbstractBatchBarriers:
+        """Those of the robots of these indices."""
+
+    @abstractmethod
+    def one(self, robot: int) -> Sequence[AbstractBarrier]:
+        """The same barriers of one robot, for the filter of one robot."""
+
+    @abstractmethod
+    def values(self, state: FloatArray) -> FloatArray:
+        """h (robots, rows) at states (robots, states)."""
+
+    @abstractmethod
+    def along(self, state: FloatArray, g: FloatArray, widths: FloatArray) -> FloatArray:
+        """d(h)/d(a) (robots, rows, actions) where the states move by g (robots, states, actions) a.
+
+        ``widths`` (actions,) are the actions' ranges: over what a slope may be measured.
+        """
+
+
+@final
+class CompiledBatchBarriers(AbstractBatchBarriers):
+    """Barriers that are equations, in one function over arrays.
+
+    ``shared`` and ``each`` by part of the ``pattern``: its shared numbers (robots, 1) each, its items' (robots, items)
+    each. ``one`` makes the barriers of one robot, by its index; ``reads`` as in ``AbstractBarrier``.
+    """
+
+    def __init__(
+        self,
+        pattern: Pattern,
+        kinds: Sequence[str],
+        states: int,
+        shared: Sequence[Sequence[FloatArray]],
+        each: Sequence[Sequence[FloatArray]],
+        one: Callable[[int], Sequence[AbstractBarrier]],
+        robots: int,
+        reads: Sequence[str] = (),
+    ) -> None:
+        self.kinds, self._pattern, self._states = tuple(kinds), pattern, states
+        self._shared, self._each = [list(part) for part in shared], [list(part) for part in each]
+        self._one, self._index = one, np.arange(robots)
+        self.reads = tuple(reads)
+
+    @classmethod
+    def of(cls, parts: Sequence[Sequence[AbstractEquationBarrier]], states: int) -> CompiledBatchBarriers:
+        """From the barriers of each robot, all of the same kinds with as many items. Raises InputError for others."""
+        patterns = {pattern_of(own) for own in parts}
+        counts = {tuple(len(part.each) for part in own) for own in parts}
+        if len(patterns) != 1 or len(counts) != 1:
+            raise InputError("barriers: got others for one robot than for another, wanted as many of each for all")
+        first = parts[0]
+        shared = [
+            [np.array([[own[n].shared[i]] for own in parts]) for i in range(len(part.shared))]
+            for n, part in enumerate(first)
+        ]
+        each = [
+            [np.array([[item[i] for item in own[n].each] for own in parts]) for i in range(part.numbers)]
+            for n, part in enumerate(first)
+        ]
+        kinds = list(chain.from_iterable([part.kind] * len(part.names) for part in first))
+        reads = next((part.reads for own in parts for part in own if part.reads), ())
+        many = cls(next(iter(patterns)), kinds, states, shared, each, lambda robot: parts[robot], len(parts), reads)
+        many.at_once = tuple(chain.from_iterable([part.at_once] * len(part.names) for part in first))
+        return many
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def only(self, which: IndexArray) -> CompiledBatchBarriers:  # noqa: D102
+        some = object.__new__(CompiledBatchBarriers)
+        some.__dict__.update(self.__dict__)
+        some._index = self._index[which]
+        some._shared, some._each = (
+            [[numbers[which] for numbers in part] for part in parts] for parts in (self._shared, self._each)
+        )
+        return some
+
+    def one(self, robot: int) -> Sequence[AbstractBarrier]:  # noqa: D102
+        return self._one(int(self._index[robot]))
+
+    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return many_rows_of(self._pattern, self._states).heights(state, self._shared, self._each)
+
+    def gradient(self, state: FloatArray) -> FloatArray:
+        """d(h)/d(state) (robots, rows, states) at states (robots, states)."""
+        return many_rows_of(self._pattern, self._states).slopes(state, self._shared, self._each)
+
+    def along(self, state: FloatArray, g: FloatArray, widths: FloatArray) -> FloatArray:  # noqa: D102
+        return np.asarray(self.gradient(state) @ g)
+
+
+@final
+class SequentialBarriers(AbstractBatchBarriers):
+    """Barriers of any kind, asked robot by robot: the reference."""
+
+    def __init__(self, parts: Sequence[Sequence[AbstractBarrier]]) -> None:
+        self._stacks = [make_barrier_set(own) for own in parts]
+        self.kinds = self._stacks[0].kinds if self._stacks else ()
+        if any(stack.kinds != self.kinds for stack in self._stacks):
+            raise InputError("barriers: got others for one robot than for another, wanted as many of each for all")
+        self.at_once = tuple(self._stacks[0].at_once) if self._stacks else ()
+        if any(tuple(stack.at_once) != self.at_once for stack in self._stacks):
+            raise InputError("barriers: got some that may be used up at once for one robot and not for another")
+        self.reads = next((part.reads for stack in self._stacks for part in stack if part.reads), ())
+
+    def __len__(self) -> int:
+        return len(self._stacks)
+
+    def only(self, which: IndexArray) -> SequentialBarriers:  # noqa: D102
+        some = object.__new__(SequentialBarriers)
+        some.kinds, some.reads, some.at_once = self.kinds, self.reads, self.at_once
+        some._stacks = [self._stacks[robot] for robot in which.tolist()]
+        return some
+
+    def one(self, robot: int) -> Sequence[AbstractBarrier]:  # noqa: D102
+        return self._stacks[robot]
+
+    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        pairs = zip(self._stacks, state.tolist(), strict=True)
+        return np.array([stack.heights(own) for stack, own in pairs]).reshape(len(state), len(self.kinds))
+
+    def along(self, state: FloatArray, g: FloatArray, widths: FloatArray) -> FloatArray:  # noqa: D102
+        rows, plain = range(len(self.kinds)), widths.tolist()
+        every = zip(self._stacks, state.tolist(), g.tolist(), strict=True)
+        found = [stack.along(own, motion, plain, rows) for stack, own, motion in every]
+        return np.array(found).reshape(len(state), len(self.kinds), len(widths))
+
+
+def batch_barriers(parts: Sequence[Sequence[AbstractBarrier]], states: int) -> AbstractBatchBarriers:
+    """The quickest way to ask the barriers of each robot: in one function where all are equations, else one by one."""
+    own: Any = [list(one) for one in parts]
+    if own and all(isinstance(part, AbstractEquationBarrier) for one in own for part in one):
+        return CompiledBatchBarriers.of(own, states)
+    return SequentialBarriers(parts)
+
+
+@final
+class BatchStopping(AbstractBatchBarriers):
+    """h (robots, hazards) among ``hazards`` (robots, m, 3): x, y, radius [m]; ``motion`` as in ``stopping_path``."""
+
+    reads = StoppingBarrier.reads
+
+    def __init__(self, hazards: FloatArray, motion: Motion) -> None:
+        self.hazards, self._motion = hazards, motion
+        self.kinds = (StoppingBarrier.kind,) * hazards.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.hazards)
+
+    def only(self, which: IndexArray) -> BatchStopping:  # noqa: D102
+        return BatchStopping(self.hazards[which], self._motion.of(which))
+
+    def one(self, robot: int) -> Sequence[AbstractBarrier]:  # noqa: D102
+        return [StoppingBarrier(self.hazards[robot], self._motion.of(robot))]
+
+    def motion_of(self, robot: int) -> Motion:
+        """What is known of how that robot moves."""
+        return self._motion.of(robot)
+
+    def values(self, state: FloatArray) -> FloatArray:  # noqa: D102
+        return self.best(state)[0]
+
+    def best(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """h (robots, hazards) with the end first that leaves more room, and that end (robots,)."""
+        everybody = np.arange(len(state))
+        both = np.concatenate((everybody, everybody))
+        rooms = self._rooms(state[both], both, np.repeat(ENDS, len(state)))
+        first, second = rooms[: len(state)], rooms[len(state) :]
+        more = second.min(axis=1) - first.min(axis=1) if rooms.shape[1] else np.zeros(len(state))
+        nose = np.where(np.abs(more) > ALIKE, more < 0.0, nearer_end(state.T, self._motion) > 0.0)
+        return np.where(nose[:, np.newaxis], first, second), np.where(nose, *ENDS)
+
+    def along(self, state: FloatArray, g: FloatArray, widths: FloatArray) -> FloatArray:  # noqa: D102
+        robots, states = state.shape
+        _, end = self.best(state)
+        around = np.repeat(state[:, np.newaxis], 2 * states, axis=1)
+        index = np.arange(states)
+        around[:, index, index] += NUDGE
+        around[:, states + index, index] -= NUDGE
+        which = np.repeat(np.arange(robots), 2 * states)
+        rooms = self._rooms(around.reshape(-1, states), which, end[which]).reshape(robots, 2, states, -1)
+        gradient = (rooms[:, 0] - rooms[:, 1]).swapaxes(1, 2) / (2.0 * NUDGE)
+        return np.asarray(gradient @ g)
+
+    def _rooms(self, state: FloatArray, which: IndexArray, end: FloatArray) -> FloatArray:
+        """h (n, hazards) at states (n, states) of the robots ``which``, the manoeuvre begun with those ends."""
+        hazards = self.hazards[which]
+        path = stopping_path(state.T, self._motion.of(which), end)
+        return stopping_room(path, hazards[..., :2], hazards[..., 2])

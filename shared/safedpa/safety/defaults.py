@@ -1,0 +1,55 @@
+"""Settings and margins that ship with the project, by the name of the model that they belong to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics.own import load_own_of_environment
+from safedpa.errors import InputError, did_you_mean
+from safedpa.robot import robot_named, robots
+from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa.safety.settings import FilterSettings, load_settings
+
+__all__ = ["margin_for", "settings_named"]
+
+
+def settings_named(source: str) -> FilterSettings:
+    """Settings from a file, or those of the robot of that name. Raises InputError naming file and key."""
+    load_own_of_environment()
+    declared = source in robots() and not Path(source).exists() and source not in _shipped("named_settings")
+    return robot_named(source).settings() if declared else load_settings(_path(source, "named_settings"))
+
+
+def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | None:
+    """The calibration in a file or under a name; without one the shipped one of this very model, or None.
+
+    With those of its longer steps, where they ship. Raises InputError when it cannot be read.
+    """
+    if source:
+        return MarginCalibration.load(_path(source, "named_margins"))
+    shipped = map(MarginCalibration.load, _shipped("named_margins").values())
+    found = sorted((one for one in shipped if one.fingerprint == fingerprint(model)), key=lambda one: one.period)
+    if not found:
+        return None
+    slower = [one for one in found[1:] if one.coverage >= found[0].coverage]
+    return replace(found[0], slower={f"{one.period:g}": one.epsilon for one in slower})
+
+
+def _path(source: str, kind: str) -> Path:
+    path = Path(source)
+    if path.exists():
+        return path
+    shipped = _shipped(kind)
+    if path.stem not in shipped or path.parent != Path():
+        raise InputError(
+            f"{source}: no such file, nor one that ships under that name; {did_you_mean(path.stem, shipped)}"
+        )
+    return shipped[path.stem]
+
+
+def _shipped(kind: str) -> dict[str, Path]:
+    with as_file(files("safedpa.safety") / kind) as folder:
+        return {path.stem: path for path in sorted(folder.glob("*.toml"))}

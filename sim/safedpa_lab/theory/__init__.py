@@ -1,0 +1,1 @@
+"""Constants of Theorem 1, measured: error bound, Lipschitz constants, boundary layer."""
