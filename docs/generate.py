@@ -28,8 +28,8 @@ from safedpa.bus import (
     Topic,
 )
 from safedpa.bus.logging import KINDS
-from safedpa.bus.security.access_control import ROLES, may_write
 from safedpa.bus.messages import messages, requests
+from safedpa.bus.security.access_control import ROLES, may_write
 from safedpa.limits import TABLE
 from safedpa.live.node import DiagnosisNode
 from safedpa.perception.node import PerceptionNode

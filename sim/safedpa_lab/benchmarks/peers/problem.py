@@ -18,11 +18,13 @@ from math import cos, sin
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safedpa.arrays import FloatArray
 from safedpa_lab.benchmarks.timing import timed
 
 __all__ = ["Problem", "answered", "compared"]
+
+FloatArray = NDArray[np.float64]  # a peer runs where safedpa is not installed
 
 
 class Problem:
