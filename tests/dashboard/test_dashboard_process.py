@@ -23,6 +23,7 @@ def _start(*options):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.long
 def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
     began = time.monotonic()
     process = _start("--save", str(tmp_path / "a.rrd"))

@@ -154,6 +154,7 @@ def test_a_late_viewer_has_the_present_among_the_first_chunks(look, tick_of, fre
         assert "0.0 s: passed: The wish was passed" in told, "the last sentence of the log was said at the start"
 
 
+@pytest.mark.long
 def test_a_viewer_learns_that_the_drive_has_ended(look, tick_of, free_port, view_of):
     drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), ("r1",))
     try:

@@ -56,6 +56,7 @@ def test_a_table_that_contradicts_itself_does_not_end_the_process(tmp_path: Path
     assert done.returncode == 0, done.stderr[-800:]
 
 
+@pytest.mark.long
 def test_a_reader_with_a_hole_is_found(tmp_path: Path) -> None:
     def careless(data: bytes) -> None:
         if data != b"good":

@@ -251,6 +251,7 @@ def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> Non
         assert found["collisions"] == 0
 
 
+@pytest.mark.long
 def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publisher_without_a_token(
     side: Side, tmp_path: Path
 ) -> None:

@@ -391,6 +391,7 @@ def drive(barrier: AbstractBarrier, seed: int) -> tuple[float, set[Status]]:
     return least, said
 
 
+@pytest.mark.long
 def test_a_double_integrator_hits_nothing() -> None:
     plain = [drive(FunctionBarrier(room), seed)[0] for seed in range(20)]
     assert sum(least < 0.0 for least in plain) >= 5, "distance less radius has relative degree two"

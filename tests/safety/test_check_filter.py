@@ -118,6 +118,7 @@ def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
     assert not check_filter(safe, late.state([0.0, 0.0]))
 
 
+@pytest.mark.long
 def test_the_example_among_discs_runs_and_hits_nothing() -> None:
     said = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
     assert said.startswith("Nothing amiss")

@@ -58,6 +58,7 @@ def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
     return far, said
 
 
+@pytest.mark.long
 def test_a_delay_that_is_known_costs_nothing() -> None:
     """60 runs: none beyond the wall, none relaxed; without knowing of it many end up beyond."""
     found = [furthest(seed, True) for seed in range(60)]

@@ -166,6 +166,7 @@ def test_odd_scenes_have_their_stated_oddity():
     assert (odd_question(1, 4).obstacles[:, 2] == 0.0).all()
 
 
+@pytest.mark.long
 def test_the_systems_crash_behind_a_filter_that_passes_everything(plant):
     def deaf(verdict, wish):
         action = np.where(np.isfinite(wish), wish, 0.0)

@@ -64,6 +64,7 @@ def test_counts_of_a_drive_that_is_written_down_by_hand() -> None:
     }
 
 
+@pytest.mark.long
 def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sums of the rows, compared with positions that are looked at in another way."""
     within: list[int] = []

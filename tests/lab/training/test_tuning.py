@@ -31,6 +31,7 @@ def errors_at(predictor: AbstractPredictor, drive: TuningDrive, starts: list[int
         return open_loop_errors(predictor, seen, torch.tensor(starts), steps)[-1].double().numpy()
 
 
+@pytest.mark.long
 def test_errors_of_a_drive_are_added_up_over_its_starts() -> None:
     """Of 100 transitions those from tick 60 on; over a second (20) every fifth that still fits."""
     (run,), predictor = record_circles(100, 3, 100), NetworkPredictor(WEIGHTS)
