@@ -91,10 +91,20 @@ def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyP
     assert bool(memory.pending) is (model is LATE)
 
 
+class Watched:
+    """A margin whose rises are noted; the rest is its own."""
+
+    def __init__(self, own: Any, risen: list[float]) -> None:
+        self.own, self.rise = own, lambda *known: risen.append(known[-1])
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.own, name)
+
+
 def test_without_a_scene_no_margin_rises() -> None:
     """Where no h is known, more of a new margin must not come into force."""
     memory, risen = driven(ticks=3), list[float]()
-    memory.margin.rise = lambda *known: risen.append(known[-1])
+    memory.margin = Watched(memory.margin, risen)
     memory.watch_margin(state_at(3))
     memory.barriers = "no goal"
     memory.watch_margin(state_at(4))

@@ -23,6 +23,7 @@ __all__ = [
     "TOLD_SECONDS",
     "DeadlockDetector",
     "Stand",
+    "StandReport",
     "places_of",
     "record_deadlock",
     "what_to_do",
