@@ -51,7 +51,7 @@ def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() 
     program = (
         "import sys, threading, time\n"
         "from safedpa_services.router.pulse import LoopWatchdog\n"
-        "pulse, told = Pulse(look_seconds=0.05, looks=20), threading.Event()\n"
+        "pulse, told = LoopWatchdog(look_seconds=0.05, looks=20), threading.Event()\n"
         "threading.Thread(target=lambda: (sys.stdin.readline(), told.set()), daemon=True).start()\n"
         "while not told.is_set():\n"
         "    pulse.beat()\n"

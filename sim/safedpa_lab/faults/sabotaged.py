@@ -66,8 +66,8 @@ class _Saboteur:
 
 def _turns() -> list[threading.Lock]:
     """The locks of those who turn the loops of this process; none where it has another kind of loop."""
-    turning = sys.modules.get("safedpa.bus.service.scheduler")
-    kinds = (turning.Turning,) if turning else ()
+    module = sys.modules.get("safedpa.bus.service.scheduler")
+    kinds = (module.Scheduler,) if module else ()
     return [one._turns for one in gc.get_objects() if isinstance(one, kinds)]
 
 
