@@ -44,14 +44,14 @@ def issue_to_services(authority: Authority, issued: Path, days: float, routers: 
         _issue_into(authority, folder, role, days, hosts.get(role, ()))
 
 
-def issue_to_gateway(authority: Authority, folder: Path, robot: str, days: float, *, wishes: bool) -> None:
-    """Gives the gateway of a robot that speaks ROS 2 that robot's certificate; the policy's too where it ``wishes``.
+def issue_to_gateway(authority: Authority, folder: Path, robot: str, days: float, *, with_policy: bool) -> None:
+    """Gives the gateway of a robot that speaks ROS 2 that robot's certificate, and the policy's with ``with_policy``.
 
-    What an earlier start gave it for another robot, or for wishes that it shall not have any more, is taken away.
+    What an earlier start gave it for another robot, or for nominal actions that it shall not have any more, is taken away.
     """
     if not folder.is_dir():
         return
-    roles = (f"robot.{robot}", *((POLICY,) if wishes else ()))
+    roles = (f"robot.{robot}", *((POLICY,) if with_policy else ()))
     for path in folder.glob("*.pem"):
         if path.name.removesuffix(".pem").removesuffix(".key") not in (*roles, "authority"):
             path.unlink()
@@ -122,14 +122,18 @@ def main() -> None:
     parser.add_argument("--days", type=float, default=90.0)
     parser.add_argument("--router", action="append", default=[], metavar="NAME", help="a further, linked router")
     parser.add_argument("--gateway", default="", metavar="ROBOT", help="a robot that speaks ROS 2, by a gateway")
-    parser.add_argument("--wishes", choices=("0", "1"), default="0", help="1: its own policy wishes by the gateway")
+    parser.add_argument(
+        "--with-policy", choices=("0", "1"), default="0", help="1: its own policy requests by the gateway"
+    )
     options = parser.parse_args()
     authority = Authority(options.folder, options.fleet)
     issue_to_services(authority, options.issued, options.days, tuple(options.router))
     if options.gateway:
         check_names(options.fleet, (options.gateway,))
-        wishes = options.wishes == "1"
-        issue_to_gateway(authority, options.issued / "ros_gateway", options.gateway, options.days, wishes=wishes)
+        with_policy = options.with_policy == "1"
+        issue_to_gateway(
+            authority, options.issued / "ros_gateway", options.gateway, options.days, with_policy=with_policy
+        )
     Enrolment.authority, Enrolment.days = authority, options.days
     with Server(("0.0.0.0", PORT), Enrolment) as server:
         READY.touch()  # for the health check: who depends on certificates may start

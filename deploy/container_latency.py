@@ -24,7 +24,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = "safedpa-latency"
 SERVICES = ("adaptation", "policy", "safety_filter", "recorder", "diagnosis")
-_HOPS = ("state", "latent", "wish", "action")
+_HOPS = ("state", "latent", "nominal", "action")
 _LONGEST_CHAIN_SECONDS = 120.0
 """Half before the loop and half after it."""
 _START_SECONDS, _STOP_SECONDS = 5.0, 10

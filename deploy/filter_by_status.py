@@ -3,7 +3,7 @@
     python deploy/filter_by_status.py before=FOLDER after=FOLDER [--model car] [--seed N] [--scenes N]
 
 A folder holds the package ``safedpa``: ``shared`` of a tree, or what ``pip install --target`` made. Problems are
-drawn by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, wishes
+drawn by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, nominal actions
 within and beyond the actuators. A process for each folder decides them all, one process at a time and the order turned
 round each time; of each problem the best time counts. Prints p50 and p99 in microseconds, their share of the first
 folder's, of source that is not compiled how many actions a decision looks at (whose outcome is predicted), and by how
@@ -35,7 +35,7 @@ EDGE = 0.05
 
 
 def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Values, Values, Values, Any]]:
-    """State, wish, latent and barriers of each decision."""
+    """State, nominal action, latent and barriers of each decision."""
     try:
         from safedpa.robots.car.barriers.obstacles import car_barriers
     except ImportError:  # a tree of before robots had folders of their own
@@ -51,8 +51,8 @@ def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Va
                 state = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0))
                 if case % 2 or 0.0 <= min(float(part.values(state).min()) for part in barriers) < EDGE:
                     break
-            wish = random.uniform((-0.6, -0.34), (2.0, 0.34)) * random.choice([1.0, 1.4])
-            drawn.append((state, wish, latent, barriers))
+            nominal = random.uniform((-0.6, -0.34), (2.0, 0.34)) * random.choice([1.0, 1.4])
+            drawn.append((state, nominal, latent, barriers))
     return drawn
 
 
@@ -67,17 +67,17 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
     drawn = problems(safe, model.latent, seed, scenes)
     compiled, told = len(compiled_modules()), list[tuple[str, list[float], float]]()
     with looked_at(counts := not compiled) as looks:
-        for state, wish, latent, barriers in drawn:
+        for state, nominal, latent, barriers in drawn:
             before = len(looks)
-            verdict = safe.decide(state, wish, latent, barriers=barriers)
+            verdict = safe.decide(state, nominal, latent, barriers=barriers)
             told.append((verdict.status.value, verdict.action.tolist(), len(looks) - before if counts else -1))
     sys.stdout.write(json.dumps([compiled, told]) + "\n")
     sys.stdout.flush()
     for _ in sys.stdin:
         times = []
-        for state, wish, latent, barriers in drawn:
+        for state, nominal, latent, barriers in drawn:
             begun = perf_counter()
-            safe.decide(state, wish, latent, barriers=barriers)
+            safe.decide(state, nominal, latent, barriers=barriers)
             times.append(1e6 * (perf_counter() - begun))
         sys.stdout.write(json.dumps(times) + "\n")
         sys.stdout.flush()

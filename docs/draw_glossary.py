@@ -26,7 +26,7 @@ COLOURS = {"passed": "#009E73", "corrected": "#0072B2", "relaxed": "#E69F00", "v
 GREY, BLUE, ORANGE, RED = "#777777", "#0072B2", "#E69F00", "#D55E00"
 TICKS = 60
 FORWARD = 1.0
-"""m/s2: the policy wishes for full speed at the wall."""
+"""m/s2: the policy requests full speed at the wall."""
 
 
 def moved(state: Any) -> Any:
@@ -50,7 +50,7 @@ def driven(eta: float = 0.1, epsilon: float = 0.002, error: float = 0.0) -> tupl
     """States (ticks, 2) and verdicts of a drive at the wall; ``error`` [m/s2] pushes and no model knows."""
     safe, state, states, verdicts = made(eta, epsilon), np.array([0.0, 0.5]), [], []
     for _ in range(TICKS):
-        verdict = safe.decide(state, wish=[FORWARD])
+        verdict = safe.decide(state, nominal=[FORWARD])
         states.append(state)
         verdicts.append(verdict)
         state = moved(state) + np.array([0.00125, 0.05]) * (float(verdict.action[0]) + error)
@@ -129,10 +129,10 @@ def draw_latent(axes: Any) -> None:
 
 
 def draw_verdict(axes: Any) -> None:
-    """What was wished and what was done in a drive at the wall, coloured by the verdict."""
+    """What was requested and what was done in a drive at the wall, coloured by the verdict."""
     _, verdicts = driven()
     times = np.arange(TICKS) * 0.05
-    axes.plot(times, np.full(TICKS, FORWARD), color=GREY, linestyle="--", label="wish")
+    axes.plot(times, np.full(TICKS, FORWARD), color=GREY, linestyle="--", label="nominal")
     for status, colour in COLOURS.items():
         at = [index for index, verdict in enumerate(verdicts) if verdict.status.value == status]
         if at:
@@ -143,11 +143,11 @@ def draw_verdict(axes: Any) -> None:
 
 
 def draw_status(axes: Any) -> None:
-    """The verdict's status in every state: full acceleration at the wall is wished."""
+    """The verdict's status in every state: full acceleration at the wall is requested."""
     safe, names = made(epsilon=0.02), list(COLOURS)
     positions, speeds = np.linspace(0.3, 1.1, 41), np.linspace(0.0, 1.2, 41)
     found = [
-        [names.index(safe.decide(np.array([x, v]), wish=[FORWARD]).status.value) for x in positions] for v in speeds
+        [names.index(safe.decide(np.array([x, v]), nominal=[FORWARD]).status.value) for x in positions] for v in speeds
     ]
     colours = mpl.colors.ListedColormap(list(COLOURS.values()))
     box = (positions[0], positions[-1], speeds[0], speeds[-1])

@@ -67,10 +67,10 @@ class Robot(Node):
         turned.z, turned.w = math.sin(self.yaw / 2), math.cos(self.yaw / 2)
         odometry.twist.twist.linear.x = self.speed
         self.odometry.publish(odometry)
-        wish = AckermannDriveStamped()
-        wish.header = odometry.header
-        wish.drive.speed = 1.5
-        self.policy.publish(wish)
+        nominal = AckermannDriveStamped()
+        nominal.header = odometry.header
+        nominal.drive.speed = 1.5
+        self.policy.publish(nominal)
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ def main() -> str:
     report = check_filter(safe, [[0.0, 0.0, 0.0, 0.0], [0.3, 0.1, 0.5, 0.0]])
     x, least = np.zeros(4), np.inf
     for _ in range(80):
-        verdict = safe.decide(x, wish=[1.0, 0.1])
+        verdict = safe.decide(x, nominal=[1.0, 0.1])
         x = A @ x + B @ verdict.action
         least = min(least, room(x).min())
     return f"{report}\nAt {x[0]:.2f}, {x[1]:.2f} m after {80 * PERIOD:g} s; least room {100 * least:.1f} cm.\n"

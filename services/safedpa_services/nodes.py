@@ -110,7 +110,7 @@ def add_filter_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--margin", default="", metavar="FILE.toml", help="from 'safedpa calibrate'")
     parser.add_argument("--orders", default="", metavar="FILE", help="keeps orders to stop over a restart")
-    parser.add_argument("--off", action="store_true", help="hand wishes on unchecked; every verdict says so")
+    parser.add_argument("--off", action="store_true", help="hand nominal actions on unchecked; every verdict says so")
 
 
 def safety_filter(options: argparse.Namespace) -> PreparedService:

@@ -16,16 +16,16 @@ from typing import Any
 
 from safedpa.bus import (
     LATENT,
+    NOMINAL,
     TAKEOVER,
-    WISH,
     AbstractNode,
     Answer,
     Inputs,
     LatentMessage,
     ModelMessage,
+    NominalMessage,
     StateMessage,
     TakeoverMessage,
-    WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, load_model, parse_model, write_model
 from safedpa.dynamics.learned_base import LearnedBase
@@ -107,7 +107,7 @@ def _tick(
     resting = (0.0,) * len(model.system.action)
     inputs: Inputs = {
         LATENT: LatentMessage(**stamp, model=fingerprint, values=latent, deviations=latent),
-        WISH: WishMessage(**stamp, values=resting, controller="trial"),
+        NOMINAL: NominalMessage(**stamp, values=resting, controller="trial"),
     }
     node.prepare(robot, state)
     outputs = dict(node.step(robot, state, {topic: inputs[topic] for topic in node.inputs}))

@@ -1,6 +1,6 @@
 """Whether a robot that somebody declares is complete and safe to filter: each part tried, a sentence about each.
 
-The stand-in is driven by wishes drawn at random behind the robot's own filter; barriers, backup and margin are then
+The stand-in is driven by nominal actions drawn at random behind the robot's own filter; barriers, backup and margin are then
 probed at the states that it met (``check_filter``), and settings of another robot must be refused.
 """
 
@@ -112,7 +112,7 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
         raise _EndError(PartFinding("stand_in", "wrong", said))
     drive = _tried("barriers", lambda: _Drive(robot, model, settings, scene, stand_in).run(_TICKS, seed))
     yield from _driven(robot, model, drive)
-    yield _wished(model, drive)
+    yield _nominal_part(model, drive)
     yield _drawing(robot, drive)
 
 
@@ -147,7 +147,7 @@ def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> PartFinding:
 
 
 class _Drive:
-    """The stand-in behind the robot's filter, wished at random; keeps what it met."""
+    """The stand-in behind the robot's filter, requested at random; keeps what it met."""
 
     def __init__(
         self,
@@ -167,16 +167,16 @@ class _Drive:
         """Barriers met at most at once."""
 
     def run(self, ticks: int, seed: int) -> _Drive:
-        """Drives; each wish is held for half a second, so that it leads somewhere."""
+        """Drives; each nominal action is held for half a second, so that it leads somewhere."""
         random = np.random.default_rng(seed)
         low, high = self.settings.low, self.settings.high
         held = max(1, round(0.5 * self.robot.rate))
         latent = self.model.latent if self.model.latent_names else None
         applied = self.settings.resting_action
-        wish = applied
+        nominal = applied
         for tick in range(ticks):
             if tick % held == 0:
-                wish = random.uniform(low, high)
+                nominal = random.uniform(low, high)
             state = self._message(tick, applied)
             self.states.append(state)
             self.scene.learn(latent)
@@ -186,10 +186,10 @@ class _Drive:
                 return self
             self.count = max(self.count, len(barriers.names))
             before = np.array(state.values)
-            verdict = self.filter.decide(state.values, wish, latent, barriers=barriers) if barriers.names else None
+            verdict = self.filter.decide(state.values, nominal, latent, barriers=barriers) if barriers.names else None
             if verdict is not None and verdict.status.value == "fallback":
                 self.problems.append(verdict.sentence)
-            applied = np.clip(wish, low, high) if verdict is None else np.asarray(verdict.action)
+            applied = np.clip(nominal, low, high) if verdict is None else np.asarray(verdict.action)
             expected = np.asarray(self.model.step(before, applied, latent))
             self.stand_in.advance(tuple(applied.tolist()), 1.0 / self.robot.rate)
             error = self.model.system.difference(np.array(self.stand_in.values), expected)
@@ -232,9 +232,11 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
     yield _nothing_perceived(drive)
     yield from _probed(robot, drive)
     if drive.touched:
-        yield PartFinding("filter", "wrong", f"touched {drive.touched} behind it, under random wishes; see the margins")
+        yield PartFinding(
+            "filter", "wrong", f"touched {drive.touched} behind it, under random nominal actions; see the margins"
+        )
     else:
-        yield PartFinding("filter", "fine", f"nothing touched in {len(drive.states)} ticks of random wishes")
+        yield PartFinding("filter", "fine", f"nothing touched in {len(drive.states)} ticks of random nominal actions")
     median = np.median(np.array(drive.errors), axis=0)
     worst = int(median.argmax())
     name = model.system.state_names[worst]
@@ -262,7 +264,12 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
         if isinstance(barriers, str) or not barriers.names:
             continue
         report = check_filter(
-            drive.filter, message.values, barriers=barriers, latent=latent, stands=robot.stands, ticks=20
+            drive.filter,
+            message.values,
+            barriers=barriers,
+            latent=latent,
+            stationary_for=robot.stationary_for,
+            ticks=20,
         )
         for issue in report:
             said.setdefault(issue.subject, str(issue))
@@ -270,22 +277,26 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
         yield PartFinding("filter", "wrong", sentence)
 
 
-def _wished(model: PhysicsModel, drive: _Drive) -> PartFinding:
+def _nominal_part(model: PhysicsModel, drive: _Drive) -> PartFinding:
     """The default controller at a state that was met."""
     answer = _tried(
         "controllers",
-        lambda: controller_for(model)().wish(drive.states[0], model.latent if model.latent_names else None),
+        lambda: controller_for(model)().nominal_action(drive.states[0], model.latent if model.latent_names else None),
     )
     if not isinstance(answer, tuple) or len(answer) != 2 or not isinstance(answer[1], str):
-        return PartFinding("controllers", "wrong", f"wish answers {answer!r}, wanted the action and a name")
-    wish, name = answer
+        return PartFinding(
+            "controllers", "wrong", f"nominal_action() returned {answer!r}, wanted the action and a name"
+        )
+    nominal, name = answer
     try:
-        numbers = checked_output("wish", wish)
+        numbers = checked_output("nominal", nominal)
     except InputError as error:
         return PartFinding("controllers", "wrong", str(error))
     if numbers.shape != (len(model.system.action),) or not np.isfinite(numbers).all():
-        return PartFinding("controllers", "wrong", f"'{name}' wishes {wish}, wanted {len(model.system.action)} numbers")
-    return PartFinding("controllers", "fine", f"'{name}' wishes {tuple(round(float(entry), 3) for entry in wish)}")
+        return PartFinding(
+            "controllers", "wrong", f"'{name}' returned {nominal}, wanted {len(model.system.action)} numbers"
+        )
+    return PartFinding("controllers", "fine", f"'{name}' returned {tuple(round(float(entry), 3) for entry in nominal)}")
 
 
 def _drawing(robot: AbstractRobot, drive: _Drive) -> PartFinding:

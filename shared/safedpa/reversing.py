@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import cos, sin
 
-__all__ = ["reversed_way"]
+__all__ = ["distance_reversed"]
 
 
-def reversed_way(way: float, before: Sequence[float], now: Sequence[float], most: float) -> float:
+def distance_reversed(way: float, before: Sequence[float], now: Sequence[float], most: float) -> float:
     """w+ = clip(w - e'(p+ - p), 0, most) [m] of a robot that went from one pose to another (x, y, yaw, ...).
 
     e is the heading and p the position ``before``; what is driven forwards is taken off again.

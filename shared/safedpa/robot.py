@@ -74,9 +74,9 @@ class AbstractRobot(ABC):
     """(states,) standard deviation of what a measured state adds to one step, in the state's units."""
     smallest_motion: ClassVar[float] = 1.0
     """Measurement deviations by which some entry must change in a step for it to teach the adaptation anything."""
-    wish_range: ClassVar[tuple[tuple[float, float], ...]] = ()
+    nominal_range: ClassVar[tuple[tuple[float, float], ...]] = ()
     """(actions, 2) lowest and highest of each action that its actuators can do; empty: the system's bounds."""
-    stands: ClassVar[bool] = True
+    stationary_for: ClassVar[bool] = True
     """Whether the backup brings it to rest, and keeps every condition meanwhile."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Kinds of its barriers: what margins may be called."""
@@ -89,7 +89,7 @@ class AbstractRobot(ABC):
     options: ClassVar[tuple[str, ...]] = ("world",)
     """Options of ``safedpa up`` that are its own: what may be asked of its simulated world."""
     default_controller: ClassVar[str] = "goal_seeker"
-    """Which of ``controllers`` wishes where nobody says, and no policy was learned."""
+    """Which of ``controllers`` nominal actions where nobody says, and no policy was learned."""
     stand_in_options: ClassVar[tuple[str, ...]] = ()
     """Options of the simulated robot's process that make it this variant."""
 

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 
-def test_the_code_runs_and_corrects_the_wish(repository: Path) -> None:
+def test_the_code_runs_and_corrects_the_nominal_action(repository: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 1
     printed = io.StringIO()

@@ -6,8 +6,8 @@ from typing import Any
 from safedpa.bus import (
     HEALTH,
     LATENT,
+    NOMINAL,
     STATE,
-    WISH,
     AbstractNode,
     Bus,
     HealthMessage,
@@ -17,12 +17,12 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Message,
+    NominalMessage,
     Outputs,
     ReceivedMessage,
     ServiceLoop,
     Stale,
     StateMessage,
-    WishMessage,
 )
 from safedpa.errors import MessageError
 
@@ -50,12 +50,12 @@ class Clock:
         return self.now
 
 
-class Wisher(AbstractNode):
+class FixedPolicy(AbstractNode):
     """Its action names the tick; it records the calls that it gets."""
 
     name = "policy"
     inputs = (LATENT,)
-    outputs = (WISH,)
+    outputs = (NOMINAL,)
     share = 0.2
 
     def __init__(self) -> None:
@@ -67,7 +67,11 @@ class Wisher(AbstractNode):
         if robot == self.refuse:
             raise MessageError("goal: got 3 numbers, wanted 2")
         self.steps.append((robot, state.tick, inputs[LATENT]))
-        return {WISH: WishMessage(**stamp(state.tick, state.epoch), values=(float(state.tick), 0.0), controller="test")}
+        return {
+            NOMINAL: NominalMessage(
+                **stamp(state.tick, state.epoch), values=(float(state.tick), 0.0), controller="test"
+            )
+        }
 
     def forget(self, robot: str) -> None:
         self.forgotten.append(robot)
@@ -81,14 +85,14 @@ class Fleet:
     ) -> None:
         self.broker = broker = MemoryBroker()
         self.clock: Clock = clock or Clock()
-        self.node: Any = node or Wisher()
+        self.node: Any = node or FixedPolicy()
         self.transport = MemoryTransport(broker)
         self.bus = Bus(self.transport, "test")
         self.released: list[str] = []
         inside = MemoryTransport(broker)
         inside.release = self.released.append  # type: ignore[method-assign]
         self.loop = ServiceLoop(self.node, Bus(inside, "test"), clock=self.clock, **of_the_loop)
-        self.wishes: Inbox = self.bus.inbox((WISH,), keep_all=True)
+        self.nominal_inbox: Inbox = self.bus.inbox((NOMINAL,), keep_all=True)
         self.healths: Inbox = self.bus.inbox((HEALTH,), keep_all=True)
         self.state_at, self.lockstep = state_at, lockstep
 
@@ -113,9 +117,13 @@ class Fleet:
         self.clock.now += seconds
         self.loop.turn(0.0)
 
-    def wished(self) -> list[tuple[str, int]]:
+    def nominal_ticks(self) -> list[tuple[str, int]]:
         """Robot and tick of every action since the last call."""
-        return [(item.robot, item.message.tick) for item in self.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
+        return [
+            (item.robot, item.message.tick)
+            for item in self.nominal_inbox.take(0.0)
+            if isinstance(item, ReceivedMessage)
+        ]
 
     def health(self) -> dict[str, HealthMessage]:
         """The next heartbeat, by robot."""

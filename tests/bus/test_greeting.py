@@ -10,9 +10,9 @@ from safedpa.bus import (
     HEALTH,
     LATENT,
     MODEL,
+    NOMINAL,
     STATE,
     TAKEOVER,
-    WISH,
     AbstractNode,
     Answer,
     Bus,
@@ -22,6 +22,7 @@ from safedpa.bus import (
     MemoryTransport,
     Message,
     ModelMessage,
+    NominalMessage,
     Outputs,
     ReceivedMessage,
     Request,
@@ -29,7 +30,6 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
     Topic,
-    WishMessage,
 )
 from safedpa.bus.service.handshake import ModelHandshake
 from safedpa.bus.transport.inbox import RequestOutcome
@@ -41,7 +41,7 @@ class Curious(AbstractNode):
 
     name = "policy"
     inputs = (LATENT,)
-    outputs = (WISH, TAKEOVER)
+    outputs = (NOMINAL, TAKEOVER)
     listens: ClassVar[tuple[Topic, ...]] = (MODEL,)
     share = 0.2
 
@@ -52,7 +52,7 @@ class Curious(AbstractNode):
         self.told.append((robot, state.tick, isinstance(inputs[LATENT], LatentMessage)))
         stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
         takeover = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="x", state="ready")
-        return {WISH: WishMessage(**stamp, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
+        return {NOMINAL: NominalMessage(**stamp, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
 
     def hear(self, robot: str, message: Message) -> None:
         assert isinstance(message, ModelMessage)

@@ -187,13 +187,13 @@ def test_garbage_and_foreign_keys_come_out_as_refused(samples: dict[str, Message
     inbox.keep_latest("safedpa/f/a/state", b"garbage")
     inbox.keep_latest("safedpa/f/*/state", encode(samples["state"]))
     inbox.keep_latest("safedpa/**", encode(samples["state"]))
-    inbox.keep_latest("safedpa/f/a/wish", encode(samples["action"]))
+    inbox.keep_latest("safedpa/f/a/nominal", encode(samples["action"]))
     taken = inbox.take(0.0)
     assert [type(item) for item in taken] == [RejectedMessage] * 4
     reasons = [item.reason for item in taken if isinstance(item, RejectedMessage)]
     assert "msgpack" in reasons[0]
     assert "name '*'" in reasons[1]
-    assert "WishMessage.controller: missing" in reasons[3]
+    assert "NominalMessage.controller: missing" in reasons[3]
 
 
 def test_take_wakes_up_for_a_message_from_another_thread(samples: dict[str, Message]) -> None:

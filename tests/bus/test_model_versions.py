@@ -165,7 +165,7 @@ def test_what_a_change_will_do_is_reported_before_it_is_taken(state_at: StateAt)
     story.versions.hear("r", OFFER)
     answer = story.versions.answer("r", story.at())
     assert answer is not None
-    assert (answer.foretold, answer.reason) == (f"r new {'x' * 294}", "")
+    assert (answer.expected_effect, answer.reason) == (f"r new {'x' * 294}", "")
 
 
 class Ticket:

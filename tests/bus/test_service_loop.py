@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
-from tests.bus.fleet import EPOCH, Clock, Fleet, StateAt, Wisher, latent_of, stamp
+from tests.bus.fleet import EPOCH, Clock, FixedPolicy, Fleet, StateAt, latent_of, stamp
 
 from safedpa.bus import (
     ACTION,
@@ -23,13 +23,13 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Message,
+    NominalMessage,
     Outputs,
     ReceivedMessage,
     ServiceLoop,
     Stale,
     StateMessage,
     Topic,
-    WishMessage,
     encode,
 )
 from safedpa.bus.messages.service_info import setup_message
@@ -51,19 +51,19 @@ def test_in_lockstep_it_waits_for_its_inputs_however_long_it_takes(lockstep: Fle
     for _ in range(20):
         lockstep.wait(10.0)
         lockstep.state(0)  # the robot repeats its state while it waits
-    assert lockstep.wished() == []
+    assert lockstep.nominal_ticks() == []
     assert lockstep.node.forgotten == ["r"], "forgotten before its first tick, and not while it waits"
     lockstep.latent(0)
-    assert lockstep.wished() == [("r", 0)]
+    assert lockstep.nominal_ticks() == [("r", 0)]
 
 
 def test_a_repeated_tick_is_answered_again_by_the_same_output(lockstep: Fleet) -> None:
     lockstep.state(0)
     lockstep.latent(0)
-    first = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
+    first = [item.payload for item in lockstep.nominal_actions.take(0.0) if isinstance(item, ReceivedMessage)]
     lockstep.state(0)
     lockstep.state(0)
-    again = [item.payload for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
+    again = [item.payload for item in lockstep.nominal_actions.take(0.0) if isinstance(item, ReceivedMessage)]
     assert again == first * 2
     assert len(lockstep.node.steps) == 1
 
@@ -71,7 +71,7 @@ def test_a_repeated_tick_is_answered_again_by_the_same_output(lockstep: Fleet) -
 def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_work_after_it(
     state_at: StateAt, samples: dict[str, Message]
 ) -> None:
-    class Explaining(Wisher):
+    class Explaining(FixedPolicy):
         lingers: ClassVar = False
 
         def afterwards(self, robot: str) -> Outputs:
@@ -82,7 +82,7 @@ def test_a_repeated_tick_is_answered_with_the_outputs_of_the_step_and_of_the_wor
     fleet.state(0)
     fleet.latent(0)
     for times in (1, 1):
-        assert (len(fleet.wished()), len(verdicts.take(0.0))) == (times, times)
+        assert (len(fleet.nominal_ticks()), len(verdicts.take(0.0))) == (times, times)
         fleet.state(0)
 
 
@@ -90,25 +90,25 @@ def test_an_input_may_come_before_its_state(lockstep: Fleet) -> None:
     lockstep.state(0)
     lockstep.latent(0)
     lockstep.latent(1)
-    assert lockstep.wished() == [("r", 0)]
+    assert lockstep.nominal_ticks() == [("r", 0)]
     lockstep.state(1)
-    assert lockstep.wished() == [("r", 1)]
+    assert lockstep.nominal_ticks() == [("r", 1)]
 
 
 def test_in_real_time_it_steps_as_soon_as_its_inputs_are_there(real_time: Fleet) -> None:
     real_time.state(0)
-    assert real_time.wished() == []
+    assert real_time.nominal_ticks() == []
     real_time.latent(0)
-    assert real_time.wished() == [("r", 0)]
+    assert real_time.nominal_ticks() == [("r", 0)]
     assert isinstance(real_time.node.steps[0][2], LatentMessage)
 
 
 def test_in_real_time_a_missing_input_is_stale_when_the_share_is_over(real_time: Fleet) -> None:
     real_time.state(0)
     real_time.wait(0.0099)
-    assert real_time.wished() == []
+    assert real_time.nominal_ticks() == []
     real_time.wait(0.0002)
-    assert real_time.wished() == [("r", 0)]
+    assert real_time.nominal_ticks() == [("r", 0)]
     assert real_time.node.steps[0][2] == Stale(LATENT, None)
 
 
@@ -124,7 +124,7 @@ def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
 
 
 def test_a_heartbeat_counts_a_step_without_several_inputs_once_and_says_how_long_it_took(state_at: StateAt) -> None:
-    class Slow(Wisher):
+    class Slow(FixedPolicy):
         inputs: ClassVar = (LATENT, SURROUNDINGS)
 
         def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
@@ -144,14 +144,14 @@ def test_a_heartbeat_counts_a_step_without_several_inputs_once_and_says_how_long
 def test_only_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
     lockstep: bool, age: int, stepped: bool, state_at: StateAt
 ) -> None:
-    class Patient(Wisher):
+    class Patient(FixedPolicy):
         slack: ClassVar = {LATENT: 1}
 
     fleet = Fleet(state_at, lockstep=lockstep, node=Patient())
     fleet.state(5)
     fleet.latent(5)
     fleet.state(5 + age)
-    assert fleet.wished() == [("r", 5), *([("r", 5 + age)] if stepped else [])]
+    assert fleet.nominal_ticks() == [("r", 5), *([("r", 5 + age)] if stepped else [])]
     if stepped:
         assert isinstance(fleet.node.steps[-1][2], LatentMessage)
     elif not lockstep:
@@ -164,7 +164,7 @@ def test_repetitions_do_not_push_the_deadline(real_time: Fleet) -> None:
     for _ in range(5):
         real_time.clock.now += 0.003
         real_time.state(0)
-    assert real_time.wished()[0] == ("r", 0)
+    assert real_time.nominal_ticks()[0] == ("r", 0)
 
 
 def test_an_input_of_a_later_tick_is_none_of_this_one(real_time: Fleet) -> None:
@@ -179,10 +179,10 @@ def test_late_and_foreign_inputs_change_nothing(real_time: Fleet) -> None:
     real_time.latent(6)
     real_time.latent(7, epoch=EPOCH + 1)
     real_time.latent(7, robot="other")
-    assert real_time.wished() == []
+    assert real_time.nominal_ticks() == []
     real_time.latent(7)
     real_time.latent(6)
-    assert real_time.wished() == [("r", 7)]
+    assert real_time.nominal_ticks() == [("r", 7)]
 
 
 @pytest.mark.parametrize(("epoch", "tick"), [(EPOCH, 4), (EPOCH + 1, 9), (EPOCH - 1, 9)])
@@ -193,7 +193,7 @@ def test_neither_an_older_state_nor_one_of_a_second_robot_replaces_the_newest(
     lockstep.state(tick, epoch=epoch)
     lockstep.latent(tick, epoch=epoch)
     lockstep.latent(5)
-    assert lockstep.wished() == [("r", 5)]
+    assert lockstep.nominal_ticks() == [("r", 5)]
     health = lockstep.health()["r"]
     assert (health.refused, health.epoch, health.tick) == (1, EPOCH, 5)
 
@@ -220,7 +220,7 @@ def test_a_robot_may_restart_under_its_name_after_a_silence_of_a_third_of_a_seco
     lockstep.clock.now = 100.0 + silence
     lockstep.state(0, epoch=EPOCH + 1, period=period)
     lockstep.latent(0, epoch=EPOCH + 1)
-    assert lockstep.wished() == [("r", 900), *([("r", 0)] if again else [])]
+    assert lockstep.nominal_ticks() == [("r", 900), *([("r", 0)] if again else [])]
     assert lockstep.node.forgotten == ["r"] * (2 if again else 1)
     health = lockstep.health()["r"]
     assert health.refused == (0 if again else 1)
@@ -237,7 +237,7 @@ def test_garbage_is_counted_and_does_no_harm(lockstep: Fleet) -> None:
         lockstep.transport.put(key, b"\xff garbage", never_drop=False)
         lockstep.loop.turn(0.0)
     lockstep.latent(0)
-    assert lockstep.wished() == [("r", 0)]
+    assert lockstep.nominal_ticks() == [("r", 0)]
     health = lockstep.health()
     assert set(health) == {"r"}
     assert (health["r"].state, health["r"].refused) == ("running", 4), "its own and those of robots not served"
@@ -259,10 +259,10 @@ def test_several_robots_are_served_side_by_side(lockstep: Fleet) -> None:
     for robot in ("a", "b", "c"):
         lockstep.state(4, robot)
     lockstep.latent(4, "b")
-    assert lockstep.wished() == [("b", 4)]
+    assert lockstep.nominal_ticks() == [("b", 4)]
     lockstep.latent(4, "a")
     lockstep.latent(4, "c")
-    assert lockstep.wished() == [("a", 4), ("c", 4)]
+    assert lockstep.nominal_ticks() == [("a", 4), ("c", 4)]
     assert set(lockstep.health()) == {"a", "b", "c"}
 
 
@@ -272,7 +272,7 @@ def test_an_error_about_one_robot_does_not_end_the_service_of_the_others(lockste
         lockstep.state(0, robot)
         lockstep.latent(0, robot)
     lockstep.state(0, "bad")
-    assert lockstep.wished() == [("good", 0)]
+    assert lockstep.nominal_ticks() == [("good", 0)]
     health = lockstep.health()["good"]
     assert (health.steps, health.refused) == (1, 0), "what another robot says is counted there"
     lockstep.state(1, "bad")
@@ -299,7 +299,7 @@ def test_a_deadline_of_a_robot_that_has_left_starts_no_step(real_time: Fleet) ->
     assert set(real_time.health()) == {"-"}
     assert 0.0 < real_time.loop.patience(60.0) <= 0.25
     real_time.wait(20.0)
-    assert real_time.wished() == []
+    assert real_time.nominal_ticks() == []
 
 
 def test_a_thousand_robots_are_served_and_further_names_are_refused(lockstep: Fleet) -> None:
@@ -308,10 +308,10 @@ def test_a_thousand_robots_are_served_and_further_names_are_refused(lockstep: Fl
     names = [f"r{number}" for number in range(999)]
     lockstep.at_one_moment(names, period=0.05)
     lockstep.loop.turn(0.0)
-    assert len(lockstep.wished()) == 999
+    assert len(lockstep.nominal_ticks()) == 999
     lockstep.state(0, "too many")
     lockstep.latent(0, "too many")
-    assert lockstep.wished() == []
+    assert lockstep.nominal_ticks() == []
     health = lockstep.health()
     assert set(health) == {*names}
     assert health["r0"].refused == 2
@@ -319,7 +319,7 @@ def test_a_thousand_robots_are_served_and_further_names_are_refused(lockstep: Fl
     lockstep.latent(1, "r0")
     lockstep.state(0, "spoken of")
     lockstep.latent(0, "spoken of")
-    assert lockstep.wished() == [("r0", 1), ("spoken of", 0)]
+    assert lockstep.nominal_ticks() == [("r0", 1), ("spoken of", 0)]
 
 
 def test_the_heart_beats_four_times_a_second(lockstep: Fleet) -> None:
@@ -332,7 +332,7 @@ def test_the_heart_beats_four_times_a_second(lockstep: Fleet) -> None:
 
 def test_it_runs_until_it_is_stopped() -> None:
     stops = iter([False, False, True])
-    loop = ServiceLoop(Wisher(), Bus(MemoryTransport(MemoryBroker()), "test"), clock=Clock())
+    loop = ServiceLoop(FixedPolicy(), Bus(MemoryTransport(MemoryBroker()), "test"), clock=Clock())
     loop.run(lambda: next(stops))
     assert list(stops) == []
 
@@ -341,7 +341,7 @@ def test_it_runs_until_it_is_stopped() -> None:
 def test_at_the_end_a_loop_is_needed_for_robots_that_speak_and_are_not_at_rest(
     rests: bool, silence: float, needed: bool, state_at: StateAt
 ) -> None:
-    class Driving(Wisher):
+    class Driving(FixedPolicy):
         def at_rest(self, robot: str) -> bool:
             return rests
 
@@ -352,7 +352,7 @@ def test_at_the_end_a_loop_is_needed_for_robots_that_speak_and_are_not_at_rest(
     assert fleet.loop.is_needed is needed
 
 
-class Lingering(Wisher):
+class Lingering(FixedPolicy):
     """Records when it does the work that can wait, and how many actions were on the bus by then."""
 
     def __init__(self, clock: Clock) -> None:
@@ -383,7 +383,7 @@ def test_work_that_can_wait_comes_after_a_tenth_of_the_period_and_gives_way_unti
     for _ in range(waiting):
         fleet.bus.publish(FINDING, "r", samples["finding"])
     fleet.latent(0)
-    assert fleet.wished() == [("r", 0)]
+    assert fleet.nominal_ticks() == [("r", 0)]
     assert node.after == []
     while clock.now < 100.0 + period:
         fleet.wait(0.0005)
@@ -431,7 +431,7 @@ def test_a_loop_sleeps_until_the_next_moment_at_which_it_has_work(state_at: Stat
     assert fleet.loop.patience(1.0) > 0.1, "until the next heartbeat"
 
 
-class Taking(Wisher):
+class Taking(FixedPolicy):
     """Steps that take ``seconds`` each; records how many actions were on the bus when it began one, and afterwards."""
 
     lingers: ClassVar = False
@@ -439,11 +439,11 @@ class Taking(Wisher):
     def __init__(self, seconds: float, clock: Clock) -> None:
         super().__init__()
         self.seconds, self.clock = seconds, clock
-        self.wished: Callable[[], list[tuple[str, int]]] = list
+        self.nominal_ticks: Callable[[], list[tuple[str, int]]] = list
         self.out, self.before, self.after = 0, list[int](), list[int]()
 
     def on_the_bus(self) -> int:
-        self.out += len(self.wished())
+        self.out += len(self.nominal_ticks())
         return self.out
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
@@ -464,7 +464,7 @@ def test_an_action_waits_for_those_of_other_robots_five_milliseconds_at_most(
     clock = Clock()
     node = Taking(seconds, clock)
     fleet = Fleet(state_at, lockstep=False, node=node, clock=clock)
-    node.wished = fleet.wished
+    node.nominal_ticks = fleet.nominal_ticks
     fleet.loop.quantum = 0.005
     fleet.at_one_moment(f"r{number}" for number in range(6))
     fleet.loop.serve(0.0)
@@ -480,7 +480,7 @@ def test_of_robots_that_speak_at_one_moment_those_that_do_not_wait_are_served_fi
         real_time.lockstep = lockstep
         real_time.at_one_moment([robot])
     real_time.loop.turn(0.0)
-    assert [robot for robot, _ in real_time.wished()] == ["b", "d", "a", "c"]
+    assert [robot for robot, _ in real_time.nominal_ticks()] == ["b", "d", "a", "c"]
 
 
 def test_everything_published_in_a_turn_is_on_the_bus_when_it_ends(real_time: Fleet) -> None:
@@ -491,7 +491,7 @@ def test_everything_published_in_a_turn_is_on_the_bus_when_it_ends(real_time: Fl
         real_time.clock.now += 0.3
         real_time.at_one_moment(names, tick, period=0.05)
         real_time.loop.serve(0.0)
-        assert sorted(real_time.wished()) == [(name, tick) for name in names]
+        assert sorted(real_time.nominal_ticks()) == [(name, tick) for name in names]
         assert {item.robot for item in real_time.healths.take(0.0)} == set(names)
     real_time.clock.now += 0.3  # they fall silent
     real_time.loop.turn(0.0)
@@ -507,7 +507,7 @@ def test_an_action_travels_alone_unless_the_state_came_in_a_bundle(
 ) -> None:
     """A robot that may not read what is sent to others never gets a bundle; who shows verdicts may."""
 
-    class Deciding(Wisher):
+    class Deciding(FixedPolicy):
         inputs: ClassVar[tuple[Topic, ...]] = ()
         outputs: ClassVar = (ACTION, VERDICT)
 
@@ -555,9 +555,9 @@ def test_an_output_says_which_step_it_is_of_and_what_was_consumed_and_skipped(lo
     lockstep.latent(6)
     lockstep.latent(7)
     lockstep.state(7)
-    wishes = [item.message for item in lockstep.wishes.take(0.0) if isinstance(item, ReceivedMessage)]
-    assert all(isinstance(wish, WishMessage) for wish in wishes)
-    assert [(wish.step, wish.skipped, wish.consumed) for wish in wishes] == [
+    nominal_actions = [item.message for item in lockstep.nominal_actions.take(0.0) if isinstance(item, ReceivedMessage)]
+    assert all(isinstance(nominal, NominalMessage) for nominal in nominal_actions)
+    assert [(nominal.step, nominal.skipped, nominal.consumed) for nominal in nominal_actions] == [
         (1, (5.0,), ((0.0, 0.0),)),
         (2, (), ((0.0, 0.0),)),
     ]
@@ -571,7 +571,7 @@ def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(
 ) -> None:
     """A stale input has its age alone, and one that never came the age -1."""
 
-    class Patient(Wisher):
+    class Patient(FixedPolicy):
         slack: ClassVar = {LATENT: 1}
 
     fleet = Fleet(state_at, lockstep=False, node=Patient())
@@ -580,9 +580,9 @@ def test_an_output_names_the_age_and_the_publish_time_of_its_inputs(
         fleet.bus.publish(LATENT, "r", dataclasses.replace(latent_of(heard), publish_time=7.5))
     fleet.state(tick)
     fleet.wait(0.02)
-    (*_, wish) = fleet.wishes.take(0.0)
-    assert isinstance(wish, ReceivedMessage)
-    assert (wish.message.tick, wish.message.consumed) == (tick, (consumed,))
+    (*_, nominal) = fleet.nominal_actions.take(0.0)
+    assert isinstance(nominal, ReceivedMessage)
+    assert (nominal.message.tick, nominal.message.consumed) == (tick, (consumed,))
 
 
 def test_a_robot_that_claims_a_period_below_a_millisecond_is_served_as_one_of_a_millisecond(state_at: StateAt) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 from tests.bus.fleet import EPOCH, StateAt, latent_of, stamp
 
-from safedpa.bus import LATENT, WISH, Stale, StateMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, NominalMessage, Stale, StateMessage
 from safedpa.bus.service.robot_slot import RobotSlot
 
 ticks = some.integers(0, 8)
@@ -59,11 +59,11 @@ def test_an_input_of_a_former_epoch_is_replaced_whatever_its_tick(state_of: Stat
 def test_slack_is_for_the_topics_that_are_named(state_of: StateAt) -> None:
     slot = slot_at(state_of(lockstep=False))
     slot.keep(LATENT, latent_of(4))
-    slot.keep(WISH, WishMessage(**stamp(4), values=(0.0, 0.0), controller="test"))
-    assert not slot.is_complete((LATENT, WISH), {LATENT: 1})
-    slot.keep(WISH, WishMessage(**stamp(5), values=(0.0, 0.0), controller="test"))
-    assert slot.is_complete((LATENT, WISH), {LATENT: 1})
-    assert not slot.is_complete((LATENT, WISH), {})
+    slot.keep(NOMINAL, NominalMessage(**stamp(4), values=(0.0, 0.0), controller="test"))
+    assert not slot.is_complete((LATENT, NOMINAL), {LATENT: 1})
+    slot.keep(NOMINAL, NominalMessage(**stamp(5), values=(0.0, 0.0), controller="test"))
+    assert slot.is_complete((LATENT, NOMINAL), {LATENT: 1})
+    assert not slot.is_complete((LATENT, NOMINAL), {})
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ BY_HAND = {  # writer, delivery, ticks until it is stale (two seconds at 20 Hz: 
     "scan": ("robot", "all", 40, SMALL, False),
     "surroundings": ("perception", "latest", 0, SMALL, False),
     "latent": ("adaptation", "latest", 0, SMALL, True),
-    "wish": ("policy", "latest", 0, SMALL, True),
+    "nominal": ("policy", "latest", 0, SMALL, True),
     "action": ("safety_filter", "latest", 0, SMALL, True),
     "verdict": ("safety_filter", "all", 0, SMALL, True),
     "health": ("*", "latest", 40, SMALL, True),

@@ -93,7 +93,7 @@ class TransportContract(ABC):
         heard = Heard()
         receiver.subscribe("safedpa/f/*/state", heard)
         self.settled(sender, heard, "safedpa/f/r/state")
-        for key in ("safedpa/g/a/state", "safedpa/f/a/b/state", "safedpa/f/a/wish", "safedpa/f/a/state"):
+        for key in ("safedpa/g/a/state", "safedpa/f/a/b/state", "safedpa/f/a/nominal", "safedpa/f/a/state"):
             sender.put(key, b"x", never_drop=True)
         assert until(lambda: bool(heard.samples))
         assert heard.samples == [("safedpa/f/a/state", b"x")]

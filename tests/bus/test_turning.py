@@ -15,19 +15,19 @@ from safedpa.bus import (
     ACTION,
     HEALTH,
     LATENT,
+    NOMINAL,
     STATE,
-    WISH,
     AbstractNode,
     Bus,
     Inputs,
     LatentMessage,
     MemoryBroker,
     MemoryTransport,
+    NominalMessage,
     Outputs,
     ReceivedMessage,
     ServiceLoop,
     StateMessage,
-    WishMessage,
 )
 from safedpa.bus.service.scheduler import Scheduler, TimerQueue
 from safedpa.bus.transport.memory import JointTransport
@@ -50,10 +50,10 @@ class Guesser(AbstractNode):
         return {LATENT: LatentMessage(**stamp, model="m", values=(0.5,), deviations=(0.1,))}
 
 
-class Wisher(AbstractNode):
-    """Wishes what the latent says, and is in no hurry to end."""
+class FixedPolicy(AbstractNode):
+    """Publishes the latent as the nominal action, and takes its time to end."""
 
-    name, inputs, outputs, share = "policy", (LATENT,), (WISH,), 0.2
+    name, inputs, outputs, share = "policy", (LATENT,), (NOMINAL,), 0.2
 
     def __init__(self) -> None:
         self.prepared: list[int] = []
@@ -68,7 +68,7 @@ class Wisher(AbstractNode):
         latent = inputs[LATENT]
         stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
         values = latent.values if isinstance(latent, LatentMessage) else (-1.0,)
-        return {WISH: WishMessage(**stamp, values=values, controller="test")}
+        return {NOMINAL: NominalMessage(**stamp, values=values, controller="test")}
 
     def wind_up(self) -> None:
         self.ends += 1
@@ -80,10 +80,13 @@ class Process:
     def __init__(self) -> None:
         broker = MemoryBroker()
         self.bus = Bus(MemoryTransport(broker), "f")
-        self.nodes = (Guesser(), Wisher())
+        self.nodes = (Guesser(), FixedPolicy())
         joint = JointTransport(MemoryTransport(broker), frozenset(["latent"]))
         self.loops = [ServiceLoop(node, Bus(joint, "f")) for node in self.nodes]
-        self.wishes, self.healths = self.bus.inbox((WISH,), keep_all=True), self.bus.inbox((HEALTH,), keep_all=True)
+        self.nominal_actions, self.healths = (
+            self.bus.inbox((NOMINAL,), keep_all=True),
+            self.bus.inbox((HEALTH,), keep_all=True),
+        )
         self._stop = threading.Event()
         self._thread = threading.Thread(target=lambda: Scheduler(self.loops).run(self._stop.is_set), name="main")
 
@@ -103,10 +106,10 @@ def test_a_state_is_answered_on_the_thread_that_brought_it(state_at: Callable[..
         answers = []
         for tick in range(20):
             process.bus.publish(STATE, "r", state_at(tick, lockstep=True))
-            answers += process.wishes.take(PATIENCE)
-    wishes = [item.message for item in answers if isinstance(item, ReceivedMessage)]
-    assert [wish.tick for wish in wishes] == list(range(20))
-    assert {wish.values for wish in wishes if isinstance(wish, WishMessage)} == {(0.5,)}
+            answers += process.nominal_actions.take(PATIENCE)
+    nominal_actions = [item.message for item in answers if isinstance(item, ReceivedMessage)]
+    assert [nominal.tick for nominal in nominal_actions] == list(range(20))
+    assert {nominal.values for nominal in nominal_actions if isinstance(nominal, NominalMessage)} == {(0.5,)}
     assert threading.current_thread().name in process.nodes[0].threads
     assert process.nodes[1].ends == 1
 
@@ -137,7 +140,7 @@ def test_messages_from_many_threads_at_once_are_each_answered_once(state_at: Cal
             thread.start()
         heard: list[tuple[str, int]] = []
         while len(heard) < len(robots) * ticks:
-            items = [item for item in process.wishes.take(PATIENCE) if isinstance(item, ReceivedMessage)]
+            items = [item for item in process.nominal_actions.take(PATIENCE) if isinstance(item, ReceivedMessage)]
             assert items, f"{len(heard)} answers, then none"
             heard += [(item.robot, item.message.tick) for item in items]
             for item in items:
@@ -151,7 +154,7 @@ def test_a_node_prepares_once_while_its_inputs_are_missing(
     state_at: Callable[..., StateMessage],
 ) -> None:
     broker = MemoryBroker()
-    node, bus = Wisher(), Bus(MemoryTransport(broker), "f")
+    node, bus = FixedPolicy(), Bus(MemoryTransport(broker), "f")
     node.inputs = (LATENT, ACTION)  # type: ignore[assignment]
     loop = ServiceLoop(node, Bus(MemoryTransport(broker), "f"))
     bus.publish(STATE, "r", state_at(3, lockstep=True))

@@ -68,17 +68,17 @@ def test_every_topic_has_its_writer_and_no_other() -> None:
 @pytest.mark.parametrize(
     ("role", "topic", "robots"),
     [
-        ("policy", "wish", "r+"),
+        ("policy", "nominal", "r+"),
         ("policy", "state", ""),
         ("policy", "health", "r+-"),
         ("policy", "takeover", "r-"),
         ("diagnosis", "finding", "r"),
         ("diagnosis", "model", "r"),
         ("diagnosis", "takeover", ""),
-        ("diagnosis", "wish", ""),
+        ("diagnosis", "nominal", ""),
         ("diagnosis", "setup", "r-"),
         ("robot", "state", "r+"),
-        ("robot", "wish", ""),
+        ("robot", "nominal", ""),
         ("operator", "health", ""),
     ],
 )
@@ -89,7 +89,7 @@ def test_a_role_writes_its_own_topics_about_one_robot_many_or_none(role: str, to
 
 def test_the_router_takes_from_a_policy_these_keys_and_no_others() -> None:
     assert keys_of(access_control("f", ["r"]), "policy", "put", "ingress") == {
-        "safedpa/f/r/wish", "safedpa/f/+/wish",
+        "safedpa/f/r/nominal", "safedpa/f/+/nominal",
         "safedpa/f/r/health/policy", "safedpa/f/+/health/policy", "safedpa/f/-/health/policy",
         "safedpa/f/r/takeover/policy", "safedpa/f/-/takeover/policy",
         "safedpa/f/r/setup/policy", "safedpa/f/-/setup/policy",

@@ -17,7 +17,7 @@ from safedpa_services.router.router import Router
 
 
 def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    never, stands = threading.Event(), threading.Event()
+    never, stationary_for = threading.Event(), threading.Event()
 
     def members() -> list[tuple[str, str]]:
         never.wait()
@@ -25,23 +25,23 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
 
     with Bus(MemoryTransport(MemoryBroker()), "f") as bus:
         router = Router(bus, Refusals(), members)
-        pulse = LoopWatchdog(stands.set, look_seconds=0.01)
+        pulse = LoopWatchdog(stationary_for.set, look_seconds=0.01)
         thread = threading.Thread(target=router.run, args=(never.is_set, pulse), daemon=True)
         thread.start()
-        assert stands.wait(20.0)
+        assert stationary_for.wait(20.0)
         assert "stood still" in json.loads(capsys.readouterr().err)["sentence"]
         never.set()
         thread.join(20.0)
 
 
 def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
-    stands = threading.Event()
-    pulse = LoopWatchdog(stands.set, look_seconds=0.02, looks=50)
+    stationary_for = threading.Event()
+    pulse = LoopWatchdog(stationary_for.set, look_seconds=0.02, looks=50)
     for _ in range(60):
         pulse.beat()
         time.sleep(0.02)
     pulse.end()
-    assert not stands.is_set()
+    assert not stationary_for.is_set()
     assert not capsys.readouterr().err
 
 

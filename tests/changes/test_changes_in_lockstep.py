@@ -155,8 +155,8 @@ def test_an_offer_that_is_dropped_changes_nothing(changing_node: Any, untouched:
 
 def longest_stand(run: Drive) -> float:
     """s without a speed of 2 cm/s."""
-    stands = (sum(1 for _ in group) for still, group in itertools.groupby(run.ticks, key=_stands) if still)
-    return 0.05 * max(stands, default=0)
+    stationary_for = (sum(1 for _ in group) for still, group in itertools.groupby(run.ticks, key=_stands) if still)
+    return 0.05 * max(stationary_for, default=0)
 
 
 def _stands(tick: Tick) -> bool:

@@ -7,15 +7,15 @@ import pytest
 
 from safedpa.bus import (
     LATENT,
+    NOMINAL,
     TAKEOVER,
     VERDICT,
-    WISH,
     LatentMessage,
     ModelMessage,
+    NominalMessage,
     Request,
     StateMessage,
     TakeoverMessage,
-    WishMessage,
 )
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.live.versions import OfferedEffect
@@ -41,7 +41,7 @@ def reach() -> float:
 
 
 class Standing:
-    """A car that stands before an obstacle, its filter, and a wish to go on standing."""
+    """A car that stands before an obstacle, its filter, and a nominal action to go on standing."""
 
     def __init__(self, **loop: Any) -> None:
         self.node = SafetyFilterNode(CAR, SETTINGS, OLD)
@@ -64,9 +64,9 @@ class Standing:
         latent = LatentMessage(
             **stamp, tick=self.tick - age, model=fingerprint(model), values=values, deviations=values
         )
-        wish = WishMessage(**stamp, tick=self.tick, values=(0.0, 0.0), controller="test")
+        nominal = NominalMessage(**stamp, tick=self.tick, values=(0.0, 0.0), controller="test")
         self.node.prepare("r1", state)
-        outputs = dict(self.node.step("r1", state, {LATENT: latent, WISH: wish}))
+        outputs = dict(self.node.step("r1", state, {LATENT: latent, NOMINAL: nominal}))
         outputs.update(self.node.afterwards("r1"))
         self.tick += 1
         if TAKEOVER in outputs:
@@ -90,7 +90,7 @@ def test_the_change_of_the_margin_is_told_before_it_is_used() -> None:
     car.turn()
     car.offer()
     assert car.heard[-1].state == "ready"
-    assert car.heard[-1].foretold == (
+    assert car.heard[-1].expected_effect == (
         "the margin of obstacle goes from 0.03 to 0.115 where h is 0.09: at once it would stop the robot here, so it "
         "follows h, all of it from 0.493 on; the margin of field goes from 0.03 to 0.115 where h is 8.43, at once"
     )
@@ -201,7 +201,7 @@ def test_command_and_page_report_the_margin_before_it_is_used(changing_node: Any
     stamp = {"epoch": 1, "tick": 1, "robot_time": 0.0, "publish_time": 0.0, "change": 1, "fingerprint": NEW}
     for service in ("adaptation", "policy", "safety_filter"):
         told = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
-        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", foretold=told))
+        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", expected_effect=told))
     take = changes.step(dataclasses.replace(state, tick=2))
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, TAKEOVER, Answer, LatentMessage, ModelMessage, NominalMessage
 from safedpa.bus.messages.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_offer import offered_model
@@ -58,7 +58,7 @@ def decision(step: str, from_tick: int = 0, change: int = 1, epoch: int = 1) -> 
 
 
 class Ticking:
-    """One node, tick after tick, with a wish and a latent of the model that ``latents_of`` names."""
+    """One node, tick after tick, with a nominal action and a latent of the model that ``latents_of`` names."""
 
     def __init__(self, node: Any, state_of: Any) -> None:
         self.node, self.state_of, self.tick = node, state_of, 0
@@ -69,7 +69,7 @@ class Ticking:
         state = dataclasses.replace(self.state_of(self.tick, epoch), values=self.values(self.tick))
         stamp = {"epoch": epoch, "tick": self.tick, "robot_time": 0.0, "publish_time": 0.0}
         latent = LatentMessage(**stamp, model=self.latents_of, values=self.latent, deviations=self.latent)
-        inputs = {LATENT: latent, WISH: WishMessage(**stamp, values=(0.5, 0.0), controller="test")}
+        inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp, values=(0.5, 0.0), controller="test")}
         outputs = dict(self.node.step("r1", state, {topic: inputs[topic] for topic in self.node.inputs}))
         outputs.update(self.node.afterwards("r1"))
         self.tick += 1

@@ -72,9 +72,9 @@ def _tick(k: int, *, epoch: int = 7, applied_by: str = "filter", status: str = "
     verdict = VerdictMessage(
         **stamp,
         status=status,
-        sentence=f"The wish was {status}.",
+        sentence=f"The nominal action was {status}.",
         action=(1.2, 0.1),
-        wish=(1.4, 0.05),
+        nominal=(1.4, 0.05),
         slack=0.0,
         active=("obstacle 0",),
         h_now=0.5 + 0.3 * math.sin(0.1 * k),

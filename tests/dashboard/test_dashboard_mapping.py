@@ -143,8 +143,8 @@ def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of
     assert farthest == pytest.approx(0.4 + 0.15 + braking_of(FilterSettings()).distance(2.0))
 
 
-def test_actions_are_drawn_with_wishes_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):
-    verdict = replace(tick_of(0)[2][1], status="fallback", h_now=0.0, h_next=0.0, wish=())
+def test_actions_are_drawn_with_nominal_actions_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):
+    verdict = replace(tick_of(0)[2][1], status="fallback", h_now=0.0, h_next=0.0, nominal=())
     view = FleetView(look)
     entries = _entries(view.take([_received(STATE, tick_of(0)[0][1]), _received(VERDICT, verdict)], 0.0))
     curves = {"/".join(e.path[2:]): e.shape.values for e in entries if isinstance(e.shape, Curves) and not e.static}

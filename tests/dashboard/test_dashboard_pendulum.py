@@ -51,7 +51,7 @@ def verdict(tick: int) -> VerdictMessage:
         status="corrected",
         sentence="s",
         action=(1.0,),
-        wish=(9.0,),
+        nominal=(9.0,),
         slack=0.0,
         active=(),
         h_now=0.3,

@@ -66,7 +66,7 @@ def test_bad_options_are_refused_in_one_line(options, complaint):
     assert out == ""
 
 
-def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_port):
+def test_a_taken_port_is_refused_when_requested_for_and_passed_over_otherwise(free_port):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
@@ -75,7 +75,7 @@ def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_
         assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
 
 
-def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_wished_for(free_port):
+def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_requested_for(free_port):
     """Two dashboards that are started at one moment find the same ports free."""
     doors = []
 
@@ -85,9 +85,9 @@ def test_a_port_that_was_taken_since_it_was_chosen_is_passed_over_unless_wished_
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
-        port = open_server(open_door, free_port, wished=False)
+        port = open_server(open_door, free_port, required=False)
         with pytest.raises(InputError, match=f"--web-port {free_port}"):
-            open_server(open_door, free_port, wished=True)
+            open_server(open_door, free_port, required=True)
     (door,) = doors
     door.close()
     assert port > free_port

@@ -65,7 +65,7 @@ def test_what_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> None:
 def test_the_page_shows_the_age_of_each_source_and_what_is_wrong_with_one() -> None:
     page = NowPage(display_settings(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
-    page.take(replace(SEEN, amiss=("the source laser is frozen",)), 0.0)
+    page.take(replace(SEEN, problems=("the source laser is frozen",)), 0.0)
     text = page.page(0.5).text
     assert "laser 0.05 s old" in text
     assert "the source laser is frozen" in text
@@ -113,7 +113,7 @@ def test_more_zones_than_a_file_may_have_are_not_looked_at() -> None:
     """A message of 64 KiB has room for ten thousand names and two thousand vertices; each with each takes seconds."""
     corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
     borders = tuple((float(number), *corner) for number in range(500) for corner in corners)
-    flood = replace(SEEN, zones=("closed a",) * 500, borders=borders, ordered="x" * 50_000, amiss=("y" * 50_000,))
+    flood = replace(SEEN, zones=("closed a",) * 500, borders=borders, ordered="x" * 50_000, problems=("y" * 50_000,))
     shape = {entry.path[-1]: entry.shape for entry in seen_entries(flood)}["zones"]
     assert isinstance(shape, Lines)
     assert len(shape.strips) == 64

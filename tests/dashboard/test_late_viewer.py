@@ -151,7 +151,9 @@ def test_a_late_viewer_has_the_present_among_the_first_chunks(look, tick_of, fre
     assert not missing
     for robot in robots:
         told = " ".join(_texts(chunk) for chunk in first if chunk.entity_path == f"/robots/{robot}/now")
-        assert "0.0 s: passed: The wish was passed" in told, "the last sentence of the log was said at the start"
+        assert "0.0 s: passed: The nominal action was passed" in told, (
+            "the last sentence of the log was said at the start"
+        )
 
 
 @pytest.mark.long

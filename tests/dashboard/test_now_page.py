@@ -107,7 +107,7 @@ def test_every_second_all_that_is_drawn_on_change_is_drawn_again(look, tick_of):
 STAMP = {"epoch": 7, "tick": 1, "robot_time": 0.0, "publish_time": 0.0}
 HEARD = {
     "verdict": VerdictMessage(
-        **STAMP, status="passed", sentence="", action=(), wish=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
+        **STAMP, status="passed", sentence="", action=(), nominal=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
         margin=0.0, solver="", microseconds=0.0,
     ),
     "estimate": LatentMessage(**STAMP, model="m", values=(0.1,), deviations=(0.1,)),

@@ -74,7 +74,7 @@ def test_the_gateway_speaks_as_its_robot_alone_and_reaches_that_one_by_a_network
     assert gateway["volumes"][:2] == ["ros-gateway-key:/certificates:ro", "healthcheck-key:/healthcheck:ro"]
     assert gateway["networks"] == ["bus", "robots"]
     assert [other for other in SERVICES if "robots" in SERVICES[other]["networks"]] == ["ros_gateway"]
-    assert (_value(authority, "--gateway"), _value(authority, "--wishes")) == (name, "${SAFEDPA_ROS_WISHES:-0}")
+    assert (_value(authority, "--gateway"), _value(authority, "--with-policy")) == (name, "${SAFEDPA_ROS_NOMINAL:-0}")
     assert name in SERVICES["router"]["command"]
     assert _value(gateway["healthcheck"]["test"], "--robot") == name
     for line in (gateway["volumes"][2], gateway["command"][0]):
@@ -82,23 +82,23 @@ def test_the_gateway_speaks_as_its_robot_alone_and_reaches_that_one_by_a_network
     asked = load_robot_file(ROOT / "deploy" / "ros" / "fleet_robot.toml")
     assert gateway["volumes"][2] == "${SAFEDPA_ROS_FILE:-./deploy/ros/fleet_robot.toml}:/robot/robot.toml:ro"
     assert f"${{SAFEDPA_ROS_NAME:-{asked.name}}}" == name, "the certificate is that of the robot in the file"
-    assert not asked.wish.topic, "the policy of the fleet has that certificate"
+    assert not asked.nominal.topic, "the policy of the fleet has that certificate"
     parser().parse_args(gateway["command"])
 
 
-def test_the_gateway_is_given_the_policy_s_key_only_where_its_robot_wishes(tmp_path: Path) -> None:
+def test_the_gateway_is_given_the_policy_s_key_only_where_its_robot_requests(tmp_path: Path) -> None:
     authority, folder = Authority(tmp_path / "authority", "fleet"), tmp_path / "ros_gateway"
     folder.mkdir()
 
-    def held(robot: str, *, wishes: bool) -> list[str]:
-        issue_to_gateway(authority, folder, robot, 1.0, wishes=wishes)
+    def held(robot: str, *, with_policy: bool) -> list[str]:
+        issue_to_gateway(authority, folder, robot, 1.0, with_policy=with_policy)
         return sorted(path.name.removesuffix(".key.pem") for path in folder.glob("*.key.pem"))
 
-    assert held("ros-1", wishes=True) == ["policy", "robot.ros-1"]
+    assert held("ros-1", with_policy=True) == ["policy", "robot.ros-1"]
     before = (folder / "robot.ros-1.pem").read_bytes()
-    assert held("ros-1", wishes=False) == ["robot.ros-1"]
+    assert held("ros-1", with_policy=False) == ["robot.ros-1"]
     assert (folder / "robot.ros-1.pem").read_bytes() == before
-    assert held("ros-2", wishes=False) == ["robot.ros-2"], "the key of another robot is gone"
+    assert held("ros-2", with_policy=False) == ["robot.ros-2"], "the key of another robot is gone"
     assert not list((tmp_path / "authority").glob("robot*"))
     assert (folder / "authority.pem").exists()
 

@@ -174,7 +174,11 @@ def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_contain
         assert sent[sent.index(option) + 1] == str(services["adaptation"][key])
     assert sent[-2:] == ["60", "20"]
     relays = [words[-2:] for words in ran if "relay" in words]
-    assert relays[:3] == [["bare/state", "bare/latent"], ["bare/latent", "bare/wish"], ["bare/wish", "bare/action"]]
+    assert relays[:3] == [
+        ["bare/state", "bare/latent"],
+        ["bare/latent", "bare/nominal"],
+        ["bare/nominal", "bare/action"],
+    ]
     assert ran[-1][-3:] == ["--remove-orphans", "--timeout", "3"]
 
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 FOLDER = Path(__file__).resolve().parents[2] / "deploy" / "systemd"
 UNIT = (FOLDER / "safedpa@.service").read_text(encoding="utf-8")
 ROBOT = """
-format = 1
+format = 2
 robot = "car"
 [odometry]
 topic = "/odom"

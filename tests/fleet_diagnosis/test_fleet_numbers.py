@@ -268,14 +268,14 @@ def test_the_example_of_benjamini_and_hochberg():
         0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719, 0.6528,
         0.7590, 1.0,
     ]  # fmt: skip
-    stands, limit = believed(p, 0.05)
-    assert (stands, limit) == ([True] * 4 + [False] * 11, 0.0095)
+    stationary_for, limit = believed(p, 0.05)
+    assert (stationary_for, limit) == ([True] * 4 + [False] * 11, 0.0095)
 
 
 @given(chances)
 def test_what_is_believed_is_what_has_the_smallest_chances(p):
-    stands, limit = believed(p)
-    assert [value <= limit and any(stands) for value in p] == stands
+    stationary_for, limit = believed(p)
+    assert [value <= limit and any(stationary_for) for value in p] == stationary_for
     assert limit <= FALSE_SHARE
 
 
@@ -300,8 +300,8 @@ def test_three_hundred_healthy_robots_give_no_false_group_but_rarely():
 
 def test_true_ones_among_many_are_believed():
     p = [chance(8.0, 29)] * 6 + [1.0] * 294 + [chance(3.1, 29)]
-    stands, _ = believed(p)
-    assert stands == [True] * 6 + [False] * 295
+    stationary_for, _ = believed(p)
+    assert stationary_for == [True] * 6 + [False] * 295
 
 
 numbers = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 2.0)), min_size=1, max_size=30)

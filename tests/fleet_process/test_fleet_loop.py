@@ -98,7 +98,7 @@ def test_robots_that_share_a_moment_are_bundled_and_drive_as_if_each_were_alone(
     MemoryTransport(fleet.broker).subscribe("safedpa/test/*/*", lambda key, _payload: keys.update([key]))
     fleet.drive(1.0)
     assert fleet.fleet.late == 0
-    for topic in ("state", "latent", "wish", "action", "verdict"):
+    for topic in ("state", "latent", "nominal", "action", "verdict"):
         assert keys[f"safedpa/test/+/{topic}"] >= 5 * 18, topic
         assert not [key for key in keys if key.endswith(f"/{topic}") and "/+/" not in key], topic
     alone = stack(names[:1])

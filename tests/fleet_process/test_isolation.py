@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from safedpa.bus import (
     ACTION,
+    NOMINAL,
     STATE,
-    WISH,
     AbstractNode,
     ActionMessage,
     Inputs,
     ModelMessage,
+    NominalMessage,
     Outputs,
     ReceivedMessage,
     StateMessage,
-    WishMessage,
     encode,
 )
 from safedpa.errors import BusError
@@ -100,7 +100,7 @@ class Counting(AbstractNode):
 
     name = "policy"
     inputs = ()
-    outputs = (WISH,)
+    outputs = (NOMINAL,)
     share = 0.2
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class Counting(AbstractNode):
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         self.steps[robot] = self.steps.get(robot, 0) + 1
         stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
-        return {WISH: WishMessage(**stamp, values=(0.0, 0.0), controller="test")}
+        return {NOMINAL: NominalMessage(**stamp, values=(0.0, 0.0), controller="test")}
 
 
 @pytest.mark.parametrize("period", [0.05, 1e-9])
@@ -260,7 +260,7 @@ def test_a_second_robot_under_each_name_in_use_is_refused(stack: Make, undisturb
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     bits=st.binary(max_size=300),
-    topic=st.sampled_from(("state", "latent", "wish", "action", "model", "health/policy", "nonsense", "*")),
+    topic=st.sampled_from(("state", "latent", "nominal", "action", "model", "health/policy", "nonsense", "*")),
     robot=st.sampled_from(("strange", "a*", "**", "", "-", "a b")),
 )
 def test_no_bytes_under_any_foreign_key_end_a_service(bits: bytes, topic: str, robot: str, stack: Make) -> None:

@@ -15,7 +15,7 @@ Make = Callable[..., Any]
 
 
 def test_in_one_process_every_trajectory_is_the_same(stack: Make, undisturbed: dict[str, str]) -> None:
-    fleet = stack(tuple(undisturbed), joint=("latent", "wish"))
+    fleet = stack(tuple(undisturbed), joint=("latent", "nominal"))
     fleet.drive(2.0)
     assert fleet.fleet.late == 0
     assert {name: car.trajectory_hash for name, car in fleet.cars.items()} == undisturbed

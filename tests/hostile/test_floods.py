@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from safedpa.bus import ACTION, HEALTH, NO_ROBOT, WISH, ZenohSettings, ZenohTransport, key_of
+from safedpa.bus import ACTION, HEALTH, NO_ROBOT, NOMINAL, ZenohSettings, ZenohTransport, key_of
 from safedpa.bus.security.access_control import ROLES, rate_limits
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.usefixtures("links_outlive")]
@@ -32,9 +32,9 @@ def test_a_flood_ends_at_the_router(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = ZenohTransport(ZenohSettings("router", (endpoint,), rates=tuple(rate_limits("fleet", ("r1",)))))
     flooder, other, reader = (ZenohTransport(ZenohSettings("client", (), (endpoint,))) for _ in range(3))
-    came: dict[str, list[bytes]] = {"wish": [], "action": []}
+    came: dict[str, list[bytes]] = {"nominal": [], "action": []}
     try:
-        for topic, sender in ((WISH, flooder), (ACTION, other)):
+        for topic, sender in ((NOMINAL, flooder), (ACTION, other)):
             key = key_of("fleet", "r1", topic)
             reader.subscribe(key, lambda _, payload, name=topic.name: came[name].append(payload))
             knocked(sender, key, lambda name=topic.name: bool(came[name]))  # type: ignore[misc]
@@ -43,7 +43,7 @@ def test_a_flood_ends_at_the_router(free_port: int) -> None:
         began = due = time.monotonic()
         while len(came["action"]) < _ACTIONS and time.monotonic() < began + _PATIENCE_SECONDS:
             for _ in range(50):
-                flooder.put(key_of("fleet", "r1", WISH), b"x" * 100, never_drop=False)
+                flooder.put(key_of("fleet", "r1", NOMINAL), b"x" * 100, never_drop=False)
             sent += 50
             if len(came["action"]) == regular < _ACTIONS and time.monotonic() >= due:
                 other.put(key_of("fleet", "r1", ACTION), b"y", never_drop=True)  # a busy machine drops what may be
@@ -53,8 +53,8 @@ def test_a_flood_ends_at_the_router(free_port: int) -> None:
     finally:
         for transport in (flooder, other, reader, router):
             transport.close()
-    assert sent > 3 * len(came["wish"]), "no flood, or all of it came through"
-    assert 0 < len(came["wish"]) <= 1.1 * (flooded + 0.5) * _MOST
+    assert sent > 3 * len(came["nominal"]), "no flood, or all of it came through"
+    assert 0 < len(came["nominal"]) <= 1.1 * (flooded + 0.5) * _MOST
     assert len(came["action"]) == regular == _ACTIONS, "what others say is not held up"
 
 

@@ -67,7 +67,7 @@ def test_a_trace_of_another_shape_is_left_out_and_reported(messages: Messages, t
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("topic", ["latent", "wish", "verdict", "state"])
+@pytest.mark.parametrize("topic", ["latent", "nominal", "verdict", "state"])
 def test_a_tick_far_away_costs_no_time(messages: Messages, tmp_path: Path, topic: str) -> None:
     """Nine quadrillion ticks were counted one by one."""
     path = changed(messages, topic, lambda table: table.update(tick=(1 << 53) - 1), tmp_path / "run.mcap", which=39)

@@ -84,7 +84,7 @@ def _verdict(state: StateMessage) -> VerdictMessage:
         status="passed",
         sentence="",
         action=(0.0, 0.0),
-        wish=(0.0, 0.0),
+        nominal=(0.0, 0.0),
         slack=0.0,
         active=(),
         h_now=1.0,

@@ -91,9 +91,9 @@ STATE_FIELDS: dict[str, Any] = {
 }
 VERDICT_FIELDS: dict[str, Any] = {
     "status": "passed",
-    "sentence": "The wish keeps every barrier condition and is handed on unchanged.",
+    "sentence": "The nominal action keeps every barrier condition and is handed on unchanged.",
     "action": (1.0, 0.0),
-    "wish": (1.0, 0.0),
+    "nominal": (1.0, 0.0),
     "slack": 0.0,
     "active": (),
     "h_now": 0.6,

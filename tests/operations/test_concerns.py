@@ -148,7 +148,13 @@ def test_services_with_different_models_are_trouble_and_those_that_report_none_d
 
 def test_a_wrong_sensor_is_trouble_and_a_switched_one_deserves_attention() -> None:
     seen = SurroundingsMessage(
-        **stamp(), points=(), movers=(), hidden=(), ages=(), amiss=("laser: blind",), ordered="source rear off, by Ada"
+        **stamp(),
+        points=(),
+        movers=(),
+        hidden=(),
+        ages=(),
+        problems=("laser: blind",),
+        ordered="source rear off, by Ada",
     )
     assert concerns(robot_of(seen=seen)) == [
         ("trouble", "laser: blind"), ("attention", "switched: source rear off, by Ada"),

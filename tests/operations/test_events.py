@@ -139,13 +139,13 @@ def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: p
         line(level="info")
         + "a trace back\n"
         + "{no json\n"
-        + line(robot="r1", tick=4, sentence="the wish is old")
+        + line(robot="r1", tick=4, sentence="the nominal action is old")
         + "{"
     )
     warnings.look()
     now[0] += 1.0
     assert len(told) == 1
-    assert told[0].endswith("policy r1 tick 4: the wish is old")
+    assert told[0].endswith("policy r1 tick 4: the nominal action is old")
     with policy.log.open("a") as log:
         log.write('"level": "error", "sentence": "half a line before", "kind": "x"}\n')
         log.writelines(line(robot="r1") for _ in range(100))

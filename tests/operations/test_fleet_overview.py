@@ -73,7 +73,7 @@ def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: A
     assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": None, "rear": None}
     stamp = {"epoch": robot.state.epoch, "tick": robot.state.tick, "robot_time": 1.0, "publish_time": 0.0}
     seen = SurroundingsMessage(
-        **stamp, points=(), movers=(), hidden=(), ages=(0.05, -1.0), amiss=("nothing was heard of the source rear",)
+        **stamp, points=(), movers=(), hidden=(), ages=(0.05, -1.0), problems=("nothing was heard of the source rear",)
     )
     robot.hear(seen, fleet.overview.clock())
     assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": 0.05, "rear": None}
@@ -93,9 +93,9 @@ def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
     ("changes", "level", "told"),
     [
         (
-            {"verdict": {"status": "fallback", "sentence": "No decision: the wish is stale."}},
+            {"verdict": {"status": "fallback", "sentence": "No decision: the nominal action is stale."}},
             "trouble",
-            "the wish is stale",
+            "the nominal action is stale",
         ),
         ({"verdict": {"status": "disabled"}}, "trouble", "switched off"),
         ({"verdict": {"h_now": -0.02}}, "trouble", "unsafe now: h -0.020"),

@@ -43,7 +43,7 @@ class Loop:
     def drives(self) -> bool:
         return bool(self.states) and abs(self.states[-1].values[-1]) > 0.5 and self.status() in ("passed", "corrected")
 
-    def stands(self) -> bool:
+    def stationary_for(self) -> bool:
         return bool(self.states) and abs(self.states[-1].values[-1]) < 0.03
 
     def status(self) -> str:
@@ -107,14 +107,16 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         ordered = loop.command("stop", "--robot", "r1", "--who", "Ada")
         assert ordered.returncode == 0, ordered.stderr
         assert "r1: stands" in ordered.stdout
-        loop.until(lambda: loop.stands() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand")
+        loop.until(
+            lambda: loop.stationary_for() and "ordered by Ada" in loop.verdicts[-1].sentence, "it does not stand"
+        )
         killed = loop.pid("safety_filter")
         os.kill(killed, signal.SIGKILL)
         seen = len(loop.verdicts)
         loop.until(lambda: loop.pid("safety_filter") not in (0, killed), "no filter was started again")
         loop.until(lambda: len(loop.verdicts) > seen + 10, "the new filter says nothing")
         assert {verdict.status for verdict in loop.verdicts[-10:]} == {"stopped"}
-        assert loop.stands()
+        assert loop.stationary_for()
         refused = loop.command("go")
         assert refused.returncode == 2
         assert "the whole fleet is not stopped by an order; still stopped: r1" in refused.stderr
@@ -125,7 +127,7 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
         os.kill(filter_pid, signal.SIGTERM)
         loop.until(lambda: loop.status() == "stopped", "the filter that ends does not brake")
         assert "about to end" in loop.verdicts[-1].sentence
-        loop.until(loop.stands, "it does not stand")
+        loop.until(loop.stationary_for, "it does not stand")
         loop.until(loop.drives, "after the filter's restart it does not drive")
         assert loop.pid("safety_filter") != filter_pid
         code, output, errors = loop.end(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""An order to stop: kept, answered, obeyed by the filter whatever the policy wishes, and lifted again."""
+"""An order to stop: kept, answered, obeyed by the filter whatever the policy requests, and lifted again."""
 
 import dataclasses
 from pathlib import Path
@@ -96,7 +96,7 @@ def test_a_stopped_car_gets_the_brake_and_nothing_else(state: list[float]) -> No
     np.testing.assert_array_equal(verdict.action, [0.0, 0.0])
     assert verdict.known
     assert "a test" in verdict.sentence
-    assert verdict.wish is None
+    assert verdict.nominal is None
 
 
 def test_a_stop_needs_neither_latent_nor_state() -> None:

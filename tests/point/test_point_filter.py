@@ -74,19 +74,19 @@ def test_many_at_once_are_filtered_as_one_is() -> None:
     room = BatchStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).values(near)
     close = np.flatnonzero((room.min(axis=1) > -0.01) & (room.min(axis=1) < 0.02))[:40]
     state, motion = near[close], Motion(wind[:, close], DRAG, STRONGEST, FASTEST)
-    wish = np.c_[random.uniform(0.3, 1.0, 40), random.uniform(-1.0, 1.0, 40)] * own.high
+    nominal = np.c_[random.uniform(0.3, 1.0, 40), random.uniform(-1.0, 1.0, 40)] * own.high
     pairs = [_affine(row, motion.of(index).wind) for index, row in enumerate(state)]
     affine = np.stack([f for f, _ in pairs]), np.stack([g for _, g in pairs])
     around = BatchStopping(np.broadcast_to(hazards, (40, 3, 3)), motion)
     backup = np.tile([0.1, -0.2], (40, 1))
-    many = BatchFilter(POINT, own).decide(state, wish, barriers=around, affine=affine, backup=backup.__getitem__)
+    many = BatchFilter(POINT, own).decide(state, nominal, barriers=around, affine=affine, backup=backup.__getitem__)
     believed = Plausible(POINT.state_low, POINT.state_high, POINT.state_names)
     for index, row in enumerate(state):
         filter_ = SafetyFilter(
             lambda _, pair=pairs[index]: pair, [StoppingBarrier(hazards, motion.of(index))], own,
             backup=lambda _, own=backup[index]: own, state_range=believed,
         )  # fmt: skip
-        one = filter_.decide(row, wish[index])
+        one = filter_.decide(row, nominal[index])
         assert STATUSES[many.status[index]] is one.status
         np.testing.assert_allclose(many.action[index], one.action, atol=1e-6)
         assert many.h_now[index] == pytest.approx(one.h_now, abs=1e-9)
@@ -321,8 +321,8 @@ def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
     seeker = controller_for(MODEL)()
     for _ in range(500):
         state = robot.state_message()
-        wish, _ = seeker.wish(state, latent)
-        verdict = filter_.decide(state.values, wish, latent, barriers=scene.of(state))
+        nominal, _ = seeker.nominal_action(state, latent)
+        verdict = filter_.decide(state.values, nominal, latent, barriers=scene.of(state))
         act(robot, verdict.action)
     assert robot.goals_reached >= 2
     assert not robot.collisions

@@ -67,7 +67,7 @@ def test_the_policy_agrees_with_torch(name, seed):
 
 @given(some.sampled_from(("car_learned", "car_simulated")), some.integers(0, 2**32 - 1), some.integers(0, 8))
 @settings(max_examples=60)
-def test_the_wish_of_one_car_is_what_the_policy_does_at_its_observation(name, seed, count):
+def test_the_nominal_action_of_one_car_is_what_the_policy_does_at_its_observation(name, seed, count):
     weights, parts = shipped(name), scene(np.random.default_rng(seed), count)
     state, applied, goal, obstacles, field, footprint, latent = (tuple(part.tolist()) for part in parts)
     around = tuple(tuple(row) for row in obstacles)
@@ -75,9 +75,9 @@ def test_the_wish_of_one_car_is_what_the_policy_does_at_its_observation(name, se
     told |= {"values": state, "applied": applied, "goal": goal, "obstacles": around, "field": field}
     message = StateMessage(**told, applied_by="filter", footprint=footprint)
     policy = LearnedPolicy(weights)
-    wish, _ = policy.wish(message, np.array(latent))
+    nominal, _ = policy.nominal_action(message, np.array(latent))
     expected = policy.act(np.array(observe_one(state, applied, goal, around, field, footprint, latent)))
-    assert (np.abs(np.array(wish) - expected) / weights["action_scale"]).max() < 1e-6
+    assert (np.abs(np.array(nominal) - expected) / weights["action_scale"]).max() < 1e-6
 
 
 @pytest.mark.parametrize("place", ["values", "goal", "footprint", "obstacles"])
@@ -91,7 +91,7 @@ def test_what_is_no_number_is_refused(place, bad):
         footprint=(0.1, 0.2, bad if place == "footprint" else 0.1),
     )  # fmt: skip
     with pytest.raises(MessageError, match="not finite"):
-        LearnedPolicy(shipped("car_learned")).wish(state, np.zeros(4))
+        LearnedPolicy(shipped("car_learned")).nominal_action(state, np.zeros(4))
 
 
 @given(some.integers(0, 2**32 - 1))
@@ -100,19 +100,19 @@ def test_what_is_no_number_is_refused(place, bad):
 def test_the_compensation_is_that_of_the_tangent_on_every_road(seed):
     """To the last bit whether the model was asked often enough for its equations to be recorded, or not."""
     draw, model = np.random.default_rng(seed), load_model("car")
-    state, wish = draw.uniform(-1.0, 1.5, 4), draw.uniform(-0.3, 1.5, 2)
+    state, nominal = draw.uniform(-1.0, 1.5, 4), draw.uniform(-0.3, 1.5, 2)
     latent = model.latent + draw.uniform(0.0, 0.5, len(model.latent))
-    slow = SpeedCompensation(model).compensated(state, wish, latent)
+    slow = SpeedCompensation(model).compensated(state, nominal, latent)
     for _ in range(250):
         model.straight(model.period)
     assert model.straight(model.period) is not None
-    np.testing.assert_array_equal(SpeedCompensation(model).compensated(state, wish, latent), slow)
-    f, g = model.affine(state, latent, around=wish)
-    hold, loaded = g[3, 0], model.step(state, wish, latent)[3]
-    secant = (model.step(state, wish + np.array([1e-3, 0.0]), latent)[3] - loaded) / 1e-3
+    np.testing.assert_array_equal(SpeedCompensation(model).compensated(state, nominal, latent), slow)
+    f, g = model.affine(state, latent, around=nominal)
+    hold, loaded = g[3, 0], model.step(state, nominal, latent)[3]
+    secant = (model.step(state, nominal + np.array([1e-3, 0.0]), latent)[3] - loaded) / 1e-3
     if secant > 0.01:
-        expected = wish[0] + (model.step(state, wish)[3] - loaded) / secant
+        expected = nominal[0] + (model.step(state, nominal)[3] - loaded) / secant
         assert abs(slow[0] - expected) < 1e-9 * (1.0 + abs(expected))
     if hold > 0.01 and abs(secant - hold) < 0.01 * hold:  # else the limit of the acceleration lies between the two
-        expected = wish[0] + (model.step(state, wish)[3] - f[3] - g[3] @ wish) / hold
-        assert abs(slow[0] - expected) < 0.02 * abs(expected - wish[0]) + 1e-9
+        expected = nominal[0] + (model.step(state, nominal)[3] - f[3] - g[3] @ nominal) / hold
+        assert abs(slow[0] - expected) < 0.02 * abs(expected - nominal[0]) + 1e-9

@@ -36,7 +36,7 @@ def seconds_to(goal: Point, state: State, longest: float = 60.0) -> float:
     for tick in range(round(longest / PERIOD)):
         if math.hypot(goal[0] - state[0], goal[1] - state[1]) < REACHED:
             return tick * PERIOD
-        state = moved(state, seeker.wish(tick * PERIOD, state, goal))
+        state = moved(state, seeker.nominal_action(tick * PERIOD, state, goal))
     return math.inf
 
 
@@ -56,7 +56,7 @@ def test_it_reaches_goals_inside_its_turning_circle(distance: float, bearing: fl
 
 def test_a_goal_straight_ahead_is_approached_straight_and_impossible_settings_are_refused() -> None:
     assert seconds_to((3.0, 0.0), (0.0, 0.0, 0.0, 0.0)) < 4.5
-    speed, steer = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (3.0, 0.0))
+    speed, steer = GoalSeeker().nominal_action(0.0, (0.0, 0.0, 0.0, 0.0), (3.0, 0.0))
     assert (speed, steer) == (SETTINGS.cruise_speed, 0.0)
     for wrong in ({"cruise_speed": 0.0}, {"reverse_speed": 0.5}, {"steer_limit": 0.0}, {"wheelbase": -1.0}):
         with pytest.raises(InputError, match="goal seeker"):
@@ -68,7 +68,7 @@ def test_whatever_happens_it_stays_within_its_limits(events: list[tuple[State, P
     seeker, time = GoalSeeker(), 0.0
     for state, goal, elapsed in events:
         time += elapsed
-        speed, steer = seeker.wish(time, state, goal)
+        speed, steer = seeker.nominal_action(time, state, goal)
         assert SETTINGS.reverse_speed <= speed <= SETTINGS.cruise_speed
         assert abs(steer) <= SETTINGS.steer_limit
 
@@ -79,9 +79,9 @@ def test_it_is_deterministic(start: State, goal: Point) -> None:
     one, other = GoalSeeker(), GoalSeeker()
     state = start
     for tick in range(100):
-        wish = one.wish(tick * PERIOD, state, goal)
-        assert wish == other.wish(tick * PERIOD, state, goal)
-        state = moved(state, wish)
+        nominal = one.nominal_action(tick * PERIOD, state, goal)
+        assert nominal == other.nominal_action(tick * PERIOD, state, goal)
+        state = moved(state, nominal)
 
 
 @given(starts, goals)
@@ -93,11 +93,11 @@ def test_the_mirror_image_drives_the_mirror_image(start: State, goal: Point) -> 
     if abs(math.sin(bearing)) < 1e-6 or math.hypot(goal[0] - x, goal[1] - y) < REACHED:
         return  # straight ahead or behind it has to choose a side; near the goal it gets the next one
     for tick in range(80):
-        wish = one.wish(tick * PERIOD, (x, y, yaw, speed), goal)
-        mirrored = other.wish(tick * PERIOD, (x, -y, -yaw, speed), (goal[0], -goal[1]))
-        assert mirrored == pytest.approx((wish[0], -wish[1]), abs=1e-9)
+        nominal = one.nominal_action(tick * PERIOD, (x, y, yaw, speed), goal)
+        mirrored = other.nominal_action(tick * PERIOD, (x, -y, -yaw, speed), (goal[0], -goal[1]))
+        assert mirrored == pytest.approx((nominal[0], -nominal[1]), abs=1e-9)
         if tick < 40:  # drives, then is held, so that backing off is mirrored as well
-            x, y, yaw, speed = moved((x, y, yaw, speed), wish)
+            x, y, yaw, speed = moved((x, y, yaw, speed), nominal)
         if math.hypot(goal[0] - x, goal[1] - y) < REACHED:
             return
 
@@ -113,16 +113,16 @@ def test_turning_and_shifting_the_world_changes_nothing(start: State, goal: Poin
         c, s = math.cos(turn), math.sin(turn)
         return c * point[0] - s * point[1] + shift[0], s * point[0] + c * point[1] + shift[1]
 
-    wish = GoalSeeker().wish(0.0, start, goal)
-    turned = GoalSeeker().wish(0.0, (*seen((x, y)), yaw + turn, speed), seen(goal))
-    assert turned == pytest.approx(wish, abs=1e-6)
+    nominal = GoalSeeker().nominal_action(0.0, start, goal)
+    turned = GoalSeeker().nominal_action(0.0, (*seen((x, y)), yaw + turn, speed), seen(goal))
+    assert turned == pytest.approx(nominal, abs=1e-6)
 
 
 def shuttled(settings: GoalSeekerSettings, seconds: float = 40.0) -> list[str]:
     """The modes, one after the other, where what is beside it lets it turn to the goal's side backwards alone."""
     seeker, state, modes = GoalSeeker(settings), (0.0, 0.0, 0.0, 0.0), [""]
     for tick in range(round(seconds / PERIOD)):
-        speed, steer = seeker.wish(tick * PERIOD, state, (0.3, -0.9))
+        speed, steer = seeker.nominal_action(tick * PERIOD, state, (0.3, -0.9))
         x, y, _, speed = moved(state, (speed, max(steer, 0.0) if speed > 0.0 else steer))
         state = (min(x, 0.3), y, 0.0, speed)  # the heading is where it was after a turn that comes to nothing
         if seeker.mode != modes[-1]:
@@ -148,16 +148,16 @@ def test_after_so_much_room_it_passes_the_goal_by_further_and_on_both_sides() ->
     time = 0.0
     for attempt in range(1, 6):
         while seeker.mode != "make_room":
-            seeker.wish(time, (0.0, 0.0, 0.0, 0.0), (0.0, -0.9))
+            seeker.nominal_action(time, (0.0, 0.0, 0.0, 0.0), (0.0, -0.9))
             time += PERIOD
         while seeker.mode == "make_room":  # the goal is straight ahead at once
-            _, steer = seeker.wish(time, (0.0, 0.9, -math.pi / 2, 0.0), (0.0, -0.9))
+            _, steer = seeker.nominal_action(time, (0.0, 0.9, -math.pi / 2, 0.0), (0.0, -0.9))
             time += PERIOD
         assert seeker.mode == "detour", attempt
         began = time
         sides.append(math.copysign(1.0, steer))
         while seeker.mode == "detour":
-            seeker.wish(time, (0.0, 0.9 - 1.2 * (time - began), -math.pi / 2, 0.0), (0.0, -0.9))
+            seeker.nominal_action(time, (0.0, 0.9 - 1.2 * (time - began), -math.pi / 2, 0.0), (0.0, -0.9))
             time += PERIOD
         lasted.append(time - began)
     assert lasted == pytest.approx([SETTINGS.detour_seconds * share for share in (1, 2, 3, 4, 4)], abs=2.1 * PERIOD)
@@ -165,11 +165,11 @@ def test_after_so_much_room_it_passes_the_goal_by_further_and_on_both_sides() ->
 
 
 def held(seeker: GoalSeeker, seconds: float, start: float = 0.0) -> list[tuple[str, tuple[float, float]]]:
-    """What it wishes while something holds it in place, by mode."""
+    """What it requests while something holds it in place, by mode."""
     found = []
     for tick in range(round(seconds / PERIOD)):
-        wish = seeker.wish(start + tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (3.0, 1.0))
-        found.append((seeker.mode, wish))
+        nominal = seeker.nominal_action(start + tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (3.0, 1.0))
+        found.append((seeker.mode, nominal))
     return found
 
 
@@ -186,7 +186,7 @@ def backed_off(seconds_a_metre: float) -> float:
     """How far it backs off when it is held ahead, and reverses so slowly [m]."""
     seeker, x, back = GoalSeeker(), 0.0, 0.0
     for tick in range(400):
-        speed, _ = seeker.wish(tick * PERIOD, (x, 0.0, 0.0, 0.0), (3.0, 1.0))
+        speed, _ = seeker.nominal_action(tick * PERIOD, (x, 0.0, 0.0, 0.0), (3.0, 1.0))
         if seeker.mode == "detour":
             return back
         x -= PERIOD / seconds_a_metre if speed < 0.0 else 0.0
@@ -210,21 +210,24 @@ def test_held_back_while_it_backs_off_it_tries_the_other_side_before_it_goes_on(
 def test_a_goal_behind_is_turned_to_in_moves_to_one_side_or_at_once_where_it_is_far() -> None:
     seeker, steers = GoalSeeker(), set()
     for tick in range(160):
-        wish = seeker.wish(tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (-1.0, 3.0))
+        nominal = seeker.nominal_action(tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (-1.0, 3.0))
         assert seeker.mode in ("seek", "back_off")
         if seeker.mode == "back_off":
-            steers.add(wish[1])
+            steers.add(nominal[1])
     assert steers == {-SETTINGS.steer_limit}, "in reverse the nose turns against the wheels"
-    near, far = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (0.8, 0.8)), GoalSeeker().wish(0.0, (0.0,) * 4, (5.0, 5.0))
+    near, far = (
+        GoalSeeker().nominal_action(0.0, (0.0, 0.0, 0.0, 0.0), (0.8, 0.8)),
+        GoalSeeker().nominal_action(0.0, (0.0,) * 4, (5.0, 5.0)),
+    )
     assert far[1] == near[1] > 0.3
 
 
 def test_backing_off_goes_backwards_changes_sides_and_ends_with_a_new_goal() -> None:
-    events = [wish for mode, wish in held(GoalSeeker(), 20.0) if mode == "back_off"]
+    events = [nominal for mode, nominal in held(GoalSeeker(), 20.0) if mode == "back_off"]
     assert {speed for speed, _ in events} == {SETTINGS.reverse_speed}
     assert {math.copysign(1.0, steer) for _, steer in events} == {-1.0, 1.0}
     seeker = GoalSeeker()
     held(seeker, SETTINGS.patience_seconds + 0.2)
     assert seeker.mode == "back_off"
-    seeker.wish(2.0, (0.0, 0.0, 0.0, 0.0), (3.0, -1.0))
+    seeker.nominal_action(2.0, (0.0, 0.0, 0.0, 0.0), (3.0, -1.0))
     assert seeker.mode == "seek"

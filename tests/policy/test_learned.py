@@ -1,4 +1,4 @@
-"""A learned policy at work: what it sees, what it wishes, and what it refuses."""
+"""A learned policy at work: what it sees, what it requests, and what it refuses."""
 
 import dataclasses
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.bus import LATENT, WISH, LatentMessage, Stale, StateMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, LatentMessage, NominalMessage, Stale, StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, fingerprint, load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.networks import Description, EnvironmentEntry, Weights
@@ -139,7 +139,7 @@ def test_only_the_nearest_obstacles_are_observed_one_by_one_and_none_is_needed()
 
 def test_however_large_the_network_answers_its_mean_stays_within_the_range_of_actions() -> None:
     policy = LearnedPolicy(weights())
-    values, name = policy.wish(STATE, np.array([0.3, 0.4]))
+    values, name = policy.nominal_action(STATE, np.array([0.3, 0.4]))
     assert name == "learned"
     given = weights()
     x = (seen(STATE, (0.3, 0.4)) - 0.1) / 0.5
@@ -149,14 +149,14 @@ def test_however_large_the_network_answers_its_mean_stays_within_the_range_of_ac
     np.testing.assert_allclose(values, [0.7 + 1.3 * mean[0], 0.34 * mean[1]], rtol=1e-4)
     given = weights()
     policy = LearnedPolicy(given.with_tensors({"policy.2.bias": [100.0, -100.0]}))
-    assert policy.wish(STATE, None)[0] == pytest.approx((2.0, -0.34))
+    assert policy.nominal_action(STATE, None)[0] == pytest.approx((2.0, -0.34))
 
 
 def test_without_a_latent_it_takes_the_one_where_nothing_acts() -> None:
     policy = LearnedPolicy(weights())
-    nominal = policy.wish(STATE, weights()["latent_nominal"].astype(np.float64))
-    assert policy.wish(STATE, None) == nominal
-    assert policy.wish(STATE, np.array([0.9, 0.9])) != nominal
+    nominal = policy.nominal_action(STATE, weights()["latent_nominal"].astype(np.float64))
+    assert policy.nominal_action(STATE, None) == nominal
+    assert policy.nominal_action(STATE, np.array([0.9, 0.9])) != nominal
 
 
 @pytest.mark.parametrize(
@@ -171,31 +171,31 @@ def test_without_a_latent_it_takes_the_one_where_nothing_acts() -> None:
 )
 def test_a_state_that_does_not_fit_is_refused(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(MessageError, match=sentence):
-        LearnedPolicy(weights()).wish(dataclasses.replace(STATE, **change), None)
+        LearnedPolicy(weights()).nominal_action(dataclasses.replace(STATE, **change), None)
 
 
 def test_latents_of_another_length_and_weights_of_no_or_another_policy_are_refused() -> None:
     with pytest.raises(MessageError, match="got 3 entries, wanted 2"):
-        LearnedPolicy(weights()).wish(STATE, np.zeros(3))
+        LearnedPolicy(weights()).nominal_action(STATE, np.zeros(3))
     with pytest.raises(InputError, match="no policy"):
         LearnedPolicy(without_policy(weights()))
     with pytest.raises(InputError, match="train it anew"):
         LearnedPolicy(weights().with_tensors({"policy.0.weight": np.zeros((8, 12))}))
 
 
-def wish_of(node: PolicyNode, latent: LatentMessage | Stale) -> WishMessage:
-    message = node.step("r", STATE, {LATENT: latent})[WISH]
-    assert isinstance(message, WishMessage)
+def nominal_of(node: PolicyNode, latent: LatentMessage | Stale) -> NominalMessage:
+    message = node.step("r", STATE, {LATENT: latent})[NOMINAL]
+    assert isinstance(message, NominalMessage)
     return message
 
 
 def test_the_service_takes_the_learned_policy_where_there_is_one() -> None:
     stale = Stale(LATENT, None)
     model = learned_model(weights())
-    assert wish_of(PolicyNode(model), stale).controller == "learned"
-    assert wish_of(PolicyNode(model, controller="goal_seeker"), stale).controller == "goal_seeker:seek"
-    assert wish_of(PolicyNode(learned_model(without_policy(weights()))), stale).controller == "goal_seeker:seek"
-    assert wish_of(PolicyNode(load_model("car")), stale).controller == "goal_seeker:seek"
+    assert nominal_of(PolicyNode(model), stale).controller == "learned"
+    assert nominal_of(PolicyNode(model, controller="goal_seeker"), stale).controller == "goal_seeker:seek"
+    assert nominal_of(PolicyNode(learned_model(without_policy(weights()))), stale).controller == "goal_seeker:seek"
+    assert nominal_of(PolicyNode(load_model("car")), stale).controller == "goal_seeker:seek"
 
 
 def test_the_service_hands_the_latent_on_and_leaves_a_foreign_one_aside() -> None:
@@ -205,11 +205,11 @@ def test_the_service_hands_the_latent_on_and_leaves_a_foreign_one_aside() -> Non
         deviations=(0.1, 0.1),
     )  # fmt: skip
     node = PolicyNode(model)
-    assert wish_of(node, latent).values == LearnedPolicy(weights()).wish(STATE, np.array([0.9, 0.9]))[0]
-    assert wish_of(node, dataclasses.replace(latent, model="another")) != wish_of(node, latent)
+    assert nominal_of(node, latent).values == LearnedPolicy(weights()).nominal_action(STATE, np.array([0.9, 0.9]))[0]
+    assert nominal_of(node, dataclasses.replace(latent, model="another")) != nominal_of(node, latent)
     assert (
-        wish_of(node, dataclasses.replace(latent, values=(0.9,))).values
-        == LearnedPolicy(weights()).wish(STATE, None)[0]
+        nominal_of(node, dataclasses.replace(latent, values=(0.9,))).values
+        == LearnedPolicy(weights()).nominal_action(STATE, None)[0]
     )
 
 

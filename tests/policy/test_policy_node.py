@@ -1,4 +1,4 @@
-"""The policy's step: stamped wishes, wishes at random, and the planner, alone and as a controller."""
+"""The policy's step: stamped nominal actions, nominal actions at random, and the planner, alone and as a controller."""
 
 import dataclasses
 import math
@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from safedpa.bus import LATENT, WISH, LatentMessage, Stale, StateMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, LatentMessage, NominalMessage, Stale, StateMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.policy import PolicyNode
@@ -45,18 +45,18 @@ def latent(mass_ratio: float, **changes: Any) -> LatentMessage:
     return dataclasses.replace(made, **changes)
 
 
-def wish(state: StateMessage, known: LatentMessage | Stale) -> WishMessage:
-    message = PolicyNode(MODEL).step("r", state, {LATENT: known})[WISH]
-    assert isinstance(message, WishMessage)
+def nominal(state: StateMessage, known: LatentMessage | Stale) -> NominalMessage:
+    message = PolicyNode(MODEL).step("r", state, {LATENT: known})[NOMINAL]
+    assert isinstance(message, NominalMessage)
     return dataclasses.replace(message, publish_time=0.0)
 
 
-def test_the_wish_carries_the_stamp_of_its_state_and_asks_for_more_speed_with_a_heavier_load() -> None:
-    message = wish(STATE, Stale(LATENT, 3))
+def test_the_nominal_action_carries_the_stamp_of_its_state_and_asks_for_more_speed_with_a_heavier_load() -> None:
+    message = nominal(STATE, Stale(LATENT, 3))
     assert (message.epoch, message.tick, message.robot_time) == (5, 7, 0.35)
     assert message.controller == "goal_seeker:seek"
-    assert message == wish(STATE, Stale(LATENT, 3))
-    without, light, heavy = (wish(STATE, known).values for known in (Stale(LATENT, None), latent(0.0), latent(0.8)))
+    assert message == nominal(STATE, Stale(LATENT, 3))
+    without, light, heavy = (nominal(STATE, known).values for known in (Stale(LATENT, None), latent(0.0), latent(0.8)))
     assert light == pytest.approx(without, abs=1e-6), "at the values of the model's file nothing is to be made up for"
     assert heavy[0] > light[0]
     assert heavy[1] == light[1]
@@ -67,14 +67,14 @@ def test_the_wish_carries_the_stamp_of_its_state_and_asks_for_more_speed_with_a_
 def test_made_up_or_not_it_stays_within_the_limits_of_the_actuators(mass_ratio: float, speed: float) -> None:
     for goal in ((3.0, 0.0), (-3.0, 1.0), (0.2, 0.6)):
         state = dataclasses.replace(STATE, values=(0.0, 0.0, 0.0, speed), goal=goal)
-        target, steer = wish(state, latent(mass_ratio)).values
+        target, steer = nominal(state, latent(mass_ratio)).values
         assert LIMITS.slowest_target <= target <= LIMITS.fastest_target
         assert abs(steer) <= LIMITS.steer_limit
 
 
 @pytest.mark.parametrize("change", [{"model": "another"}, {"values": (0.5,) * 9}, {"values": ()}])
 def test_a_latent_that_does_not_fit_is_left_aside(change: dict[str, Any]) -> None:
-    assert wish(STATE, latent(0.8, **change)) == wish(STATE, Stale(LATENT, None))
+    assert nominal(STATE, latent(0.8, **change)) == nominal(STATE, Stale(LATENT, None))
 
 
 @pytest.mark.parametrize(
@@ -82,19 +82,19 @@ def test_a_latent_that_does_not_fit_is_left_aside(change: dict[str, Any]) -> Non
 )
 def test_a_state_of_the_wrong_length_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(MessageError, match="wanted 4 and 2"):
-        wish(dataclasses.replace(STATE, **change), Stale(LATENT, None))
+        nominal(dataclasses.replace(STATE, **change), Stale(LATENT, None))
 
 
 def test_robots_are_kept_apart_and_forgotten() -> None:
     node = PolicyNode(MODEL)
     for tick in range(60):
         state = dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)
-        held = node.step("held", state, {LATENT: Stale(LATENT, None)})[WISH]
-    assert isinstance(held, WishMessage)
+        held = node.step("held", state, {LATENT: Stale(LATENT, None)})[NOMINAL]
+    assert isinstance(held, NominalMessage)
     assert held.controller != "goal_seeker:seek"
-    assert node.step("new", STATE, {LATENT: Stale(LATENT, None)})[WISH].controller == "goal_seeker:seek"  # type: ignore[attr-defined]
+    assert node.step("new", STATE, {LATENT: Stale(LATENT, None)})[NOMINAL].controller == "goal_seeker:seek"  # type: ignore[attr-defined]
     node.forget("held")
-    assert node.step("held", STATE, {LATENT: Stale(LATENT, None)})[WISH].controller == "goal_seeker:seek"  # type: ignore[attr-defined]
+    assert node.step("held", STATE, {LATENT: Stale(LATENT, None)})[NOMINAL].controller == "goal_seeker:seek"  # type: ignore[attr-defined]
 
 
 def state(tick: int, values: tuple[float, ...]) -> StateMessage:
@@ -115,9 +115,9 @@ def state(tick: int, values: tuple[float, ...]) -> StateMessage:
 def test_they_are_uniform_over_the_bounds(model: str, values: tuple[float, ...], low: Any, high: Any) -> None:
     own = load_model(model)
     low, high = (own.system.action_low, own.system.action_high) if low is None else (low, high)
-    wishes = RandomActions(own)
+    nominal_actions = RandomActions(own)
     values = (*values, *(0.0 for _ in range(len(own.system.state) - len(values))))
-    drawn = np.array([wishes.wish(state(tick, values), None)[0] for tick in range(2000)])
+    drawn = np.array([nominal_actions.nominal_action(state(tick, values), None)[0] for tick in range(2000)])
     share = (drawn - low) / (np.array(high) - low)
     assert share.min() >= 0.0
     assert share.max() <= 1.0
@@ -128,14 +128,14 @@ def test_they_are_uniform_over_the_bounds(model: str, values: tuple[float, ...],
 
 def test_they_repeat_for_the_same_state_and_differ_between_states() -> None:
     model = load_model("pendulum")
-    one = RandomActions(model).wish(state(7, (0.1, 0.2)), None)
-    assert one == RandomActions(model).wish(state(7, (0.1, 0.2)), np.zeros(2))
-    assert one != RandomActions(model).wish(state(8, (0.1, 0.2)), None)
-    assert one != RandomActions(model).wish(state(7, (0.1, -0.2)), None)
+    one = RandomActions(model).nominal_action(state(7, (0.1, 0.2)), None)
+    assert one == RandomActions(model).nominal_action(state(7, (0.1, 0.2)), np.zeros(2))
+    assert one != RandomActions(model).nominal_action(state(8, (0.1, 0.2)), None)
+    assert one != RandomActions(model).nominal_action(state(7, (0.1, -0.2)), None)
     assert one[1] == "random"
 
 
-def test_a_pendulum_wishes_at_random_until_its_model_has_a_policy() -> None:
+def test_a_pendulum_nominal_actions_at_random_until_its_model_has_a_policy() -> None:
     physics, learned = load_model("pendulum"), load_model("pendulum_learned")
     assert isinstance(controller_for(physics)(), RandomActions)
     assert isinstance(controller_for(learned)(), NetworkLatent), "backing off is what a car does"
@@ -165,13 +165,13 @@ def test_the_policy_service_starts_with_the_chosen_controller_unless_its_model_c
     assert not list(tmp_path.iterdir())
 
 
-def test_the_node_sends_the_planners_wish() -> None:
+def test_the_node_sends_the_planners_nominal_action() -> None:
     state = CarRobot(Scene.random(3, "none"), 0.05).state_message()
     node = PolicyNode(load_model("car"), controller="planner")
-    wish = node.step("r1", state, {LATENT: Stale(LATENT, None)})[WISH]
-    assert isinstance(wish, WishMessage)
-    assert wish.controller == "planner"
-    assert len(wish.values) == 2
+    nominal = node.step("r1", state, {LATENT: Stale(LATENT, None)})[NOMINAL]
+    assert isinstance(nominal, NominalMessage)
+    assert nominal.controller == "planner"
+    assert len(nominal.values) == 2
 
 
 def test_a_small_comparison_counts_every_drive() -> None:
@@ -219,21 +219,21 @@ def driven(
     start: tuple[float, ...], goal: tuple[float, float], obstacles: tuple[tuple[float, ...], ...] = (),
     seconds: float = 15.0, seed: int = 0,
 ) -> tuple[float, float, list[tuple[float, ...]]]:  # fmt: skip
-    """When the goal is reached (infinity: not), the least clearance on the way, and the wishes; no filter behind it."""
-    planner, state, wish = Planner(MODEL, seed=seed), np.array(start), (0.0, 0.0)
-    room, wishes = math.inf, []
+    """When the goal is reached (infinity: not), the least clearance on the way, and the nominal actions; no filter behind it."""
+    planner, state, nominal = Planner(MODEL, seed=seed), np.array(start), (0.0, 0.0)
+    room, nominal_actions = math.inf, []
     for tick in range(round(seconds / 0.05)):
         pose = tuple(np.array([value]) for value in state[:3])
         ends = (np.array([-FOOTPRINT[0]]), np.array([FOOTPRINT[1]]))
         found = clearance(pose, ends, np.array(obstacles).reshape(-1, 3), FIELD)
         room = min(room, float(found[0]) - FOOTPRINT[2])
         if math.dist(state[:2], goal) < 0.3:
-            return tick * 0.05, room, wishes
-        wish, name = planner.wish(message(tuple(state.tolist()), goal, obstacles, wish), MODEL.latent)
+            return tick * 0.05, room, nominal_actions
+        nominal, name = planner.nominal_action(message(tuple(state.tolist()), goal, obstacles, nominal), MODEL.latent)
         assert name == "planner"
-        wishes.append(wish)
-        state = MODEL.step(state, np.array(wish), MODEL.latent)
-    return math.inf, room, wishes
+        nominal_actions.append(nominal)
+        state = MODEL.step(state, np.array(nominal), MODEL.latent)
+    return math.inf, room, nominal_actions
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.5, -1.5, 3.1])
@@ -278,7 +278,7 @@ def test_whatever_it_sees_it_stays_within_its_limits(
     obstacles = tuple(map(tuple, np.column_stack([random.uniform(-4, 4, (count, 2)), np.full(count, 0.3)]).tolist()))
     planner, limits = Planner(MODEL), PlannerSettings()
     for latent in (None, MODEL.latent):
-        (speed, steer), _ = planner.wish(message(values, goal, obstacles), latent)
+        (speed, steer), _ = planner.nominal_action(message(values, goal, obstacles), latent)
         assert limits.slowest_target <= speed <= limits.fastest_target
         assert abs(steer) <= limits.steer_limit
 
@@ -288,9 +288,9 @@ def test_states_that_do_not_fit_are_refused() -> None:
     planner = Planner(MODEL)
     for wrong in ({"values": (0.0, 0.0)}, {"goal": (1.0,)}, {"applied": ()}, {"field": ()}, {"footprint": (1.0,)}):
         with pytest.raises(MessageError, match="wanted"):
-            planner.wish(dataclasses.replace(good, **wrong), None)  # type: ignore[arg-type]
+            planner.nominal_action(dataclasses.replace(good, **wrong), None)  # type: ignore[arg-type]
     with pytest.raises(MessageError, match="leave all bounds"):
-        planner.wish(dataclasses.replace(good, values=(0.0, 0.0, 0.0, math.nan)), None)
+        planner.nominal_action(dataclasses.replace(good, values=(0.0, 0.0, 0.0, math.nan)), None)
 
 
 @pytest.mark.parametrize(

@@ -38,12 +38,12 @@ def around(state: StateMessage, **seen: object) -> SurroundingsMessage:
 
 
 def driven(seconds: float, **seen: object) -> list[tuple[float, float, float, float]]:
-    """x, y, yaw, wished speed of a car that drives as it is wished, kinematically."""
+    """x, y, yaw, nominal speed of a car that drives as it is requested, kinematically."""
     seeker, x, y, yaw, found = RouteFollower(MODEL), 0.0, 0.0, 0.0, []
     for tick in range(round(seconds / 0.05)):
         state = state_at((x, y, yaw), tick=tick)
         seeker.look(around(state, **seen))
-        (speed, steer), _ = seeker.wish(state, None)
+        (speed, steer), _ = seeker.nominal_action(state, None)
         x, y = x + 0.05 * speed * cos(yaw), y + 0.05 * speed * sin(yaw)
         yaw += 0.05 * speed * tan(steer) / 0.32
         found.append((x, y, yaw, speed))
@@ -75,10 +75,10 @@ def test_it_drives_straight_where_nothing_is_around_a_wall_and_slower_where_a_mo
     assert min(passing) <= ClearanceSettings().cruise
 
 
-def test_the_same_drive_wishes_the_same_and_without_surroundings_it_drives_to_its_goal() -> None:
+def test_the_same_drive_requests_the_same_and_without_surroundings_it_drives_to_its_goal() -> None:
     points = wall(1.5, -0.8, 0.8)
     assert driven(2.0, points=points) == driven(2.0, points=points)
-    (speed, steer), said = RouteFollower(MODEL).wish(state_at((0.0, 0.0, 0.0)), None)
+    (speed, steer), said = RouteFollower(MODEL).nominal_action(state_at((0.0, 0.0, 0.0)), None)
     assert speed == pytest.approx(ClearanceSettings().cruise)
     assert steer == pytest.approx(0.0, abs=0.08)
     assert said == "way_seeker:ahead"
@@ -89,18 +89,18 @@ def test_the_same_drive_wishes_the_same_and_without_surroundings_it_drives_to_it
 )
 def test_a_state_that_does_not_fit_is_refused(odd: dict[str, object]) -> None:
     with pytest.raises(MessageError, match="wanted"):
-        RouteFollower(MODEL).wish(replace(state_at((0.0, 0.0, 0.0)), **odd), None)  # type: ignore[arg-type]
+        RouteFollower(MODEL).nominal_action(replace(state_at((0.0, 0.0, 0.0)), **odd), None)  # type: ignore[arg-type]
 
 
 def test_where_it_makes_no_headway_the_way_is_closed_for_a_while_and_it_tries_another() -> None:
-    seeker, wishes = RouteFollower(MODEL), []
+    seeker, nominal_actions = RouteFollower(MODEL), []
     for tick in range(120):
         state = state_at((0.0, 0.0, 0.0), tick=tick)
         seeker.look(around(state))
-        wishes.append(seeker.wish(state, None)[0])
-    assert wishes[10][0] > 0.0
-    assert abs(wishes[10][1]) < 0.1
-    assert any(speed < 0.0 or abs(steer) > 0.2 for speed, steer in wishes[50:])
+        nominal_actions.append(seeker.nominal_action(state, None)[0])
+    assert nominal_actions[10][0] > 0.0
+    assert abs(nominal_actions[10][1]) < 0.1
+    assert any(speed < 0.0 or abs(steer) > 0.2 for speed, steer in nominal_actions[50:])
 
 
 def test_what_hides_in_the_shadow_of_a_load_stands_in_no_way_but_nobody_sees_what_is_behind() -> None:
@@ -136,7 +136,7 @@ class Stubborn:
 
     asked = 0
 
-    def wish(self, state: StateMessage, latent: np.ndarray | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: np.ndarray | None) -> tuple[tuple[float, ...], str]:
         del state, latent
         self.asked += 1
         return (1.5, 0.1), "stubborn"
@@ -150,16 +150,16 @@ def state(tick: int, x: float = 0.0, goal: tuple[float, float] = (3.0, 1.0)) -> 
     )  # fmt: skip
 
 
-def wishes(states: list[StateMessage]) -> list[tuple[float, ...]]:
+def nominal_actions(states: list[StateMessage]) -> list[tuple[float, ...]]:
     controller = BackOffController(Stubborn())
-    return [controller.wish(item, None)[0] for item in states]
+    return [controller.nominal_action(item, None)[0] for item in states]
 
 
 def test_a_car_that_moves_is_left_alone_and_one_that_is_held_backs_off_to_one_side_and_the_other() -> None:
-    found = wishes([state(tick, x=0.05 * tick) for tick in range(100)])
+    found = nominal_actions([state(tick, x=0.05 * tick) for tick in range(100)])
     assert set(found) == {(1.5, 0.1)}
-    found = wishes([state(tick) for tick in range(110)])
-    reversing = [index for index, wish in enumerate(found) if wish[0] < 0.0]
+    found = nominal_actions([state(tick) for tick in range(110)])
+    reversing = [index for index, nominal in enumerate(found) if nominal[0] < 0.0]
     assert 17 <= reversing[0] <= 20  # after the patience of one second
     sides = [found[index][1] for index in reversing]
     assert sides[0] < 0.0  # the goal lies to the left: reversing with the wheels to the right turns the nose there
@@ -171,14 +171,14 @@ def test_a_car_that_moves_is_left_alone_and_one_that_is_held_backs_off_to_one_si
 def test_the_controller_is_asked_in_every_tick() -> None:
     inner = Stubborn()
     controller = BackOffController(inner)
-    names = {controller.wish(state(tick), None)[1] for tick in range(60)}
+    names = {controller.nominal_action(state(tick), None)[1] for tick in range(60)}
     assert inner.asked == 60
     assert names == {"stubborn", "stubborn:back_off"}
 
 
 def test_a_new_goal_ends_backing_off_and_settings_that_would_never_begin_it_are_refused() -> None:
     held = [state(tick) for tick in range(30)]
-    assert wishes([*held, state(30)])[-1][0] < 0.0
-    assert wishes([*held, state(30, goal=(-3.0, 0.0))])[-1] == (1.5, 0.1)
+    assert nominal_actions([*held, state(30)])[-1][0] < 0.0
+    assert nominal_actions([*held, state(30, goal=(-3.0, 0.0))])[-1] == (1.5, 0.1)
     with pytest.raises(InputError, match="speed below 0"):
         replace(BackOffSettings(), reverse_speed=0.3)

@@ -44,7 +44,7 @@ def record(path: Path, robots: tuple[str, ...] = ("one",), ticks: int = 40) -> N
                 status="corrected",
                 sentence="corrected: too near",
                 action=(1.0, 0.0),
-                wish=(),
+                nominal=(),
                 slack=0.01 * tick,
                 active=(),
                 h_now=1.0,

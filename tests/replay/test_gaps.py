@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
-from safedpa.bus import LATENT, WISH
+from safedpa.bus import LATENT, NOMINAL
 from safedpa.replay.gaps import TickGap, gaps_of
 
 
@@ -35,14 +35,14 @@ def test_a_missing_step_is_a_missing_output() -> None:
 
 
 def test_outputs_that_are_missing_at_the_end_are_known_from_the_services_that_used_them() -> None:
-    absent = {LATENT: [(1, 6), (1, 8), (1, 7), (1, 3), (1, 5)], WISH: [(2, 0), (2, 1)]}
+    absent = {LATENT: [(1, 6), (1, 8), (1, 7), (1, 3), (1, 5)], NOMINAL: [(2, 0), (2, 1)]}
     found = gaps_of(tape(absent=absent, adaptation=[(1, 4, 1), (1, 5, 2)], policy=[(1, 9, 3)]))
     assert found == [TickGap("adaptation", 1, 5, 9, 3), TickGap("policy", 2, -1, 2, 2)]
 
 
 def test_gaps_of_states_come_first_and_each_is_a_sentence() -> None:
     states, rows = dict.fromkeys([(1, 0), (1, 2)]), [(1, 0, 1), (1, 2, 3)]
-    assert [gap.sentence for gap in gaps_of(tape(states, {WISH: [(1, 9)]}, safety_filter=rows))] == [
+    assert [gap.sentence for gap in gaps_of(tape(states, {NOMINAL: [(1, 9)]}, safety_filter=rows))] == [
         "1 states between tick 0 and tick 2",
         "1 outputs of safety_filter between tick 0 and tick 2",
         "1 outputs of policy between tick -1 and tick 10",

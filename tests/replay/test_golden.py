@@ -1,4 +1,4 @@
-"""Recorded runs that must come out as they were: a change of a latent, a wish or a verdict is noticed here.
+"""Recorded runs that must come out as they were: a change of a latent, a nominal action or a verdict is noticed here.
 
 On purpose: ``python tests/replay/golden/record.py --why "..."``.
 """
@@ -88,13 +88,13 @@ def test_their_services_really_died_and_inputs_were_really_missing() -> None:
     verdicts = [entry.message for entry in tape.computed["safety_filter"]]
     stale = [verdict for verdict in verdicts if any(published == 0.0 for _, published in verdict.consumed)]
     assert len(stale) > 10
-    without_wish, without_latent = set[str](), set[str]()
+    without_nominal, without_latent = set[str](), set[str]()
     for verdict in stale:
         assert isinstance(verdict, VerdictMessage)
-        (_, latent), (_, wish) = verdict.consumed
-        (without_wish if wish == 0.0 else without_latent).add(verdict.status)
-        assert (latent == 0.0) != (wish == 0.0), "one service is killed at a time"
-    assert without_wish == {"fallback"}
+        (_, latent), (_, nominal) = verdict.consumed
+        (without_nominal if nominal == 0.0 else without_latent).add(verdict.status)
+        assert (latent == 0.0) != (nominal == 0.0), "one service is killed at a time"
+    assert without_nominal == {"fallback"}
     assert without_latent == {"passed"}, "the last latent serves for a while"
     assert len(verdicts) < len(tape.states)
 

@@ -21,7 +21,7 @@ def document_of(capsys: pytest.CaptureFixture[str], *options: str) -> Any:
 
 def test_the_document_of_a_replay_has_all_that_the_lines_say(capsys: pytest.CaptureFixture[str]) -> None:
     document = document_of(capsys, "--from", "1", "--to", "2.999")
-    sent = {"adaptation": {"latent": 40}, "policy": {"wish": 40}, "safety_filter": {"verdict": 40, "action": 40}}
+    sent = {"adaptation": {"latent": 40}, "policy": {"nominal": 40}, "safety_filter": {"verdict": 40, "action": 40}}
     assert document.pop("services") == [
         {"service": name, "compared": counts, "identical": counts, "differing": 0, "rounded": 0, "spans": [], "lost": 0}
         for name, counts in sent.items()

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.replay.conftest import driven
 
-from safedpa.bus import LATENT, STATE, VERDICT, WISH, ModelMessage, VerdictMessage
+from safedpa.bus import LATENT, NOMINAL, STATE, VERDICT, ModelMessage, VerdictMessage
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder
 from safedpa.replay.gaps import gaps_of
@@ -46,7 +46,7 @@ def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, 
         fleet = driven(fleet_of(), 45, events)
         tape, found = replayed(fleet.record(Path(folder) / "drive.mcap"))
     assert found.exact, (events, [part.differing[:2] or part.spans for part in found.services])
-    said = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, WISH, VERDICT)}
+    said = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, NOMINAL, VERDICT)}
     assert {name: counted(found).get(name, 0) for name in said} == said
     assert gaps_of(tape) == []
 
@@ -57,7 +57,7 @@ def test_every_controller_replays(fleet_of: Any, tmp_path: Path, controller: str
     fleet = driven(fleet_of(controller=controller), ticks, [(4, "stall", "adaptation", 2)])
     _, found = replayed(fleet.record(tmp_path / "drive.mcap"))
     assert found.exact
-    assert counted(found)["wish"] == ticks
+    assert counted(found)["nominal"] == ticks
 
 
 @pytest.mark.parametrize("restarted", [(), ("adaptation",), ("policy",), ("safety_filter",)])
@@ -111,7 +111,7 @@ def test_lost_outputs_are_made_up_where_their_states_are_there(fleet_of: Any, tm
     tape, found = replayed(path)
     assert found.exact
     assert {part.service: part.lost for part in found.services} == {"adaptation": 5, "policy": 0, "safety_filter": 5}
-    assert counted(found) == {"latent": 35, "wish": 40, "verdict": 35, "action": 35}
+    assert counted(found) == {"latent": 35, "nominal": 40, "verdict": 35, "action": 35}
     assert {(gap.what, gap.missing) for gap in gaps_of(tape)} == {("adaptation", 5), ("safety_filter", 5)}
 
 
@@ -128,7 +128,7 @@ def test_a_gap_makes_the_memory_unknown_until_it_agrees_again(fleet_of: Any, tmp
     fleet = driven(fleet_of(model="car_measured"), 90)
     path = fleet.record(
         tmp_path / "drive.mcap",
-        lambda item: not (item.topic in (STATE, LATENT, WISH, VERDICT) and 20 <= item.message.tick < 24),
+        lambda item: not (item.topic in (STATE, LATENT, NOMINAL, VERDICT) and 20 <= item.message.tick < 24),
     )
     tape, found = replayed(path)
     assert ("state", 4) in {(gap.what, gap.missing) for gap in gaps_of(tape)}
@@ -153,7 +153,7 @@ def test_a_recording_that_begins_mid_drive_is_reported_as_such(fleet_of: Any, tm
 def test_only_the_window_is_compared(fleet_of: Any, tmp_path: Path) -> None:
     tape = read_tape([driven(fleet_of(), 40).record(tmp_path / "drive.mcap")])
     found = replay(tape, (0.5, 0.999))
-    assert counted(found) == {"latent": 10, "wish": 10, "verdict": 10, "action": 10}
+    assert counted(found) == {"latent": 10, "nominal": 10, "verdict": 10, "action": 10}
     assert found.exact
 
 

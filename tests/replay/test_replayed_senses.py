@@ -208,6 +208,6 @@ def test_as_many_borders_are_sent_as_fit_into_a_message() -> None:
     message = SurroundingsMessage(
         **stamp, points=disc, movers=tuple(row * 2 for row in disc), hidden=tuple((*row, 1 / 3) for row in disc),
         ages=(0.1,), zones=tuple(name + "n" * 55 for name in counting.names), borders=borders,
-        scans=((0.0, 123456.0),) * 256, ordered="zone " + "n" * 68 * 64, amiss=("a" * 400,),
+        scans=((0.0, 123456.0),) * 256, ordered="zone " + "n" * 68 * 64, problems=("a" * 400,),
     )  # fmt: skip
     assert len(encode(message)) < SURROUNDINGS.largest_bytes

@@ -28,7 +28,13 @@ def state_of(tick: int) -> StateMessage:
 
 
 def verdict_of(tick: int, **changes: Any) -> VerdictMessage:
-    what: dict[str, Any] = {"status": "passed", "sentence": "", "action": (1.0, 0.0), "wish": (1.0, 0.0), "slack": 0.0}
+    what: dict[str, Any] = {
+        "status": "passed",
+        "sentence": "",
+        "action": (1.0, 0.0),
+        "nominal": (1.0, 0.0),
+        "slack": 0.0,
+    }
     what |= {"active": (), "h_now": 0.5, "h_next": 0.5, "margin": 0.0, "solver": "", "microseconds": 1.0}
     return VerdictMessage(**{**stamp(tick), **what, **changes})
 

@@ -13,13 +13,13 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
     ACTION,
     LATENT,
+    NOMINAL,
     VERDICT,
-    WISH,
     ActionMessage,
+    NominalMessage,
     ReceivedMessage,
     Stale,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.errors import InputError
@@ -201,9 +201,9 @@ def test_random_torques_in_an_unknown_wind_keep_the_corridor(direction: float) -
     assert robot.collisions == []
     assert {tick.verdict.status for tick in ticks} == {"passed", "corrected"}
     assert all(tick.refusal is None for tick in ticks)
-    wishes = [item.message.values[0] for item in heard if item.topic.name == "wish"]
-    assert min(wishes) < -8.0
-    assert max(wishes) > 8.0, "over the whole of the motor's range"
+    nominal_actions = [item.message.values[0] for item in heard if item.topic.name == "nominal"]
+    assert min(nominal_actions) < -8.0
+    assert max(nominal_actions) > 8.0, "over the whole of the motor's range"
     estimate = [item.message.values for item in heard if item.topic.name == "latent"][-1]
     angle = ticks[-1].state.values[0]
     assert push(estimate, angle) == pytest.approx(push(wind, angle), abs=0.4), "what acts along the arc is known"
@@ -223,7 +223,7 @@ def test_the_learned_policy_gets_upright_the_long_way_round_again_and_again() ->
     ticks, heard = swung(robot, 700, "pendulum_learned")
     assert robot.goals_reached >= 2
     assert robot.collisions == []
-    assert {item.message.controller for item in heard if item.topic.name == "wish"} == {"learned"}
+    assert {item.message.controller for item in heard if item.topic.name == "nominal"} == {"learned"}
     assert max(abs(tick.state.values[1]) for tick in ticks) > 2.0
 
 
@@ -270,14 +270,14 @@ def least_room(dead: str, direction: float, end: int = 240) -> tuple[float, Pend
             latent = adaptation.step("r1", state, {})[LATENT]
             adaptation.afterwards("r1")
         torque = float(random.uniform(-10.0, 10.0))
-        wish: object = WishMessage(
+        nominal: object = NominalMessage(
             epoch=state.epoch, tick=tick, robot_time=state.robot_time, publish_time=0.0, values=(torque,),
             controller="random",
         )  # fmt: skip
         if gone and dead == "policy":
-            wish = Stale(WISH, None)
+            nominal = Stale(NOMINAL, None)
         if not (gone and dead == "safety_filter"):
-            robot.receive(keeper.step("r1", state, {LATENT: latent, WISH: wish})[ACTION])
+            robot.receive(keeper.step("r1", state, {LATENT: latent, NOMINAL: nominal})[ACTION])
             verdicts.append(keeper.afterwards("r1")[VERDICT])
         robot.advance()
         room = min(room, np.pi / 4 - abs(robot.values[0]))
@@ -294,8 +294,8 @@ def test_the_corridor_is_kept(dead: str, direction: float) -> None:
     assert "fallback" not in {verdict.status for verdict in verdicts}
 
 
-def test_a_missing_wish_is_said() -> None:
+def test_a_missing_nominal_action_is_said() -> None:
     verdict = least_room("policy", 0.0, DEAD.start + 1)[2][-1]
-    assert verdict.wish == ()
+    assert verdict.nominal == ()
     assert verdict.status == "corrected"
     assert "the resting action stood in for it" in verdict.sentence

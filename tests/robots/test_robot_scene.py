@@ -7,8 +7,8 @@ from math import atan2, cos, hypot, sin, tan
 import numpy as np
 import pytest
 
-from safedpa.bus import LATENT, VERDICT, WISH
-from safedpa.bus.messages.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, VERDICT
+from safedpa.bus.messages.messages import ActionMessage, LatentMessage, NominalMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
@@ -326,9 +326,9 @@ def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
     told = []
     for number, speed in enumerate([0.0, *[1.0] * 20, *[-0.5] * 15, *[0.6] * 5]):
         state = robot.state_message()
-        told.append(state.reversed_way)
-        way.follow(replace(state, reversed_way=-1.0))
-        assert state.reversed_way == way.way, f"tick {number}, to the last bit"
+        told.append(state.distance_reversed)
+        way.follow(replace(state, distance_reversed=-1.0))
+        assert state.distance_reversed == way.way, f"tick {number}, to the last bit"
         drive(robot, 1, speed, 0.1)
     assert told[0] == robot.state_message().towed[1], "at first nobody knows how the load hangs"
     assert min(told) == 0.0
@@ -338,14 +338,14 @@ def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
 def test_another_load_hangs_at_an_unknown_angle_and_none_is_not_counted() -> None:
     robot = CarRobot(Scene.random(3, "none"))
     drive(robot, 5, 1.0, 0.0)
-    assert robot.state_message().reversed_way == -1.0
+    assert robot.state_message().distance_reversed == -1.0
     robot.hitch(LOADS["chair"])
     state = robot.state_message()
-    assert state.reversed_way == state.towed[1]
+    assert state.distance_reversed == state.towed[1]
     drive(robot, 12, 1.0, 0.0)
-    assert robot.state_message().reversed_way < state.towed[1]
+    assert robot.state_message().distance_reversed < state.towed[1]
     robot.unhitch()
-    assert robot.state_message().reversed_way == -1.0
+    assert robot.state_message().distance_reversed == -1.0
 
 
 def test_a_filter_that_is_started_again_sees_the_room_that_the_old_one_saw() -> None:
@@ -414,8 +414,8 @@ def test_a_load_that_is_hitched_is_no_error_of_the_model() -> None:
         latent = LatentMessage(  # type: ignore[arg-type]
             **stamped, model=fingerprint(model), values=known, deviations=(0.1,) * len(known)
         )
-        wish = WishMessage(**stamped, values=(0.0, 0.0), controller="t")  # type: ignore[arg-type]
-        node.step("r", state, {LATENT: latent, WISH: wish})
+        nominal = NominalMessage(**stamped, values=(0.0, 0.0), controller="t")  # type: ignore[arg-type]
+        node.step("r", state, {LATENT: latent, NOMINAL: nominal})
         verdict = node.afterwards("r")[VERDICT]
         assert isinstance(verdict, VerdictMessage)
         state = replace(state, values=verdict.predicted[0], applied=verdict.action)

@@ -10,9 +10,9 @@ from unittest.mock import patch
 from safedpa.bus import (
     ACTION,
     HEALTH,
+    NOMINAL,
     SCAN,
     STATE,
-    WISH,
     ActionMessage,
     Bus,
     MemoryBroker,
@@ -38,7 +38,7 @@ DRIVE = "ackermann_msgs/msg/AckermannDriveStamped"
 ASKED = RobotFile(
     robot="car",
     odometry=OdometryTopic("/odom"),
-    wish=NominalActionTopic("/drive_in"),
+    nominal=NominalActionTopic("/drive_in"),
     command=CommandTopic("/drive", DRIVE),
     surroundings=ObstaclesTopic((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
     wire=RosConnection(form="bridge"),
@@ -168,8 +168,8 @@ def rig_of(
     rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or CommandEchoMonitor("/drive", lambda: clock[0]))
     with SteppedBus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as ear:
         bus.rig = rig
-        rig.heard = ear.inbox((STATE, SCAN, WISH, HEALTH), "r1", keep_all=True)
-        known = SensorInputs(rig.odometry, rig.driver, **{"wish": None, **senses})  # type: ignore[arg-type]
+        rig.heard = ear.inbox((STATE, SCAN, NOMINAL, HEALTH), "r1", keep_all=True)
+        known = SensorInputs(rig.odometry, rig.driver, **{"nominal": None, **senses})  # type: ignore[arg-type]
         said = voice or HealthPublisher("r1", "odom", CarFace(), None, None)
         made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, said, 0.05, lambda: clock[0])
         rig.gateway = Gateway(bus, *made)

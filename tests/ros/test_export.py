@@ -28,8 +28,8 @@ x = { topic = "/r1/odom", field = "pose.pose.position.x" }
 y = { topic = "/r1/odom", field = "pose.pose.position.y" }
 yaw = { topic = "/r1/state", field = "position[2]" }
 speed = { topic = "/r1/odom", field = "twist.twist.linear.x" }
-target_speed = { topic = "/r1/wish", field = "position[0]" }
-steer = { topic = "/r1/wish", field = "position[1]" }
+target_speed = { topic = "/r1/nominal", field = "position[0]" }
+steer = { topic = "/r1/nominal", field = "position[1]" }
 """
 
 

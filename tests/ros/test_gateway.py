@@ -87,7 +87,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
     car.say("go")
     assert "wants 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
     assert "/nowhere: nobody listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
-    assert "wish.topic: got the command's own, '/drive'" in refused(file_of(side, wish={"topic": "/drive"}))
+    assert "nominal.topic: got the command's own, '/drive'" in refused(file_of(side, nominal={"topic": "/drive"}))
     assert "wanted one of ackermann_msgs/msg/AckermannDriveStamped" in refused(
         file_of(side, command={"type": "std_msgs/msg/String"})
     )
@@ -124,7 +124,7 @@ def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_pa
 
 @pytest.mark.long
 @pytest.mark.parametrize("option", ["--freeze-after", "--policy-ends"])
-def test_without_odometry_or_a_wish_the_robot_stops(side: Side, tmp_path: Path, option: str) -> None:
+def test_without_odometry_or_a_nominal_action_the_robot_stops(side: Side, tmp_path: Path, option: str) -> None:
     car = side.car(5.5, 11, option, "3.0")
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
@@ -198,15 +198,15 @@ def test_serve_starts_what_is_needed_and_ends_in_order(side: Side, tmp_path: Pat
 
 def test_a_robot_of_the_bus_needs_a_policy_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "robot.toml"
-    path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
+    path.write_text('format = 2\nrobot = "car"\nname = "r1"\n')
     assert safedpa.run(["serve", str(path), "--headless"]) == 2
-    assert "nobody wishes; name one with --policy" in capsys.readouterr().err
+    assert "no policy; name one with --policy" in capsys.readouterr().err
 
 
 @pytest.mark.long
 def test_serve_without_ros_waits_for_a_robot_of_the_bus(tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
-    path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
+    path.write_text('format = 2\nrobot = "car"\nname = "r1"\n')
     where = f"tcp/127.0.0.1:{ports.free_port()}"
     command = [sys.executable, "-m", "safedpa_services", "serve", str(path), "--headless", "--policy", "goal_seeker"]
     with (tmp_path / "serve.log").open("wb") as log:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from tests.ros.gateway_rig import ASKED, Link, Rig, Sense, rig_of
 
-from safedpa.bus import HealthMessage, ScanMessage, StateMessage, WishMessage, logging
+from safedpa.bus import HealthMessage, NominalMessage, ScanMessage, StateMessage, logging
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
@@ -119,15 +119,15 @@ def test_a_gateway_does_not_report_driving_before_it_heard_anything(rig: Rig) ->
     assert "not heard its odometry" in rig.gateway.why
 
 
-@pytest.mark.parametrize(("age", "wished"), [(0.0, True), (0.5, True), (0.51, False), (math.inf, False)])
-def test_a_wish_counts_for_half_a_second(age: float, wished: bool) -> None:
-    with rig_of(wish=Sense((0.5, 0.1), age)) as rig:
+@pytest.mark.parametrize(("age", "counts"), [(0.0, True), (0.5, True), (0.51, False), (math.inf, False)])
+def test_a_nominal_action_counts_for_half_a_second(age: float, counts: bool) -> None:
+    with rig_of(nominal=Sense((0.5, 0.1), age)) as rig:
         rig.turns()
-        heard = [message.values for message in rig.messages() if isinstance(message, WishMessage)]
-        assert heard == [(0.5, 0.1)] * wished
+        heard = [message.values for message in rig.messages() if isinstance(message, NominalMessage)]
+        assert heard == [(0.5, 0.1)] * counts
 
 
-def test_without_a_policy_of_the_robot_no_wish_is_sent(rig: Rig) -> None:
+def test_without_a_policy_of_the_robot_no_nominal_action_is_sent(rig: Rig) -> None:
     rig.turns()
     assert kinds(rig.messages()) == {"StateMessage"}
 

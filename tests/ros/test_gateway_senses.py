@@ -1,4 +1,4 @@
-"""Inputs of the gateway besides odometry and wish: scans, goals, a localisation, and other publishers."""
+"""Inputs of the gateway besides odometry and nominal action: scans, goals, a localisation, and other publishers."""
 
 import math
 from dataclasses import replace
@@ -220,7 +220,7 @@ def test_a_path_of_another_model_is_ignored() -> None:
     now = [7.0]
     voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
+        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
         predicted=((0.0, 0.0, 0.0, 1.0),),
     )  # fmt: skip
@@ -236,7 +236,7 @@ def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_noth
     now = [7.0]
     voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
-        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
+        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
         predicted=((0.5, 0.0, 0.0, 1.0, 0.0),),
     )  # fmt: skip
@@ -341,7 +341,7 @@ def test_a_scan_has_a_turn_and_8192_rays_at_most_and_reaches_a_kilometre_at_most
 
 
 WHOLE = (
-    'format = 1\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[wish]\ntopic = "/drive_in"\n[command]\ntopic = "/drive"\n'
+    'format = 2\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[nominal]\ntopic = "/drive_in"\n[command]\ntopic = "/drive"\n'
     "[surroundings]\nfield = [-4, 4, -4, 4]\nfootprint = [0.08, 0.4, 0.12]\n"
 )
 
@@ -361,7 +361,7 @@ WHOLE = (
         ("0.12]", "0.0]", "surroundings.footprint: got [0.08, 0.4, 0.0], wanted how far it reaches"),
         ("[0.08, 0.4", "[-0.5, 0.4", "surroundings.footprint: got [-0.5, 0.4, 0.12]"),
         ('"/odom"', '"/od om"', "odometry.topic: got '/od om', wanted a topic such as /odom"),
-        ('"/drive_in"', '"/drive/*"', "wish.topic: got '/drive/*'"),
+        ('"/drive_in"', '"/drive/*"', "nominal.topic: got '/drive/*'"),
         ('"/odom"', '"/odom"\ntype = "nav_msgs/msg/Path"', "odometry.type: got 'nav_msgs/msg/Path', wanted nav_msgs"),
         ('"/drive"', '"/drive"\nhash = "x"', "command.hash: got 'x', wanted RIHS01_ and 64 hex digits"),
         ("[surr", '[wire]\nendpoint = "robot"\n[surr', "wire.endpoint: got 'robot', wanted one such as tcp/robot:7447"),
@@ -379,8 +379,8 @@ WHOLE = (
             '[wire]\nform = "bridge"\nmarkers = "drive"\n[surr',
             "wire.markers: got the command's own topic, 'drive'",
         ),
-        ('"/drive_in"', '"/drive"', "wish.topic: got the command's own, '/drive'"),
-        ('"/drive_in"', '"drive"', "wish.topic: got the command's own, '/drive'"),
+        ('"/drive_in"', '"/drive"', "nominal.topic: got the command's own, '/drive'"),
+        ('"/drive_in"', '"drive"', "nominal.topic: got the command's own, '/drive'"),
         ("[surr", '[wire]\nmarkers = "/a/**"\n[surr', "wire.markers: got '/a/**', wanted a topic such as /odom"),
         (
             "[surr",

@@ -40,7 +40,7 @@ class Told:
         self.voice.verdict(
             VerdictMessage(
                 epoch=1, tick=3, robot_time=0.1, publish_time=0.1, status="corrected", action=(0.5, 0.1),
-                wish=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05, active=("box",),
+                nominal=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05, active=("box",),
                 solver="piqp", microseconds=90.0, predicted=predicted,
             )
         )  # fmt: skip

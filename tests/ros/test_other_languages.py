@@ -60,7 +60,7 @@ def within(wanted: Any, found: Any, path: str = "") -> list[str]:
 def messages() -> dict[str, dict[str, Any]]:
     verdict = VerdictMessage(
         epoch=1, tick=7, robot_time=0.35, publish_time=1.0, status="corrected", sentence="Bäume", action=(0.5, 0.1),
-        wish=(1.0, 0.0), slack=0.0, active=("obstacle 3",), h_now=0.25, h_next=0.2, margin=0.01, solver="solved",
+        nominal=(1.0, 0.0), slack=0.0, active=("obstacle 3",), h_now=0.25, h_next=0.2, margin=0.01, solver="solved",
         microseconds=40.0,
     )  # fmt: skip
     stamped = "ackermann_msgs/msg/AckermannDriveStamped"

@@ -19,7 +19,7 @@ from safedpa.errors import BusError
 from safedpa_lab.ros.side import Side, robot_file
 from safedpa_services.command_line.group import safedpa
 
-BY_ITSELF = 'format = 1\nrobot = "car"\nname = "r1"\n'
+BY_ITSELF = 'format = 2\nrobot = "car"\nname = "r1"\n'
 QUIET = ("--headless", "--no-diagnosis")
 
 

@@ -30,7 +30,7 @@ GOLDEN = {
 """Published: CARLA's golden test, ROS 2's own tests."""
 
 WHOLE = (
-    'format = 1\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[wish]\ntopic = "/drive_in"\n'
+    'format = 2\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[nominal]\ntopic = "/drive_in"\n'
     '[command]\ntopic = "/drive"\n'
     "[surroundings]\nfield = [-4, 4, -4, 4]\nfootprint = [0.08, 0.4, 0.12]\n"
 )
@@ -137,8 +137,8 @@ def test_a_robot_file_says_what_is_wrong_with_it(tmp_path: Path) -> None:
         return str(caught.value)
 
     whole = WHOLE
-    assert "format: wanted 1" in refused("")
-    assert "odometry: missing; docs/ros.md" in refused('format = 1\nrobot = "car"\n')
+    assert "format: wanted 2" in refused("")
+    assert "odometry: missing; docs/ros.md" in refused('format = 2\nrobot = "car"\n')
     assert "wire.domain: got 900, wanted 0 to 232" in refused(whole + "[wire]\ndomain = 900\n")
     assert "wire.form: got 'dds', wanted rmw_zenoh or bridge" in refused(whole + '[wire]\nform = "dds"\n')
     assert "odometry.largest_age: got 'x', wanted a finite number" in refused(

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from safedpa.bus import LATENT, VERDICT, WISH, LatentMessage, Stale, StateMessage, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, VERDICT, LatentMessage, NominalMessage, Stale, StateMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.runtime.node import SafetyFilterNode
@@ -33,9 +33,9 @@ def latent_at(state: StateMessage, model: PhysicsModel = CAR) -> LatentMessage:
 
 
 def asked(
-    node: SafetyFilterNode, state: StateMessage, latent: Any, wish: tuple[float, ...] = (1.0, 0.0)
+    node: SafetyFilterNode, state: StateMessage, latent: Any, nominal: tuple[float, ...] = (1.0, 0.0)
 ) -> VerdictMessage:
-    inputs = {LATENT: latent, WISH: WishMessage(**stamp(state), values=wish, controller="test")}
+    inputs = {LATENT: latent, NOMINAL: NominalMessage(**stamp(state), values=nominal, controller="test")}
     node.step("r", state, inputs)
     verdict = node.afterwards("r")[VERDICT]
     assert isinstance(verdict, VerdictMessage)

@@ -383,8 +383,8 @@ def drive(barrier: AbstractBarrier, seed: int) -> tuple[float, set[Status]]:
     x[:2] = random.uniform((-0.5, -0.8), (0.3, 1.2))
     safe, said = SafetyFilter(lambda x: (A @ x, B), [barrier], SETTINGS), set()
     for _ in range(100):
-        wish = np.clip(3.0 * (CENTRE - x[:2]) + random.normal(size=2), -1.0, 1.0)
-        verdict = safe.decide(x, wish)
+        nominal = np.clip(3.0 * (CENTRE - x[:2]) + random.normal(size=2), -1.0, 1.0)
+        verdict = safe.decide(x, nominal)
         said.add(verdict.status)
         x = A @ x + B @ verdict.action
         least = min(least, room(x))

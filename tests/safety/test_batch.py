@@ -31,7 +31,7 @@ def drawn(seed: int, robots: int, obstacles: int, latent: np.ndarray[Any, Any]) 
     random = np.random.default_rng(seed)
     return {
         "state": random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0), (robots, 4)),
-        "wish": random.uniform((-0.6, -0.34), (2.0, 0.34), (robots, 2)) * random.choice([1.0, 1.4], (robots, 1)),
+        "nominal": random.uniform((-0.6, -0.34), (2.0, 0.34), (robots, 2)) * random.choice([1.0, 1.4], (robots, 1)),
         "latent": np.tile(latent, (robots, 1)),
         "obstacles": np.stack(
             [*random.uniform(-3.5, 3.5, (2, robots, obstacles)), random.uniform(0.2, 0.35, (robots, obstacles))], axis=2
@@ -55,7 +55,7 @@ def agree(name: str, given_: dict[str, Any], walls: bool, epsilon: dict[str, Any
         barriers = car_barriers(many.settings, FOOTPRINT, given_["obstacles"][robot], field)
         margins = {kind: float(np.resize(value, len(found.action))[robot]) for kind, value in (epsilon or {}).items()}
         verdict = one.decide(
-            *(given_[key][robot] for key in ("state", "wish", "latent")), barriers=barriers, epsilon=margins
+            *(given_[key][robot] for key in ("state", "nominal", "latent")), barriers=barriers, epsilon=margins
         )
         assert STATUSES[found.status[robot]] is verdict.status
         np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=WITHIN[name])
@@ -80,10 +80,10 @@ def test_everybody_gets_what_the_filter_of_one_robot_gives(seed: int, name: str,
 
 
 def test_where_an_actuator_saturates_the_nearest_action_is_looked_for_as_well() -> None:
-    """There the slope is a chord's, and the action that it leads to may lie further from the wish than need be."""
+    """There the slope is a chord's, and the action that it leads to may lie further from the nominal action than need be."""
     random = np.random.default_rng(8)
     given_ = drawn(8, 300, 6, FILTERS["car"].model.latent)
-    given_["state"][:, 3], given_["wish"] = random.uniform(0.5, 2.0, 300), np.tile([2.0, 0.0], (300, 1))
+    given_["state"][:, 3], given_["nominal"] = random.uniform(0.5, 2.0, 300), np.tile([2.0, 0.0], (300, 1))
     agree("car", given_, True, {"obstacle": random.uniform(0.01, 0.07, 300), "field": 0.05})
 
 
@@ -109,8 +109,8 @@ def test_most_are_answered_together_and_every_kind_of_verdict_occurs() -> None:
 def test_what_cannot_be_believed_ends_in_the_fallback_of_its_own_robot() -> None:
     many = FILTERS["car"]
     given_ = drawn(1, 8, 2, many.model.latent)
-    given_["state"][0, 0], given_["wish"][1, 1], given_["latent"][2, 0] = np.nan, np.inf, -5.0
-    given_["state"][3, 3], given_["wish"][4, 0] = 1e6, 1e6
+    given_["state"][0, 0], given_["nominal"][1, 1], given_["latent"][2, 0] = np.nan, np.inf, -5.0
+    given_["state"][3, 3], given_["nominal"][4, 0] = 1e6, 1e6
     epsilon = {"obstacle": np.array([0.01, 0.01, 0.01, 0.01, 0.01, np.nan, -0.1, 0.01])}
     with np.errstate(all="raise"):
         found = decided(many, **given_, footprint=FOOTPRINT, field=FIELD, epsilon=epsilon)
@@ -131,10 +131,10 @@ def test_a_margin_for_a_kind_that_no_barrier_has_is_refused_as_for_one_robot() -
     [(True, 3), ("1.0", 3), (np.array([2.0, True, 2.0], dtype=object), 1), (1, 0), (np.ones(3), 0)],
 )
 def test_what_is_no_number_is_no_margin_even_where_as_one_it_would_be_kept(margin: Any, fallbacks: int) -> None:
-    """With obstacles a hundred metres away every wish keeps a margin of a metre."""
+    """With obstacles a hundred metres away every nominal action keeps a margin of a metre."""
     given_ = {**drawn(2, 3, 1, FILTERS["car"].model.latent), "obstacles": np.full((3, 1, 3), (100.0, 0.0, 0.2))}
     given_["state"][:, 3] = 0.5
-    given_["wish"][:] = 0.5, 0.0
+    given_["nominal"][:] = 0.5, 0.0
     found = decided(FILTERS["car"], **given_, epsilon={"obstacle": margin, "speed": 0.0})
     assert found.count(Status.fallback) == fallbacks
     assert found.count(Status.passed) == 3 - fallbacks
@@ -154,18 +154,18 @@ def test_what_is_predicted_comes_from_a_model_or_with_each_decision_and_not_from
     assert len(without.decide(**given_, barriers=barriers, affine=affine).status) == 2
 
 
-def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_reads_it() -> None:
+def test_a_predicted_state_that_is_no_number_passes_no_nominal_action_though_no_barrier_reads_it() -> None:
     own = FunctionBarrier(lambda x: 1.0 - x[0], names=("x",))
     many, robots = BatchFilter(load_model("car").system, replace(FilterSettings(), epsilon={})), 3
     state, g = np.tile((0.95, 0.0, 0.0, 0.0), (robots, 1)), np.zeros((robots, 4, 2))
     g[:, 0, 0] = 0.01
     f = state.copy()
     f[1, 2], f[2, 2] = np.nan, np.inf
-    for wish in (-0.5, 1.9):
+    for nominal in (-0.5, 1.9):
         found = many.decide(
-            state, np.full((robots, 2), (wish, 0.0)), barriers=batch_barriers([[own]] * robots, 4), affine=(f, g)
+            state, np.full((robots, 2), (nominal, 0.0)), barriers=batch_barriers([[own]] * robots, 4), affine=(f, g)
         )
-        wanted = Status.passed if wish < 0.0 else Status.corrected
+        wanted = Status.passed if nominal < 0.0 else Status.corrected
         assert [STATUSES[index] for index in found.status] == [wanted, Status.fallback, Status.fallback]
 
 
@@ -175,16 +175,16 @@ def test_what_may_be_used_up_at_once_may_be_so_by_many(slowly: bool) -> None:
     settings = settings_named("car")
     braking, counter = braking_of(settings), ReversalBraking(2.0, 2.5, 0.6)
     state = np.array([(0.0, 0.0, 0.0, 0.8), (0.1, 0.0, 0.0, 0.8)])
-    wish, latent = np.tile((1.2, 0.0), (2, 1)), np.tile(FILTERS["car"].model.latent, (2, 1))
+    nominal, latent = np.tile((1.2, 0.0), (2, 1)), np.tile(FILTERS["car"].model.latent, (2, 1))
     discs = [[(ahead, 0.0, 0.1, 1.5)] for ahead in (1.5, 1.8)]
     parts: list[list[AbstractBarrier]] = [
         [MovingObstacleBarrier(disc, [False], FOOTPRINT, braking, counter), SpeedBarrier(-0.8, 2.2)] for disc in discs
     ]
     around = SequentialBarriers(parts) if slowly else batch_barriers(parts, 4)
-    found = FILTERS["car"].decide(state, wish, latent, barriers=around)
+    found = FILTERS["car"].decide(state, nominal, latent, barriers=around)
     one = SafetyFilter.for_model(FILTERS["car"].model, FILTERS["car"].settings)
     for robot, own in enumerate(parts):
-        verdict = one.decide(state[robot], wish[robot], latent[robot], barriers=own)
+        verdict = one.decide(state[robot], nominal[robot], latent[robot], barriers=own)
         assert STATUSES[found.status[robot]] is verdict.status
         np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
     assert (found.count(Status.corrected), found.count(Status.passed)) == (1, 1)
@@ -218,7 +218,7 @@ def test_one_robot_and_obstacles_far_away_as_padding() -> None:
     ("wrong", "message"),
     [
         ({"state": np.zeros((2, 3))}, "state"),
-        ({"wish": np.zeros((1, 2))}, "wish"),
+        ({"nominal": np.zeros((1, 2))}, "nominal"),
         ({"latent": np.zeros((2, 9))}, "latent"),
         ({"obstacles": np.zeros((2, 3))}, "obstacles"),
         ({"obstacles": np.full((2, 1, 3), np.nan)}, "finite"),
@@ -252,14 +252,14 @@ def test_a_robot_of_one_action_and_barriers_that_are_functions() -> None:
     model, chosen = load_model("pendulum"), replace(settings_named("pendulum"), eta=0.15, epsilon={})
     many, one = BatchFilter(model, chosen), SafetyFilter.for_model(model, chosen)
     random = np.random.default_rng(4)
-    state, wish = random.uniform((-0.4, -1.5), (0.4, 1.5), (40, 2)), random.uniform(-10.0, 10.0, (40, 1))
+    state, nominal = random.uniform((-0.4, -1.5), (0.4, 1.5), (40, 2)), random.uniform(-10.0, 10.0, (40, 1))
     latent = np.tile(model.latent, (40, 1))
     edges, names = CorridorBarrier(-0.5, 0.5, 0.25), ("lower", "upper")
     own = FunctionBarrier(lambda x: (x @ [1.0, 0.25] + 0.5, 0.5 - x @ [1.0, 0.25]), names=names, kind="corridor")
     parts: list[list[AbstractBarrier]] = [[edges] if robot % 2 else [own] for robot in range(40)]
-    found = many.decide(state, wish, latent, barriers=batch_barriers(parts, 2))
+    found = many.decide(state, nominal, latent, barriers=batch_barriers(parts, 2))
     for robot, around in enumerate(parts):
-        verdict = one.decide(state[robot], wish[robot], latent[robot], barriers=around)
+        verdict = one.decide(state[robot], nominal[robot], latent[robot], barriers=around)
         assert STATUSES[found.status[robot]] is verdict.status
         np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
     assert found.count(Status.corrected) > 5

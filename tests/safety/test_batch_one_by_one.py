@@ -44,7 +44,7 @@ class Drawn:
     def __init__(self, seed: int, rows: int, bend: float) -> None:
         random = np.random.default_rng(seed)
         self.state = random.uniform(-1.0, 1.0, (ROBOTS, 3))
-        self.wish = random.uniform((-1.5, 0.2), (3.5, 2.8), (ROBOTS, 2))
+        self.nominal = random.uniform((-1.5, 0.2), (3.5, 2.8), (ROBOTS, 2))
         self.f = self.state + random.normal(0.0, 0.1, (ROBOTS, 3))
         self.g = random.normal(0.0, 1.0, (ROBOTS, 3, 2)) * random.choice([0.01, 1.0], (ROBOTS, 1, 1))
         self.p = random.normal(size=(ROBOTS, rows, 3)) * 10.0 ** random.uniform(-2.0, 2.0, (ROBOTS, rows, 1))
@@ -74,7 +74,7 @@ class Drawn:
         """What the filter of many says."""
         around = SequentialBarriers([[self.barrier(robot)] for robot in range(ROBOTS)])
         return BatchFilter(SYSTEM, OWN).decide(
-            self.state, self.wish, barriers=around, epsilon=self.epsilon, affine=(self.f, self.g), backup=self.backup
+            self.state, self.nominal, barriers=around, epsilon=self.epsilon, affine=(self.f, self.g), backup=self.backup
         )
 
     def alone(self, robot: int) -> Any:
@@ -88,7 +88,7 @@ class Drawn:
             state_range=believed,
         )
         margins = {kind: float(value[robot]) for kind, value in self.epsilon.items()}
-        return one.decide(self.state[robot], self.wish[robot], epsilon=margins)
+        return one.decide(self.state[robot], self.nominal[robot], epsilon=margins)
 
 
 @pytest.mark.parametrize(("rows", "bend"), [(1, 0.0), (4, 0.0), (1, 0.3), (3, 0.1), (1, 2.0), (2, 1.0)])
@@ -96,7 +96,7 @@ def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_le
     rows: int, bend: float
 ) -> None:
     drawn = Drawn(rows, rows, bend)
-    drawn.state[0, 0], drawn.wish[1, 0], drawn.state[2, 1], drawn.wish[3, 1] = np.nan, inf, 51.0, 1e4
+    drawn.state[0, 0], drawn.nominal[1, 0], drawn.state[2, 1], drawn.nominal[3, 1] = np.nan, inf, 51.0, 1e4
     drawn.epsilon["function"][4:7] = -0.1, inf, np.nan
     found = drawn.together()
     for robot in range(ROBOTS):
@@ -121,9 +121,9 @@ def test_what_lies_on_a_limit_is_answered_with_the_others() -> None:
         around = SequentialBarriers([[FunctionBarrier(lambda x, s=state: x[0] - s, names=names)]] * 2)
         g = np.zeros((2, 3, 2))
         g[:, 0, 0] = 0.1
-        wish = np.array([[1.0, 1.0], [-0.5, 1.0]])
+        nominal = np.array([[1.0, 1.0], [-0.5, 1.0]])
         found = BatchFilter(SYSTEM, OWN).decide(
-            at, wish, barriers=around, epsilon={"function": epsilon, "default": 0.5, "obstacle": 0.5},
+            at, nominal, barriers=around, epsilon={"function": epsilon, "default": 0.5, "obstacle": 0.5},
             affine=(at.copy(), g),
         )  # fmt: skip
         assert found.count(Status.passed) == 1
@@ -135,9 +135,9 @@ def test_conditions_are_posed_with_the_scales_that_those_of_one_have(monkeypatch
     """max(|h|, epsilon), before any slope is known."""
     drawn, posed = Drawn(5, 3, 0.0), list[tuple[Values, Values]]()
 
-    def searched(conditions: Any, wish: Values, start: Any) -> Any:
+    def searched(conditions: Any, nominal: Values, start: Any) -> Any:
         posed.append((conditions.scale.copy(), conditions.barriers.values(conditions.predictions.state)))
-        return search_batch(conditions, wish, start)
+        return search_batch(conditions, nominal, start)
 
     monkeypatch.setattr(batch, "search_batch", searched)
     drawn.epsilon["function"] = np.full(ROBOTS, 0.2)
@@ -152,8 +152,8 @@ def test_latents_say_nothing_where_there_is_no_model() -> None:
     drawn = Drawn(7, 2, 0.0)
     around = SequentialBarriers([[drawn.barrier(robot)] for robot in range(ROBOTS)])
     many, known = BatchFilter(SYSTEM, OWN), {"barriers": around, "affine": (drawn.f, drawn.g)}
-    with_latent = many.decide(drawn.state, drawn.wish, drawn.latent, **known)
-    without = many.decide(drawn.state, drawn.wish, **known)
+    with_latent = many.decide(drawn.state, drawn.nominal, drawn.latent, **known)
+    without = many.decide(drawn.state, drawn.nominal, **known)
     np.testing.assert_array_equal(with_latent.action, without.action)
     np.testing.assert_array_equal(with_latent.alone, without.alone)
 
@@ -174,13 +174,13 @@ def test_a_model_of_one_latent_or_none(free: tuple[str, ...]) -> None:
     held = {name: Setting(0.0) for name in whole.latent_names if name not in free}
     model = whole.with_settings(held)
     assert model.latent_names == free
-    state, wish = np.array([[0.1, 0.0]] * 3), np.array([[0.0], [1e6], [1.0]])
+    state, nominal = np.array([[0.1, 0.0]] * 3), np.array([[0.0], [1e6], [1.0]])
     around = SequentialBarriers([[CorridorBarrier(-3.0, 3.0, 0.25)]] * 3)
     many = BatchFilter(model, settings)
-    found = many.decide(state, wish, barriers=around)
+    found = many.decide(state, nominal, barriers=around)
     assert found.alone.tolist() == ([True] * 3 if free else [False, True, False])
     assert found.count(Status.fallback) == (3 if free else 1)
-    told = many.decide(state, wish, np.array([[1e6]] * 3)[:, : len(free)], barriers=around)
+    told = many.decide(state, nominal, np.array([[1e6]] * 3)[:, : len(free)], barriers=around)
     assert told.count(Status.fallback) == (3 if free else 1)
 
 

@@ -125,9 +125,9 @@ def test_what_is_missed_by_rounding_is_kept_and_what_is_no_number_is_not(drawn: 
 def test_distances_are_those_of_the_program(drawn: Any) -> None:
     states, actions, ones = drawn
     program = QuadraticProgram(np.array(LOW), np.array(HIGH), np.array([1.0, 4.0]))
-    wishes = np.roll(actions, 1, axis=0)
-    wanted = [program.distance(action, wish) for action, wish in zip(actions, wishes, strict=True)]
-    np.testing.assert_allclose(many(states, ones).distance(actions, wishes), wanted, rtol=1e-12)
+    nominal_actions = np.roll(actions, 1, axis=0)
+    wanted = [program.distance(action, nominal) for action, nominal in zip(actions, nominal_actions, strict=True)]
+    np.testing.assert_allclose(many(states, ones).distance(actions, nominal_actions), wanted, rtol=1e-12)
 
 
 def test_slopes_are_those_of_one_where_an_actuator_saturates_too(drawn: Any) -> None:

@@ -30,7 +30,7 @@ def wide(x: Values) -> tuple[Values, Values]:
 )
 def test_one_entry_of_a_backup_is_enough(action: list[float], told: bool) -> None:
     checked = made(first, model=wide, actions=2, backup=lambda x: action if x[0] == 1.0 else [0.0, 0.0])
-    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stands=False)) is told
+    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)) is told
 
 
 @pytest.mark.parametrize(("beyond", "told"), [(3e-6, False), (5e-6, True)])
@@ -38,16 +38,16 @@ def test_rounding_is_a_share_of_the_range(beyond: float, told: bool) -> None:
     """4000 from end to end: a billionth of that is 4e-6."""
     limits = (-1000.0, 3000.0)
     checked = made(first, limits=limits, backup=lambda x: [3000.0 + beyond * (x[0] == 1.0)])
-    assert bool(backup_issues(checked, [probe(1.0)], stands=False)) is told
+    assert bool(backup_issues(checked, [probe(1.0)], stationary_for=False)) is told
     part = RolloutBarrier(lambda x: (x, 0.1 * np.eye(1)), [0.0], first, 5, ["r"])
     other = made(part, limits=limits, backup=lambda x: [beyond])
-    assert bool(backup_issues(other, [probe(1.0)], stands=False)) is told
+    assert bool(backup_issues(other, [probe(1.0)], stationary_for=False)) is told
 
 
 def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_another_backup_is_enough() -> None:
     part = RolloutBarrier(wide, [0.0, 0.5], first, 5, ["r"])
     checked = made(part, model=wide, actions=2, backup=lambda x: [0.0, 0.4])
-    assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stands=False)) == 1
+    assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stationary_for=False)) == 1
     checked, asked = recorded(made(first))
     condition_issues(checked, [probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False)])
     assert sorted({round(action, 9) for action in asked}) == [-1.0, -0.7, 0.5, 0.8, 1.7, 2.0]
@@ -55,7 +55,7 @@ def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_anot
 
 def test_of_conditions_that_break_or_are_missed_the_worst_is_named_first() -> None:
     checked = made(first, lambda x: 3.0 * x[0], backup=lambda x: [-1.0])
-    (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], stands=True)
+    (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], stationary_for=True)
     assert found.names == ("h1", "h0")
     one = probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.3], [-0.9, -0.3]], kept=False)
     (found,) = condition_issues(made(first, first), [one])
@@ -128,15 +128,15 @@ def test_a_kind_without_a_margin_has_none_and_the_middle_lies_between_the_ends()
 
 
 class Refuses:
-    """Stands for a filter that finds no action, or lets every wish pass."""
+    """Stands for a filter that finds no action, or lets every nominal action pass."""
 
     def __init__(self, checked: FilterUnderTest, *, passes: bool) -> None:
         self.settings, self.tools, self._passes = checked.safe.settings, checked.safe.tools, passes
-        self.wishes: list[tuple[float, ...]] = []
+        self.nominal_actions: list[tuple[float, ...]] = []
 
-    def decide(self, state: Values, wish: Values, latent: Any, **_: Any) -> Any:
-        self.wishes.append(tuple(wish.tolist()))
-        return replace(resting_verdict(np.array(wish), ""), status=Status.passed if self._passes else Status.relaxed)
+    def decide(self, state: Values, nominal: Values, latent: Any, **_: Any) -> Any:
+        self.nominal_actions.append(tuple(nominal.tolist()))
+        return replace(resting_verdict(np.array(nominal), ""), status=Status.passed if self._passes else Status.relaxed)
 
 
 def refused(checked: FilterUnderTest, *, passes: bool = False) -> tuple[FilterUnderTest, Refuses]:
@@ -163,12 +163,12 @@ def test_inside_is_where_every_h_is_at_its_threshold() -> None:
 def test_every_extreme_action_is_held_to_the_end_in_six_drives() -> None:
     checked, safe = refused(made(first, model=lambda x: (x, np.full((1, 4), 0.1)), actions=4), passes=True)
     probed(checked, [np.array([9.0])], 60, 0)
-    drives = [set(safe.wishes[60 * drive : 60 * drive + 60]) for drive in range(12)]
+    drives = [set(safe.nominal_actions[60 * drive : 60 * drive + 60]) for drive in range(12)]
     assert [len(drive) == 1 for drive in drives] == [True] * 6 + [False] * 6
     assert len(set().union(*drives[:6])) == 6
     two, both = refused(made(first), passes=True)
     probed(two, [np.array([9.0])], 60, 0)
-    held = [set(both.wishes[60 * drive : 60 * drive + 60]) for drive in range(12)]
+    held = [set(both.nominal_actions[60 * drive : 60 * drive + 60]) for drive in range(12)]
     assert held[:2] == [{(-1.0,)}, {(2.0,)}]
     assert sum(len(drive) == 2 for drive in held[2:]) >= 8, "some are held for all of it by chance"
 
@@ -255,7 +255,7 @@ def test_states_that_are_none_are_refused(states: Any) -> None:
 def test_a_backup_is_meant_to_satisfy_every_condition_by_default() -> None:
     checked = made(first, backup=lambda x: [-1.0])
     assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
-    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stands=False).subjects
+    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stationary_for=False).subjects
 
 
 @pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])

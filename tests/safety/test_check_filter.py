@@ -86,7 +86,7 @@ def test_the_pendulum_is_fine_but_has_no_stand() -> None:
     model, settings = load_model("pendulum"), settings_named("pendulum")
     safe = SafetyFilter.for_model(model, settings, [CorridorBarrier(-1.0, 1.0, settings.barrier("corridor_seconds"))])
     states = np.random.default_rng(0).uniform((-1.0, -2.0), (1.0, 2.0), (40, 2))
-    found = check_filter(safe, states, latent=model.latent, stands=False)
+    found = check_filter(safe, states, latent=model.latent, stationary_for=False)
     assert not found, str(found)
     assert check_filter(safe, states, latent=model.latent).subjects == {"backup"}
 
@@ -243,11 +243,11 @@ def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: b
     own = [-1.0]
     checked = made(first, rollout([0.5] if foreign else own), backup=lambda x: own)
     near = probe(0.5, h=[0.5, 9.0])
-    found = backup_issues(checked, [near], stands=True)
+    found = backup_issues(checked, [near], stationary_for=True)
     assert [name for issue in found for name in issue.names if name in told] == told
     assert all("the same; give the filter" in issue.sentence for issue in found) is foreign
     assert any("misses its condition" in issue.sentence for issue in found) is not foreign
-    unasked = backup_issues(checked, [near], stands=False)
+    unasked = backup_issues(checked, [near], stationary_for=False)
     assert len(unasked) == foreign, "a robot without a stand is not asked, and another backup is told all the same"
 
 

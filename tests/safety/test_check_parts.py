@@ -41,17 +41,17 @@ def test_corners_and_the_middle(actions: int, corners: int) -> None:
 
 
 class Open:
-    """A filter that lets every wish pass, or none beyond a state."""
+    """A filter that lets every nominal action pass, or none beyond a state."""
 
     def __init__(self, checked: FilterUnderTest, end: float = np.inf) -> None:
         self.settings, self.tools, self.end = checked.safe.settings, checked.safe.tools, end
         self.asked: list[tuple[float, float]] = []
         self.beyond = Status.relaxed
 
-    def decide(self, state: Values, wish: Values, latent: Any, **_: Any) -> Verdict:
-        self.asked.append((float(state[0]), float(wish[0])))
+    def decide(self, state: Values, nominal: Values, latent: Any, **_: Any) -> Verdict:
+        self.asked.append((float(state[0]), float(nominal[0])))
         status = Status.passed if state[0] < self.end else self.beyond
-        return replace(resting_verdict(np.array(wish), ""), status=status)
+        return replace(resting_verdict(np.array(nominal), ""), status=status)
 
 
 def opened(end: float = np.inf) -> tuple[FilterUnderTest, Open]:
@@ -68,21 +68,25 @@ def test_sixty_states_are_probed_and_twelve_drives_from_them() -> None:
     assert len(safe.asked) == 12 * 16
     starts = [safe.asked[16 * drive][0] for drive in range(12)]
     assert starts == list(range(12))
-    wishes = [[wish for _, wish in safe.asked[16 * drive : 16 * drive + 16]] for drive in range(12)]
-    assert (set(wishes[0]), set(wishes[1])) == ({-1.0}, {2.0}), "first every extreme action to the end"
-    assert {wish for drive in wishes[2:] for wish in drive} == {-1.0, 2.0}
+    nominal_actions = [[nominal for _, nominal in safe.asked[16 * drive : 16 * drive + 16]] for drive in range(12)]
+    assert (set(nominal_actions[0]), set(nominal_actions[1])) == ({-1.0}, {2.0}), (
+        "first every extreme action to the end"
+    )
+    assert {nominal for drive in nominal_actions[2:] for nominal in drive} == {-1.0, 2.0}
     pushed = [one.state[0] for one in found[60:64]]
     np.testing.assert_allclose(pushed, [0.0 - 0.7, 0.0 - 1.5, 1.0 + 1.4, 1.0 + 3.0])
 
 
-def test_wishes_are_held_for_some_ticks_and_come_from_the_seed() -> None:
+def test_nominal_actions_are_held_for_some_ticks_and_come_from_the_seed() -> None:
     runs = []
     for seed in (0, 0, 1):
         checked, safe = opened()
         probed(checked, [np.array([0.0])], 200, seed)
-        wishes = [wish for _, wish in safe.asked[400:]]
-        runs.append(wishes)
-        changes = [at for at in range(1, len(wishes)) if wishes[at] != wishes[at - 1] and at % 200]
+        nominal_actions = [nominal for _, nominal in safe.asked[400:]]
+        runs.append(nominal_actions)
+        changes = [
+            at for at in range(1, len(nominal_actions)) if nominal_actions[at] != nominal_actions[at - 1] and at % 200
+        ]
         gaps = [b - a for a, b in pairwise(changes) if a // 200 == b // 200]
         assert min(gaps) >= 3
     assert runs[0] == runs[1] != runs[2]
@@ -306,7 +310,7 @@ def test_the_worst_of_several_is_said() -> None:
 )
 def test_a_backup_is_an_action_within_its_bounds(backup: Callable[[Any], Any], said: str) -> None:
     checked = made(first, backup=lambda x: backup(x) if x[0] == 1.0 else [0.0])  # else it is refused when it is given
-    found = backup_issues(checked, [probe(0.0), probe(1.0)], stands=False)
+    found = backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)
     assert [issue.subject for issue in found] == ["backup"] * bool(said)
     assert said in "".join(issue.sentence for issue in found)
 
@@ -319,16 +323,16 @@ def test_a_backup_under_which_conditions_break() -> None:
     """It goes down by 0.1 a tick: from 0.5 a condition of 0.9 x 0.5 + 0.002 is missed by 0.052, from 2 none is."""
     checked = made(first, lambda x: 9.0 + x[0], backup=lambda x: [-1.0])
     near, far, out = probe(0.5, h=[0.5, 9.5]), probe(2.0, h=[2.0, 11.0]), probe(0.3, h=[0.3, 9.3], inside=False)
-    assert backup_issues(checked, [far, out], stands=True) == []
-    assert backup_issues(checked, [near], stands=False) == []
-    (found,) = backup_issues(checked, [far, near, probe(0.6, h=[0.6, 9.6]), out], stands=True)
+    assert backup_issues(checked, [far, out], stationary_for=True) == []
+    assert backup_issues(checked, [near], stationary_for=False) == []
+    (found,) = backup_issues(checked, [far, near, probe(0.6, h=[0.6, 9.6]), out], stationary_for=True)
     assert (found.subject, found.names) == ("backup", ("h0",))
     assert "misses its condition by 0.052 under the backup, from h = 0.5 at [0.5]" in found.sentence
     slight = made(first, epsilon=0.02, backup=lambda x: [-1.0])
-    assert backup_issues(slight, [probe(1.1901, h=1.1901)], stands=True) == [], (
+    assert backup_issues(slight, [probe(1.1901, h=1.1901)], stationary_for=True) == [], (
         "missed by a twentieth of epsilon: slight"
     )
-    assert backup_issues(slight, [probe(1.189, h=1.189)], stands=True)
+    assert backup_issues(slight, [probe(1.189, h=1.189)], stationary_for=True)
 
 
 def rollout(backup: Any, horizon: int, names: Sequence[str] = ("r",)) -> RolloutBarrier:
@@ -338,7 +342,9 @@ def rollout(backup: Any, horizon: int, names: Sequence[str] = ("r",)) -> Rollout
 def test_a_rollout_of_another_backup() -> None:
     part = rollout([-0.5], 5)
     for own, told in (([-0.5], False), ([-0.5 + 1e-10], False), ([-0.4], True)):
-        found = backup_issues(made(first, part, backup=lambda x, own=own: own), [probe(1.0), probe(2.0)], stands=False)  # type: ignore[misc]
+        found = backup_issues(
+            made(first, part, backup=lambda x, own=own: own), [probe(1.0), probe(2.0)], stationary_for=False
+        )  # type: ignore[misc]
         assert bool(found) is told
     assert (found[0].names, len(found)) == (("r",), 1)
     assert "got [-0.4] from the filter's backup and [-0.5] from the barrier's at [1]" in found[0].sentence

@@ -61,9 +61,9 @@ def test_kinds_without_a_margin_have_none() -> None:
 
 
 def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decision_module, "search", lambda conditions, program, wish, start, *_: (start, "solved"))
+    monkeypatch.setattr(decision_module, "search", lambda conditions, program, nominal, start, *_: (start, "solved"))
     verdict = line_filter(wall=0.0).decide(np.zeros(1), [1.0])
-    assert (verdict.status, verdict.reason) == (Status.corrected, "Found from another start than the wish.")
+    assert (verdict.status, verdict.reason) == (Status.corrected, "Found from another start than the nominal action.")
     assert verdict.action[0] == 0.0
 
 
@@ -83,13 +83,13 @@ def test_program_is_posed_once_and_then_as_often_as_allowed(
     """A solver whose answers all break the condition and never come again: the search gives up after the last round."""
     safe, calls = line_filter(relinearisations=relinearisations), []
 
-    def stubborn(_: object, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
-        calls.append(wish)
+    def stubborn(_: object, A: np.ndarray, b: np.ndarray, nominal: np.ndarray) -> Solution:
+        calls.append(nominal)
         return Solution(np.array([2.0 - 0.01 * len(calls)]), np.zeros(1), True, "solved")
 
     monkeypatch.setattr(QuadraticProgram, "solve", stubborn)
-    assert safe.decide(np.zeros(1), [2.0]).reason == "Found from another start than the wish."
-    assert len(calls) == 3 * (relinearisations + 1)  # from the wish, then from two others
+    assert safe.decide(np.zeros(1), [2.0]).reason == "Found from another start than the nominal action."
+    assert len(calls) == 3 * (relinearisations + 1)  # from the nominal action, then from two others
 
 
 def test_what_could_not_be_computed_is_not_made_up() -> None:
@@ -107,7 +107,7 @@ def test_what_could_not_be_computed_is_not_made_up() -> None:
 
 
 def infeasible(start: float, backup: object = None, gain: float = 1.0) -> Verdict:
-    """h = x, which falls by 3 whatever is done: larger actions let it fall less; the wish is -0.5."""
+    """h = x, which falls by 3 whatever is done: larger actions let it fall less; the nominal action is -0.5."""
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(
         lambda x: (x - 3.0, np.array([[gain]])),
@@ -146,7 +146,7 @@ def test_where_no_action_helps_within_one_step_the_backup_is_taken(start: float,
     verdict = infeasible(start, backup=lambda state: np.array([0.25]), gain=0.0)
     assert verdict.status is status
     assert verdict.action[0] == 0.25
-    assert verdict.reason.endswith(" No action moves h within one step: the backup is taken for the wish.")
+    assert verdict.reason.endswith(" No action moves h within one step: the backup is taken for the nominal action.")
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_violated_begins_right_below_zero(start: float, status: Status) -> None:
     assert infeasible(start).status is status
 
 
-def test_violated_names_all_that_is_below_zero_even_where_the_wish_keeps_every_condition() -> None:
+def test_violated_names_all_that_is_below_zero_even_where_the_nominal_action_keeps_every_condition() -> None:
     """From -1 to -0.5 is what a condition asks for and more; nobody is to be told that all is well."""
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: x[0])], settings)
@@ -233,7 +233,7 @@ def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(
     names = tuple(f"h{row}" for row in range(rows))
     barrier = FunctionBarrier(lambda x: problems.heights(robot, x), lambda x: problems.gradient(robot, x), names)
     state = problems.state[robot]
-    verdict = SafetyFilter(Prediction(affine, step), [barrier], TWO).decide(state, problems.wish[robot])
+    verdict = SafetyFilter(Prediction(affine, step), [barrier], TWO).decide(state, problems.nominal[robot])
     assert (verdict.status, verdict.reason) == (Status.corrected, "Found beside the least broken of many actions.")
     now, then = barrier.values(state), barrier.values(step(state, verdict.action))
     assert (then >= (1.0 - TWO.eta) * now + 0.01 - 1e-9 * np.abs(now)).all()
@@ -291,24 +291,24 @@ SAFE = SafetyFilter(lambda x: (x - 0.1, np.eye(1)), [FunctionBarrier(lambda x: x
 @pytest.mark.parametrize(
     ("height", "action", "status"),
     [
-        (3.0, 0.5, Status.corrected),  # the resting action passes, but nobody wished it
+        (3.0, 0.5, Status.corrected),  # the resting action passes, but nobody requested it
         (0.05, 0.5, Status.corrected),
         (-3.0, 1.0, Status.violated),
     ],
 )
-def test_the_resting_action_stands_in_for_the_wish(height: float, action: float, status: Status) -> None:
-    verdict = SAFE.hold("the wish is stale", np.array([height]))
+def test_the_resting_action_stands_in_for_the_nominal_action(height: float, action: float, status: Status) -> None:
+    verdict = SAFE.hold("the nominal action is stale", np.array([height]))
     assert verdict.status is status
     assert verdict.action[0] == pytest.approx(action, abs=0.01)
-    assert verdict.wish is None
-    assert verdict.reason.endswith("The wish is stale: the resting action stood in for it.")
+    assert verdict.nominal is None
+    assert verdict.reason.endswith("The nominal action is stale: the resting action stood in for it.")
     assert verdict.known
 
 
 def test_with_anything_else_amiss_it_is_the_fallback() -> None:
-    verdict = SAFE.hold("the wish is stale", np.array([np.nan]))
+    verdict = SAFE.hold("the nominal action is stale", np.array([np.nan]))
     assert verdict.status is Status.fallback
-    assert verdict.wish is None
+    assert verdict.nominal is None
     assert "stood in" not in verdict.reason
     assert "state" in verdict.reason
 
@@ -337,8 +337,10 @@ def delayed() -> PhysicsModel:
 
 
 @pytest.mark.parametrize("late", [True, False])
-def test_with_a_delay_the_next_tick_says_nothing_of_the_wish(late: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is on its way raises h; the wish, which begins to act later, would be handed on for that."""
+def test_with_a_delay_the_next_tick_says_nothing_of_the_nominal_action(
+    late: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is on its way raises h; the nominal action, which begins to act later, would be handed on for that."""
     model, settings = delayed() if late else load_model("car"), settings_named("car")
     own = fingerprint(model)
     memory = RobotSession.begun(CalibratedModel(model, own, uncalibrated(settings, own)), settings)
@@ -347,7 +349,7 @@ def test_with_a_delay_the_next_tick_says_nothing_of_the_wish(late: bool, monkeyp
     if late:
         memory.pending = InFlightCommands(model.initial_memory(np.array([0.0, 0.0])), (0.0, 0.0))
     resting: Any = resting_verdict(np.zeros(2), "none")
-    relaxed = type(resting)(**{**vars(resting), "status": Status.relaxed, "wish": np.array([0.5, 0.0])})
+    relaxed = type(resting)(**{**vars(resting), "status": Status.relaxed, "nominal": np.array([0.5, 0.0])})
     found = memory.out_of_the_layer(state, relaxed, model.latent)
     assert (found is relaxed) is late
 
@@ -363,7 +365,7 @@ def test_it_rests_knows_nothing_and_says_why() -> None:
     assert {name: told[name] for name in ("slack", "h_now", "h_next", "margin", "microseconds")} == {
         "slack": 0.0, "h_now": 0.0, "h_next": 0.0, "margin": 0.0, "microseconds": 0.0,
     }  # fmt: skip
-    assert (told["active"], told["wish"], told["known"], told["solver"]) == ([], None, False, "not run")
+    assert (told["active"], told["nominal"], told["known"], told["solver"]) == ([], None, False, "not run")
 
 
 def test_its_action_is_a_copy() -> None:

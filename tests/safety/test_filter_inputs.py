@@ -16,7 +16,7 @@ from safedpa.safety import decision as decision_module
 from safedpa.safety.validation import InvalidInput, checked_input
 
 GOOD = np.array([0.0, 0.0, 0.0, 0.5])
-WISH = np.array([0.4, 0.1])
+NOMINAL = np.array([0.4, 0.1])
 CAR = FilterSettings()
 
 
@@ -38,15 +38,15 @@ BAD_STATES = [
     ([0.0, 0.0, 0.0, 31.0], "state is out of its plausible range: speed = 31, wanted -30 to 30"),
     ([0.0, -2e4, 0.0, 0.0], "state is out of its plausible range: y = -20000, wanted -10000 to 10000"),
 ]
-BAD_WISHES = [
-    (None, "wish is missing"),
-    ([math.nan, 0.0], "wish holds NaN or infinity"),
-    ([0.0, math.inf], "wish holds NaN or infinity"),
-    ([0.0], "wish has shape (1,), wanted (2,)"),
-    ([[0.0, 0.0]], "wish has shape (1, 2), wanted (2,)"),
-    ([{}, 0.0], "wish does not consist of numbers"),
-    ([30.0, 0.0], "wish is out of its plausible range: entry 0 = 30, wanted -26.6 to 28"),
-    ([0.0, -8.0], "wish is out of its plausible range: entry 1 = -8, wanted -7.14 to 7.14"),
+BAD_NOMINAL_ACTIONS = [
+    (None, "nominal action is missing"),
+    ([math.nan, 0.0], "nominal action holds NaN or infinity"),
+    ([0.0, math.inf], "nominal action holds NaN or infinity"),
+    ([0.0], "nominal action has shape (1,), wanted (2,)"),
+    ([[0.0, 0.0]], "nominal action has shape (1, 2), wanted (2,)"),
+    ([{}, 0.0], "nominal action does not consist of numbers"),
+    ([30.0, 0.0], "nominal action is out of its plausible range: entry 0 = 30, wanted -26.6 to 28"),
+    ([0.0, -8.0], "nominal action is out of its plausible range: entry 1 = -8, wanted -7.14 to 7.14"),
 ]
 
 
@@ -61,18 +61,18 @@ def assert_brakes(verdict: Verdict, reason: str) -> None:
 
 @pytest.mark.parametrize(("state", "reason"), BAD_STATES)
 def test_bad_state(car_filter: SafetyFilter, state: Any, reason: str) -> None:
-    verdict = car_filter.decide(state, WISH)
+    verdict = car_filter.decide(state, NOMINAL)
     assert_brakes(verdict, reason)
     assert not verdict.known
-    np.testing.assert_array_equal(verdict.wish, WISH)
+    np.testing.assert_array_equal(verdict.nominal, NOMINAL)
 
 
-@pytest.mark.parametrize(("wish", "reason"), BAD_WISHES)
-def test_bad_wish(car_filter: SafetyFilter, wish: Any, reason: str) -> None:
-    verdict = car_filter.decide(GOOD, wish)
+@pytest.mark.parametrize(("nominal", "reason"), BAD_NOMINAL_ACTIONS)
+def test_bad_nominal_action(car_filter: SafetyFilter, nominal: Any, reason: str) -> None:
+    verdict = car_filter.decide(GOOD, nominal)
     assert_brakes(verdict, reason)
     assert verdict.known
-    assert verdict.wish is None
+    assert verdict.nominal is None
     assert verdict.h_now > 0.0
     assert verdict.margin == 0.01
 
@@ -81,16 +81,16 @@ def test_edges_of_the_plausible_range_are_believed_and_of_several_problems_all_a
     car_filter: SafetyFilter,
 ) -> None:
     assert car_filter.decide(GOOD, [28.0, 0.0]).status is not Status.fallback
-    assert car_filter.decide([0.0, 0.0, 0.0, 30.0], WISH).status is not Status.fallback
+    assert car_filter.decide([0.0, 0.0, 0.0, 30.0], NOMINAL).status is not Status.fallback
     verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
-    assert verdict.reason == "Reason: latent is stale; state is missing; wish holds NaN or infinity."
+    assert verdict.reason == "Reason: latent is stale; state is missing; nominal action holds NaN or infinity."
     assert verdict.solver == "not run"
 
 
 def test_a_latent_that_the_model_needs(car: PhysicsModel) -> None:
     free = car.with_settings({"base.speed_gain": Setting(4.0, free=True)})
     safe = SafetyFilter.for_model(free, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), [(2.0, 0.0, 0.3)]))
-    assert safe.decide(GOOD, WISH, [4.0]).status is Status.passed
+    assert safe.decide(GOOD, NOMINAL, [4.0]).status is Status.passed
     for latent, reason in (
         (None, "latent is missing"),
         ([math.nan], "latent holds NaN"),
@@ -98,14 +98,14 @@ def test_a_latent_that_the_model_needs(car: PhysicsModel) -> None:
         ([-3.0], "latent is out of its plausible range: base.speed_gain = -3"),
         ([51.0], "wanted 0.05 to 50"),
     ):
-        verdict = safe.decide(GOOD, WISH, latent)
+        verdict = safe.decide(GOOD, NOMINAL, latent)
         assert_brakes(verdict, reason)
         assert not verdict.known
 
 
-@pytest.mark.parametrize("name", ["state", "wish", "latent", "scene"])
+@pytest.mark.parametrize("name", ["state", "nominal", "latent", "scene"])
 def test_stale_inputs_bring_the_backup(car_filter: SafetyFilter, name: str) -> None:
-    verdict = car_filter.decide(GOOD, WISH, stale=[name])
+    verdict = car_filter.decide(GOOD, NOMINAL, stale=[name])
     assert_brakes(verdict, f"{name} is stale")
     assert verdict.known is (name != "state")
 
@@ -118,8 +118,8 @@ def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
         return np.array([0.0, 0.1])
 
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
-    np.testing.assert_array_equal(safe.decide(GOOD, WISH, stale=["state"]).action, [0.0, 0.1])
-    np.testing.assert_array_equal(safe.decide(None, WISH).action, [0.0, 0.1])
+    np.testing.assert_array_equal(safe.decide(GOOD, NOMINAL, stale=["state"]).action, [0.0, 0.1])
+    np.testing.assert_array_equal(safe.decide(None, NOMINAL).action, [0.0, 0.1])
     assert seen == [None, None, None]  # the first when the filter was made
     safe.decide(GOOD, None)
     np.testing.assert_array_equal(seen[3], GOOD)
@@ -130,21 +130,23 @@ def test_if_it_is_unclear_what_is_stale_the_state_is_not_trusted(car: PhysicsMod
     safe = SafetyFilter.for_model(
         car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=lambda state: [0.1, 0.0 if state is None else 0.3]
     )
-    verdict = safe.decide(GOOD, WISH, stale=stale)
+    verdict = safe.decide(GOOD, NOMINAL, stale=stale)
     assert (verdict.status, verdict.reason) == (Status.fallback, "Reason: stale is no list of names.")
     assert verdict.action.tolist() == [0.1, 0.0]
     assert not verdict.known
 
 
 @pytest.mark.parametrize(
-    ("wish", "reason"), [(None, "wish is missing"), ([math.nan, 0.0], "wish holds NaN or infinity")], ids=repr
+    ("nominal", "reason"),
+    [(None, "nominal action is missing"), ([math.nan, 0.0], "nominal action holds NaN or infinity")],
+    ids=repr,
 )
-def test_without_a_wish_even_a_filter_that_is_switched_off_takes_the_backup(
-    car: PhysicsModel, wish: Any, reason: str
+def test_without_a_nominal_action_even_a_filter_that_is_switched_off_takes_the_backup(
+    car: PhysicsModel, nominal: Any, reason: str
 ) -> None:
     off = replace(CAR, enabled=False)
     safe = SafetyFilter.for_model(car, off, car_barriers(off, (0.08, 0.4, 0.12), []), backup=lambda _: [0.1, 0.2])
-    verdict = safe.decide(GOOD, wish)
+    verdict = safe.decide(GOOD, nominal)
     assert (verdict.status, verdict.reason) == (Status.fallback, f"Reason: {reason}.")
     assert verdict.action.tolist() == [0.1, 0.2]
     assert verdict.known
@@ -160,7 +162,7 @@ def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, r
         return np.zeros(2) if state is None else result
 
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
-    assert_brakes(safe.decide(GOOD, None), "wish is missing")
+    assert_brakes(safe.decide(GOOD, None), "nominal action is missing")
 
 
 def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_say_where_to_rest(
@@ -177,7 +179,7 @@ def test_a_backup_beyond_the_actuator_is_clipped_and_without_one_the_settings_sa
 
 @pytest.mark.parametrize("epsilon", [{"obstacle": math.nan}, {"obstacle": math.inf}, {"obstacle": -0.1}])
 def test_a_margin_that_is_none(car_filter: SafetyFilter, epsilon: dict[str, float]) -> None:
-    verdict = car_filter.decide(GOOD, WISH, epsilon=epsilon)
+    verdict = car_filter.decide(GOOD, NOMINAL, epsilon=epsilon)
     assert_brakes(verdict, "margin epsilon is not a finite number >= 0")
 
 
@@ -232,8 +234,8 @@ def test_failing_functions_of_the_user(changes: dict[str, Any], reason: str) -> 
         {"barriers": [FunctionBarrier(lambda x: 1.0 - x[0] if x[0] < 0.5 else math.inf, lambda x: [-1.0])]},
     ],
 )
-def test_where_the_way_from_the_wish_has_no_numbers_another_is_gone(changes: dict[str, Any]) -> None:
-    """Slopes, a next state or an h at the wish that are no numbers: other actions are predicted and kept."""
+def test_where_the_way_from_the_nominal_action_has_no_numbers_another_is_gone(changes: dict[str, Any]) -> None:
+    """Slopes, a next state or an h at the nominal action that are no numbers: other actions are predicted and kept."""
     verdict = scalar_filter(**changes).decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.known
@@ -262,7 +264,7 @@ GIVEN_UP = solution(0.1, False, "max iter reached")
 
 @pytest.mark.parametrize("useless", [GIVEN_UP, solution(math.nan), solution(math.inf)], ids=["gives up", "nan", "inf"])
 def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.MonkeyPatch, useless: Solution) -> None:
-    """From the backup, which keeps the condition, as far towards the wish as it allows: 0.2 would be the nearest."""
+    """From the backup, which keeps the condition, as far towards the nominal action as it allows: 0.2 would be the nearest."""
     safe = scalar_filter()
     program_says(monkeypatch, safe, useless)
     verdict = safe.decide(np.zeros(1), [1.0])
@@ -309,7 +311,7 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
 
 
 def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No action on the way from it to the wish keeps the condition: the backup itself, as a correction, with its h."""
+    """No action on the way from it to the nominal action keeps the condition: the backup itself, as a correction, with its h."""
     safe = scalar_filter(affine=lambda x: (x + 0.1, np.array([[0.2]])), backup=lambda state: np.array([0.5]))
     program_says(monkeypatch, safe, GIVEN_UP)
     verdict = safe.decide(np.zeros(1), [1.0])
@@ -329,13 +331,15 @@ def test_below_zero_a_solver_that_gives_up_leaves_the_best_of_what_is_known(monk
     assert (verdict.h_now, verdict.h_next) == (-1.0, 0.0)
 
 
-def test_search_that_finds_nothing_goes_from_the_backup_towards_the_wish(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_that_finds_nothing_goes_from_the_backup_towards_the_nominal_action(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The QP misleads, always: what the backup leads to is taken as far as the condition allows, and said."""
     safe = scalar_filter()
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Found from another start than the wish."
+    assert verdict.reason == "Found from another start than the nominal action."
     assert 0.15 < verdict.action[0] <= 0.2
 
 
@@ -345,25 +349,27 @@ def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: 
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Found from another start than the wish."
+    assert verdict.reason == "Found from another start than the nominal action."
     assert verdict.action[0] <= 0.2
 
 
 def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
     original, calls = decision_module.search, []
 
-    def first_fails(conditions: Any, program: Any, wish: Any, start: Any, rounds: int) -> Any:
+    def first_fails(conditions: Any, program: Any, nominal: Any, start: Any, rounds: int) -> Any:
         calls.append(start.action[0])
         if len(calls) == 1:
             return start, "solved"
-        return original(conditions, program, wish, start, rounds)
+        return original(conditions, program, nominal, start, rounds)
 
     monkeypatch.setattr(decision_module, "search", first_fails)
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
-    assert verdict.reason == "Found from another start than the wish."
+    assert verdict.reason == "Found from another start than the nominal action."
     assert verdict.action[0] == pytest.approx(0.2)
     assert calls[0] == 1.0
-    assert 0.15 < calls[1] <= 0.2  # towards the wish as far as is kept: tangents there are those of the nearest action
+    assert (
+        0.15 < calls[1] <= 0.2
+    )  # towards the nominal action as far as is kept: tangents there are those of the nearest action
 
 
 numbers = st.one_of(st.floats(), st.integers(), st.none(), st.booleans(), st.text(max_size=3))
@@ -372,14 +378,14 @@ anything = st.one_of(numbers, st.lists(numbers, max_size=6), st.lists(st.floats(
 
 @settings(derandomize=True, deadline=None, database=None, max_examples=300)
 @given(anything, anything, anything, st.sampled_from([None, 3, "x"]))
-def test_whatever_comes_in_a_verdict_goes_out(state: Any, wish: Any, latent: Any, memory: Any) -> None:
+def test_whatever_comes_in_a_verdict_goes_out(state: Any, nominal: Any, latent: Any, memory: Any) -> None:
     safe = SafetyFilter(
         lambda x, z: (x, np.eye(len(x))[:, :2]),
         [FunctionBarrier(lambda x: 3.0 - x[0])],
         replace(CAR, system=""),
         state_range=Plausible(np.full(4, -9.0), np.full(4, 9.0), ("a", "b", "c", "d")),
     )
-    verdict = safe.decide(state, wish, latent, memory=memory)
+    verdict = safe.decide(state, nominal, latent, memory=memory)
     assert (verdict.action >= CAR.low).all()
     assert (verdict.action <= CAR.high).all()
     assert np.isfinite([verdict.slack, verdict.h_now, verdict.h_next, verdict.margin, verdict.microseconds]).all()

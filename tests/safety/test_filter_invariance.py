@@ -19,7 +19,7 @@ FIELD = (-4.0, 4.0, -4.0, 4.0)
 Draw = Callable[[np.random.Generator, int], list[AbstractBarrier]]
 
 
-def wishes(kind: str, random: np.random.Generator, settings: FilterSettings, state: np.ndarray) -> np.ndarray:
+def nominal_of(kind: str, random: np.random.Generator, settings: FilterSettings, state: np.ndarray) -> np.ndarray:
     """Random, full speed, or straight at the nearest thing."""
     if kind == "random":
         return random.uniform(settings.low, settings.high)
@@ -38,11 +38,11 @@ def test_forward_invariance(
     random = np.random.default_rng(seed)
     barriers = random_scene(random, count)
     state = safe_state(random, barriers, 0.05)
-    safe, wish = SafetyFilter.for_model(car, settings, barriers), np.zeros(2)
+    safe, nominal = SafetyFilter.for_model(car, settings, barriers), np.zeros(2)
     for tick in range(300):
         if tick % 7 == 0:
-            wish = wishes(kind, random, settings, state)
-        verdict = safe.decide(state, wish)
+            nominal = nominal_of(kind, random, settings, state)
+        verdict = safe.decide(state, nominal)
         assert verdict.status is not Status.relaxed
         assert verdict.status is not Status.fallback
         state = car.step(state, verdict.action)
@@ -50,7 +50,7 @@ def test_forward_invariance(
         assert verdict.h_next == pytest.approx(min(part.values(state).min() for part in barriers), abs=1e-12)
 
 
-def test_without_the_filter_the_same_wishes_collide(
+def test_without_the_filter_the_same_nominal_actions_collide(
     car: PhysicsModel, settings: FilterSettings, random_scene: Draw
 ) -> None:
     barriers, state = random_scene(np.random.default_rng(0), 4), np.array([3.0, 0.0, 0.0, 1.0])
@@ -77,13 +77,13 @@ def test_every_safe_state_has_an_admissible_action(
 def test_from_every_safe_state_the_filter_finds_one(
     car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
 ) -> None:
-    """With wishes that are dangerous; a share of them must be answered by the QP itself, not by the backup."""
+    """With nominal actions that are dangerous; a share of them must be answered by the QP itself, not by the backup."""
     random, by_program, count = np.random.default_rng(12), 0, 600
     safe = SafetyFilter.for_model(car, settings)
     for _ in range(count):
         barriers = random_scene(random, 8)
         verdict = safe.decide(
-            safe_state(random, barriers, 0.05), wishes("extreme", random, settings, np.zeros(4)), barriers=barriers
+            safe_state(random, barriers, 0.05), nominal_of("extreme", random, settings, np.zeros(4)), barriers=barriers
         )
         assert verdict.status in (Status.passed, Status.corrected)
         by_program += verdict.reason == ""
@@ -120,7 +120,7 @@ def test_car_recovers_from_inside_the_margin(car: PhysicsModel, settings: Filter
 def test_small_model_errors_are_covered_by_the_margin(
     car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
 ) -> None:
-    """The world brakes worse than the model but as guaranteed; wishes are adversarial. Nothing is touched."""
+    """The world brakes worse than the model but as guaranteed; nominal actions are adversarial. Nothing is touched."""
     from safedpa.dynamics import Setting
 
     world = car.with_settings({"base.speed_gain": Setting(3.0), "base.acceleration_limit": Setting(3.0)})
@@ -129,8 +129,8 @@ def test_small_model_errors_are_covered_by_the_margin(
         barriers = random_scene(random, 5)
         state, safe = safe_state(random, barriers, 0.05), SafetyFilter.for_model(car, settings, barriers)
         for tick in range(120):
-            wish = wishes("extreme", random, settings, state) if tick % 5 == 0 else wish
-            state = world.step(state, safe.decide(state, wish).action)
+            nominal = nominal_of("extreme", random, settings, state) if tick % 5 == 0 else nominal
+            state = world.step(state, safe.decide(state, nominal).action)
             assert min(part.values(state).min() for part in barriers) > -settings.barrier("clearance")
 
 
@@ -171,7 +171,7 @@ def filter_of(text):
 
 
 def decided(text, x, **known):
-    return filter_of(text).decide(np.array([x, 0.0, 0.0, 0.95]), wish=(3.0, 0.0), **known)
+    return filter_of(text).decide(np.array([x, 0.0, 0.0, 0.95]), nominal=(3.0, 0.0), **known)
 
 
 def test_the_filter_asks_for_as_much_as_the_floor_there_takes():

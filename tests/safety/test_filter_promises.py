@@ -35,7 +35,7 @@ class Problem:
     slopes: Values
     low: Values
     high: Values
-    wish: Values
+    nominal: Values
     weights: Values
     epsilon: Values
     eta: float
@@ -84,10 +84,10 @@ class Problem:
             weights=tuple(self.weights.tolist()), eta=self.eta,
             epsilon={f"h{i}": float(self.epsilon[i]) for i in range(rows)},
         )  # fmt: skip
-        return SafetyFilter(lambda x: (self.base, self.slopes), barriers, settings).decide(self.now, self.wish)
+        return SafetyFilter(lambda x: (self.base, self.slopes), barriers, settings).decide(self.now, self.nominal)
 
     def distance(self, action: Values) -> float:
-        shares = (action - self.wish) / (self.high - self.low)
+        shares = (action - self.nominal) / (self.high - self.low)
         return float(self.weights / self.weights.max() @ (shares * shares))
 
     def scaled(self) -> tuple[Values, Values, Values]:
@@ -113,14 +113,15 @@ class Problem:
     def nearest(self) -> float:
         """Distance of the nearest action that keeps all, by quadprog, in shares of the ranges."""
         slopes, base, required = self.scaled()
-        weights, wish = self.weights / self.weights.max(), (self.wish - self.low) / (self.high - self.low)
-        eye = np.eye(len(wish))
+        weights, nominal = self.weights / self.weights.max(), (self.nominal - self.low) / (self.high - self.low)
+        eye = np.eye(len(nominal))
         C, d = (
             np.vstack([slopes, eye, -eye]),
-            np.concatenate([required - base, np.zeros(len(wish)), -np.ones(len(wish))]),
+            np.concatenate([required - base, np.zeros(len(nominal)), -np.ones(len(nominal))]),
         )
         return float(
-            quadprog.solve_qp(np.diag(2.0 * weights), 2.0 * weights * wish, C.T, d)[1] + weights @ (wish * wish)
+            quadprog.solve_qp(np.diag(2.0 * weights), 2.0 * weights * nominal, C.T, d)[1]
+            + weights @ (nominal * nominal)
         )
 
 
@@ -141,7 +142,7 @@ def check(problem: Problem) -> Status:
         assert verdict.slack == 0.0
         assert problem.room >= -1e-9
         if verdict.status is Status.passed:
-            assert verdict.action.tobytes() == problem.wish.tobytes()
+            assert verdict.action.tobytes() == problem.nominal.tobytes()
         elif problem.room > 1e-6:
             assert problem.distance(verdict.action) <= problem.nearest() + 2e-4
     else:
@@ -175,28 +176,28 @@ def test_every_kind_of_problem_is_among_them() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_nearest_of_equally_unsafe_actions_is_taken(seed: int) -> None:
-    """Only the first action moves h, and more of it than there is would be needed: the second one stays as wished."""
+    """Only the first action moves h, and more of it than there is would be needed: the second one stays as requested."""
     random = np.random.default_rng(seed)
-    now, wish = random.uniform(-3.0, -1.0), random.uniform(-1.0, 1.0, 2)
+    now, nominal = random.uniform(-3.0, -1.0), random.uniform(-1.0, 1.0, 2)
     settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), epsilon=0.0)
     safe = SafetyFilter(lambda x: (x, np.array([[0.5, 0.0]])), [FunctionBarrier(lambda x: x[0])], settings)
-    verdict = safe.decide(np.array([now]), wish)
+    verdict = safe.decide(np.array([now]), nominal)
     assert verdict.status is Status.violated
     assert verdict.action[0] == pytest.approx(1.0, abs=0.01)
-    assert verdict.action[1] == pytest.approx(wish[1], abs=1e-6)
+    assert verdict.action[1] == pytest.approx(nominal[1], abs=1e-6)
 
 
 def test_where_the_least_h_leaves_room_the_backup_decides() -> None:
     """h_0 cannot be helped within one step; the other keeps its condition, as near to the backup (0, 0) as it can."""
     problem = Problem(
         now=np.array([0.5, 1.0]), base=np.array([-0.2, 0.4]), slopes=np.array([[0.0, 0.0], [1.0, -1.0]]),
-        low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]), wish=np.array([-0.9, 0.3]), weights=np.ones(2),
+        low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]), nominal=np.array([-0.9, 0.3]), weights=np.ones(2),
         epsilon=np.zeros(2), eta=0.2,
     )  # fmt: skip
     verdict = problem.decide()
     assert verdict.status is Status.relaxed
     np.testing.assert_allclose(verdict.action, [0.2, -0.2], atol=0.02)
-    assert verdict.reason.endswith("No action moves h0 within one step: the backup is taken for the wish.")
+    assert verdict.reason.endswith("No action moves h0 within one step: the backup is taken for the nominal action.")
 
 
 FEWER = hypothesis_settings(derandomize=True, deadline=None, database=None, max_examples=60)
@@ -330,7 +331,7 @@ class Planar:
         matrix, drift = random.normal(0.0, 0.2, (3, self.actions)), random.normal(0.0, 0.2, 3)
         centres, radii = random.normal(0.0, 1.0, (3, 3)), random.uniform(0.2, 0.8, 3)
         normal, offset = random.normal(size=3), random.uniform(0.0, 1.5)
-        start, wish = random.normal(0.0, 1.0, 3), random.uniform(-1.2, 1.2, self.actions)
+        start, nominal = random.normal(0.0, 1.0, 3), random.uniform(-1.2, 1.2, self.actions)
         state, action = self.state, self.action[: self.actions]
 
         def disc(index: int) -> AbstractBarrier:
@@ -350,7 +351,7 @@ class Planar:
             epsilon={barrier.kind: 0.01 * unit for barrier, unit in zip(barriers, self.units, strict=True)},
         )
         safe = SafetyFilter(lambda x: (x + state * drift, state[:, np.newaxis] * matrix / action), barriers, settings)
-        return safe.decide(start * state, wish * action)
+        return safe.decide(start * state, nominal * action)
 
 
 @FEWER

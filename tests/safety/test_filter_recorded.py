@@ -24,7 +24,7 @@ SCENES, CASES, TIGHT = 30, 10, 7
 
 def verdict_on(safe: SafetyFilter, scene: list[list[float]], case: dict[str, Any]) -> Verdict:
     barriers = car_barriers(safe.settings, FOOTPRINT, scene, FIELD)
-    return safe.decide(case["state"], case["wish"], case["latent"], barriers=barriers)
+    return safe.decide(case["state"], case["nominal"], case["latent"], barriers=barriers)
 
 
 def answer(verdict: Verdict) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def drawn_state(random: np.random.Generator, barriers: Sequence[AbstractBarrier]
 
 def record() -> None:
     """Random scenes of 6 to 8 obstacles, random states inside, outside and at the edge of the safe set, ordinary and
-    extreme wishes."""
+    extreme nominal actions."""
     random, safe = np.random.default_rng(20), SafetyFilter.for_model(load_model("car"), FilterSettings())
     scenes = []
     for index in range(SCENES):
@@ -59,7 +59,7 @@ def record() -> None:
             spread = 1.0 if random.random() < 0.7 else 1.4
             case: dict[str, Any] = {
                 "state": drawn_state(random, barriers, number >= CASES),
-                "wish": np.round(random.uniform((-0.6, -0.34), (2.0, 0.34)) * spread, 3).tolist(),
+                "nominal": np.round(random.uniform((-0.6, -0.34), (2.0, 0.34)) * spread, 3).tolist(),
                 "latent": np.round(random.uniform((0.0, 0.0), (1.0, 4.0)), 3).tolist(),
             }
             cases.append({**case, "verdict": answer(verdict_on(safe, scene, case))})

@@ -11,7 +11,6 @@ import pytest
 from safedpa.errors import InputError
 from safedpa.robots.car.barriers.obstacles import braking_of
 from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
-from safedpa.safety.settings import without_former_keys
 
 
 def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
@@ -22,7 +21,7 @@ def test_defaults_fit_the_car_and_are_what_the_page_says() -> None:
     np.testing.assert_array_equal(settings.resting_action, [0.0, 0.0])
     assert (braking_of(settings).deceleration, braking_of(settings).gain) == (2.0, 2.5)
     left = FilterSettings()
-    assert (left.eta, left.relinearisations, left.plausible_wish) == (0.2, 3, 10.0)
+    assert (left.eta, left.relinearisations, left.plausible_nominal) == (0.2, 3, 10.0)
     names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance", "own_radius", "creeping")
     assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05, 0.0, 0.0), strict=True))
     pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
@@ -45,11 +44,11 @@ def test_file_comes_back_the_same(changes: dict[str, Any], tmp_path: Path) -> No
     assert parse_settings(write_settings(settings)) == settings
 
 
-def test_keys_left_out_keep_their_defaults_and_a_wish_may_be_believed_less_than_a_range_outside() -> None:
+def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_less_than_a_range_outside() -> None:
     settings = parse_settings("eta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n")
     assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}).with_barriers(clearance=0.0)
     assert parse_settings("epsilon = 0.03").epsilon == {"default": 0.03}
-    assert parse_settings("plausible_wish = 0.5").plausible_wish == 0.5
+    assert parse_settings("plausible_nominal = 0.5").plausible_nominal == 0.5
 
 
 @pytest.mark.parametrize(
@@ -82,12 +81,9 @@ def test_keys_left_out_keep_their_defaults_and_a_wish_may_be_believed_less_than_
         ("backup_action = [-0.601, 0.0]", r"backup_action: got -0\.601, wanted -0\.6 to 2\.0"),
         ("backup_action = [0.0, 1.0]", r"backup_action: got 1\.0, wanted -0\.34 to 0\.34"),
         ("backup_action = [0.0]", "backup_action: got 1 numbers"),
-        ("slack_tolerance = 1e-4", "slack_tolerance: no setting any more, .* leave it out"),
-        ("slack_quadratic = 1e5", "slack_quadratic: no setting any more"),
-        ("slack_linear = 1e4", "slack_linear: no setting any more"),
         ("braking_gain = 0", "braking_gain: got 0"),
-        ("plausible_wish = 0", "plausible_wish: got 0, wanted more than 0"),
-        ("plausible_wish = inf", "plausible_wish: got inf, wanted a finite number"),
+        ("plausible_nominal = 0", "plausible_nominal: got 0, wanted more than 0"),
+        ("plausible_nominal = inf", "plausible_nominal: got inf, wanted a finite number"),
         ("speed_high = -0.8", r"speed_high: got -0\.8, wanted more than speed_low -0\.8"),
         ('system = "pendulum"\nclearance = 0.1', "action_low: got none for the system 'pendulum', wanted its bounds"),
         ('system = "pendulum"\netta = 0.1', "etta: unknown key"),
@@ -126,9 +122,6 @@ def test_old_files_are_read_and_keys_of_other_robots_or_of_former_settings_say_n
     old = "system = 'pendulum'\naction_low = [-1.0]\naction_high = [1.0]\nclearance = 0.2\ncorridor_seconds = 0.4\n"
     assert parse_settings(old).barriers == {"corridor_seconds": 0.4}
     assert parse_settings("corridor_seconds = 0.4\nclearance = 0.2").barrier("clearance") == 0.2
-    text = "format = 1\nslack_tolerance = 0.1\neta = 0.3\n slack_linear=2.0\n"
-    assert without_former_keys(text) == ("format = 1\neta = 0.3\n", ["slack_tolerance", "slack_linear"])
-    assert without_former_keys("eta = 0.3") == ("eta = 0.3", [])
 
 
 def test_numbers_of_barriers_that_a_robot_does_not_have_are_refused() -> None:
@@ -155,7 +148,7 @@ def test_settings_of_no_named_robot_go_with_the_numbers_of_any_barrier() -> None
 @pytest.mark.parametrize(
     "changes",
     [
-        {"eta": 1e-300, "plausible_wish": 1e-300, "relinearisations": 0},
+        {"eta": 1e-300, "plausible_nominal": 1e-300, "relinearisations": 0},
         {"margin": "theorem", "epsilon": {"obstacle": 0}},
         {"margin": 1e9, "weights": (1e-300, 1e300), "epsilon": 0.0},
         {"action_low": (math.nextafter(2.0, 0.0), -0.34)},

@@ -36,17 +36,17 @@ def check_promises(verdict: Verdict, settings: FilterSettings) -> None:
     if verdict.status is Status.violated:
         assert verdict.h_now < 0.0
     if verdict.status is Status.passed:
-        assert verdict.wish is not None
-        assert verdict.action.tobytes() == verdict.wish.tobytes()
+        assert verdict.nominal is not None
+        assert verdict.action.tobytes() == verdict.nominal.tobytes()
     assert verdict.sentence.startswith(verdict.status.sentence)
     assert verdict.as_dict()["status"] == verdict.status.value
 
 
-def test_a_safe_wish_is_handed_on_bit_for_bit_with_the_sign_of_its_zero(car_filter: SafetyFilter) -> None:
-    wish = np.array([0.1 + 0.2, -0.0])
-    verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), wish)
+def test_a_safe_nominal_action_is_handed_on_bit_for_bit_with_the_sign_of_its_zero(car_filter: SafetyFilter) -> None:
+    nominal = np.array([0.1 + 0.2, -0.0])
+    verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), nominal)
     assert verdict.status is Status.passed
-    assert verdict.action.tobytes() == wish.tobytes()
+    assert verdict.action.tobytes() == nominal.tobytes()
     assert (verdict.slack, verdict.solver, verdict.reason, verdict.active) == (0.0, "not needed", "", ())
     assert not verdict.intervened
     check_promises(verdict, car_filter.settings)
@@ -57,16 +57,16 @@ def test_a_safe_wish_is_handed_on_bit_for_bit_with_the_sign_of_its_zero(car_filt
     assert math.copysign(1.0, verdict.action[0]) == -1.0
 
 
-def test_wish_beyond_the_actuator_is_clipped_and_said(car_filter: SafetyFilter) -> None:
+def test_nominal_action_beyond_the_actuator_is_clipped_and_said(car_filter: SafetyFilter) -> None:
     verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), [0.2, 0.5])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "The wish lay outside the actuator limits."
+    assert verdict.reason == "The nominal action lay outside the actuator limits."
     np.testing.assert_array_equal(verdict.action, [0.2, 0.34])
-    np.testing.assert_array_equal(verdict.wish, [0.2, 0.5])
+    np.testing.assert_array_equal(verdict.nominal, [0.2, 0.5])
     assert verdict.intervened
 
 
-def test_dangerous_wish_is_corrected_to_the_edge(car_filter: SafetyFilter) -> None:
+def test_dangerous_nominal_action_is_corrected_to_the_edge(car_filter: SafetyFilter) -> None:
     verdict = car_filter.decide(NEAR, [2.0, 0.0])
     assert verdict.status is Status.corrected
     assert verdict.solver == "solved"
@@ -135,8 +135,8 @@ def test_no_better_action_is_overlooked(
     grid = np.column_stack([targets.ravel(), steers.ravel()])
     while len(ratios) < 25:
         barriers = random_scene(random, 5)
-        state, wish = safe_state(random, barriers, 0.05), np.array([2.0, random.uniform(-0.34, 0.34)])
-        verdict = safe.decide(state, wish, barriers=barriers)
+        state, nominal = safe_state(random, barriers, 0.05), np.array([2.0, random.uniform(-0.34, 0.34)])
+        verdict = safe.decide(state, nominal, barriers=barriers)
         if verdict.status is not Status.corrected:
             continue
         following = car.step(np.broadcast_to(state, (len(grid), 4)), grid)
@@ -147,8 +147,8 @@ def test_no_better_action_is_overlooked(
                 for row in following
             ]
         )
-        distance = (((grid - wish) / (settings.high - settings.low)) ** 2).sum(axis=1)[kept].min()
-        own = (((verdict.action - wish) / (settings.high - settings.low)) ** 2).sum()
+        distance = (((grid - nominal) / (settings.high - settings.low)) ** 2).sum(axis=1)[kept].min()
+        own = (((verdict.action - nominal) / (settings.high - settings.low)) ** 2).sum()
         ratios.append(own / max(distance, 1e-3))
     assert np.median(ratios) < 1.05
     assert np.mean(np.array(ratios) < 1.3) > 0.85
@@ -161,8 +161,8 @@ def test_larger_margin_never_lowers_h_next() -> None:
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - 2.0 * x[1])], settings)
     for _ in range(100):
-        state, wish = random.uniform((-2, -1), (1, 0.5)), random.uniform(-1, 1, 1)
-        heights = [safe.decide(state, wish, epsilon={"function": e}).h_next for e in np.linspace(0.0, 0.3, 12)]
+        state, nominal = random.uniform((-2, -1), (1, 0.5)), random.uniform(-1, 1, 1)
+        heights = [safe.decide(state, nominal, epsilon={"function": e}).h_next for e in np.linspace(0.0, 0.3, 12)]
         assert (np.diff(heights) >= -1e-4).all()
 
 
@@ -194,12 +194,12 @@ def test_infeasible_situation_is_visible_and_brakes() -> None:
 
 
 def test_infeasible_double_integrator_brakes_fully() -> None:
-    """The same with a user's own model: full braking, -1 m/s2 and no more, whatever was wished."""
+    """The same with a user's own model: full braking, -1 m/s2 and no more, whatever action was requested."""
     dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,))
     f, g = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2], [dt]])
     safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - x[1] ** 2 / 2.0)], settings)
-    for wish in (1.0, 0.0, -0.9):
-        verdict = safe.decide(np.array([0.0, 20.0]), [wish])
+    for nominal in (1.0, 0.0, -0.9):
+        verdict = safe.decide(np.array([0.0, 20.0]), [nominal])
         assert verdict.status is Status.violated
         assert verdict.reason == "Below 0: h."
         assert verdict.action[0] == pytest.approx(-1.0, abs=0.01)
@@ -209,7 +209,7 @@ def test_infeasible_double_integrator_brakes_fully() -> None:
 
 
 def test_double_integrator_stays_left_of_the_wall() -> None:
-    """Exact affine control: h = 1 - x - v|v|/(2 b), adversarial wish, 400 steps."""
+    """Exact affine control: h = 1 - x - v|v|/(2 b), adversarial nominal action, 400 steps."""
     dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.002, eta=0.1)
     f, g = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2], [dt]])
     barrier = FunctionBarrier(lambda x: 1.0 - x[0] - max(x[1], 0.0) ** 2 / (2 * 0.8) - 0.1 * max(x[1], 0.0))
@@ -242,7 +242,7 @@ def test_disabled_hands_on_what_the_actuator_can_do(car: PhysicsModel) -> None:
 
 
 def test_saturated_servo_does_not_hide_the_brake(car_filter: SafetyFilter) -> None:
-    """At low speed the servo saturates for a fast wish, so that the tangent at the wish knows no influence of it."""
+    """At low speed the servo saturates for a fast nominal action, so that the tangent at the nominal action knows no influence of it."""
     verdict = car_filter.decide(np.array([1.0, 0.0, 0.0, 0.2]), [2.0, 0.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == ""
@@ -250,7 +250,7 @@ def test_saturated_servo_does_not_hide_the_brake(car_filter: SafetyFilter) -> No
 
 
 def test_each_reference_action_is_judged_by_the_nonlinear_model() -> None:
-    """h bends: the tangent at the wish misleads, re-linearisation finds the edge."""
+    """h bends: the tangent at the nominal action misleads, re-linearisation finds the edge."""
     settings = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon=0.0, eta=1.0)
     safe = SafetyFilter(
         lambda x, latent, around: (around**2 * -0.5, np.array([[around[0]]])),
@@ -294,9 +294,9 @@ def test_memory_of_a_models_actuators_changes_the_prediction(car: PhysicsModel, 
 
     lagging = car.with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.3)})
     safe = SafetyFilter.for_model(lagging, settings, [FunctionBarrier(lambda x: x[2] + 1.0)])
-    state, wish = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.3])
-    settled = safe.decide(state, wish)
-    turning = safe.decide(state, wish, memory=lagging.initial_memory(np.array([1.0, -0.3])))
+    state, nominal = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.3])
+    settled = safe.decide(state, nominal)
+    turning = safe.decide(state, nominal, memory=lagging.initial_memory(np.array([1.0, -0.3])))
     assert settled.h_next > 1.0 > turning.h_next
 
 
@@ -339,5 +339,5 @@ def test_time_comes_from_the_clock_given() -> None:
     assert verdict.as_dict() == {
         "action": [0.5], "status": "passed", "sentence": Status.passed.sentence, "slack": 0.0, "active": [],
         "h_now": 5.0, "h_next": 4.5, "margin": 0.0, "solver": "not needed", "microseconds": verdict.microseconds,
-        "wish": [0.5], "known": True,
+        "nominal": [0.5], "known": True,
     }  # fmt: skip

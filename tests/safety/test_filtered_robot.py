@@ -12,15 +12,15 @@ from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, asked, latent_a
 from safedpa.bus import (
     ACTION,
     LATENT,
+    NOMINAL,
     SURROUNDINGS,
     VERDICT,
-    WISH,
+    NominalMessage,
     Request,
     Stale,
     StateMessage,
     SurroundingsMessage,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.runtime.node import SafetyFilterNode
@@ -140,7 +140,7 @@ def test_a_prediction_is_compared_only_with_the_next_tick_of_the_filters_own_act
 
 
 def closer(node: SafetyFilterNode, ticks: range) -> VerdictMessage:
-    """The last verdict of a car that creeps up to an obstacle though its wish is to rest."""
+    """The last verdict of a car that creeps up to an obstacle though its nominal action is to rest."""
     for tick in ticks:
         state = state_at(tick, (0.012 * tick, 0.0, 0.0, 0.0), **NEAR)
         verdict = asked(node, state, latent_at(state), (0.0, 0.0))
@@ -171,7 +171,7 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
 
 # standing
 @pytest.mark.parametrize(
-    ("changed", "wish", "status", "stands"),
+    ("changed", "nominal", "status", "stands"),
     [
         ({}, (1.0, 0.0), "passed", 0.2),
         ({"obstacle": 0.9}, (1.0, 0.0), "corrected", 0.2),
@@ -180,8 +180,8 @@ def test_over_a_shorter_period_the_margin_stays_and_predictions_are_shorter() ->
         ({"order": "stop"}, (1.0, 0.0), "stopped", 0.0),
     ],
 )
-def test_a_robot_stands_only_while_a_wish_should_move_it(
-    changed: dict[str, Any], wish: tuple[float, float], status: str, stands: float
+def test_a_robot_stands_only_while_a_nominal_action_should_move_it(
+    changed: dict[str, Any], nominal: tuple[float, float], status: str, stationary_for: float
 ) -> None:
     orders = StopOrders()
     if "order" in changed:
@@ -189,11 +189,11 @@ def test_a_robot_stands_only_while_a_wish_should_move_it(
     node = SafetyFilterNode(CAR, replace(SETTINGS, enabled=changed.get("enabled", True)), orders=orders)
     for tick in range(5):
         state = state_at(tick, AT_REST, obstacles=((changed.get("obstacle", 6.0), 0.0, 0.1),))
-        verdict = asked(node, state, latent_at(state), wish)
-    assert (verdict.status, verdict.stands) == (status, pytest.approx(stands))
+        verdict = asked(node, state, latent_at(state), nominal)
+    assert (verdict.status, verdict.stationary_for) == (status, pytest.approx(stationary_for))
     orders.answer("r", Request(do="stop", who="me"))
     verdict = answered(node, 5, values=AT_REST)
-    assert (verdict.status, verdict.stands) == ("stopped", 0.0), "an order to stop ends a stand"
+    assert (verdict.status, verdict.stationary_for) == ("stopped", 0.0), "an order to stop ends a stand"
 
 
 def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None:
@@ -202,10 +202,10 @@ def test_a_standing_robot_is_reported_with_a_reason_after_five_seconds() -> None
         verdict = answered(node, tick, values=AT_REST, obstacles=((0.85, 0.0, 0.3),))
         sentences.append(verdict.sentence)
         if tick < 80:
-            assert verdict.standstill == ""
-    assert verdict.stands == pytest.approx(6.95, abs=0.11)
-    assert verdict.standstill
-    assert f"The robot has stood for {verdict.stands:.1f} s. {verdict.standstill}." in sentences[-1]
+            assert verdict.stationary_reason == ""
+    assert verdict.stationary_for == pytest.approx(6.95, abs=0.11)
+    assert verdict.stationary_reason
+    assert f"The robot has stood for {verdict.stationary_for:.1f} s. {verdict.stationary_reason}." in sentences[-1]
     assert "has stood" not in sentences[20]
 
 
@@ -242,7 +242,7 @@ def test_a_rescue_sends_an_action_and_a_verdict_that_promises_nothing() -> None:
         assert isinstance(verdict, VerdictMessage)
         assert outputs[ACTION].values == verdict.action == (0.0, 0.0)
         assert (verdict.status, "the filter raised" in verdict.sentence) == ("fallback", True)
-        assert (verdict.predicted, verdict.model, verdict.stands) == ((), "", 0.0)
+        assert (verdict.predicted, verdict.model, verdict.stationary_for) == ((), "", 0.0)
         assert (verdict.coverage, verdict.promised) == (-1.0, -1.0)
 
 
@@ -271,25 +271,25 @@ def answer_to(node: SafetyFilterNode, state: StateMessage, inputs: dict[Any, Any
     return verdict
 
 
-def pendulum_asked(wish: Any) -> VerdictMessage:
+def pendulum_asked(nominal: Any) -> VerdictMessage:
     corridor: dict[str, Any] = {"corridor": (-1.0, 1.0), "obstacles": (), "field": (), "footprint": ()}
     state = state_at(0, (0.0, 0.0), applied=(0.0,), period=PENDULUM.period, **corridor)
     node = SafetyFilterNode(PENDULUM, settings_named("pendulum"))
-    return answer_to(node, state, {LATENT: latent_at(state, PENDULUM), WISH: wish})
+    return answer_to(node, state, {LATENT: latent_at(state, PENDULUM), NOMINAL: nominal})
 
 
-def test_without_a_wish_a_robot_that_can_stand_is_stopped_and_another_one_filtered() -> None:
-    verdict = pendulum_asked(Stale(WISH, None))
+def test_without_a_nominal_action_a_robot_that_can_stand_is_stopped_and_another_one_filtered() -> None:
+    verdict = pendulum_asked(Stale(NOMINAL, None))
     assert verdict.status == "corrected"
     assert STANDS_IN in verdict.sentence
-    assert verdict.wish == ()
-    wish = WishMessage(**stamp(state_at(0)), values=(0.1,), controller="test")
-    verdict = pendulum_asked(wish)
-    assert (verdict.status, verdict.wish) == ("passed", (0.1,))
+    assert verdict.nominal == ()
+    nominal = NominalMessage(**stamp(state_at(0)), values=(0.1,), controller="test")
+    verdict = pendulum_asked(nominal)
+    assert (verdict.status, verdict.nominal) == ("passed", (0.1,))
     node, state = SafetyFilterNode(CAR, SETTINGS), state_at(0)
-    verdict = answer_to(node, state, {LATENT: latent_at(state), WISH: Stale(WISH, None)})
+    verdict = answer_to(node, state, {LATENT: latent_at(state), NOMINAL: Stale(NOMINAL, None)})
     assert verdict.status == "fallback"
-    assert "the wish (" in verdict.sentence
+    assert "the nominal action (" in verdict.sentence
     assert STANDS_IN not in verdict.sentence
 
 
@@ -304,7 +304,7 @@ def test_a_robot_whose_speed_is_not_reported_has_none_to_lose() -> None:
 def test_a_robot_is_at_rest_when_none_of_its_speeds_is_left(speeds: tuple[float, float], still: bool) -> None:
     node = SafetyFilterNode(POINT, settings_named("point"))
     state = state_at(0, (0.0, 0.0, 0.0, *speeds), period=POINT.period, applied=(0.0,) * len(POINT.system.action))
-    assert answer_to(node, state, {LATENT: Stale(LATENT, None), WISH: Stale(WISH, None)}).status == "fallback"
+    assert answer_to(node, state, {LATENT: Stale(LATENT, None), NOMINAL: Stale(NOMINAL, None)}).status == "fallback"
     assert node.at_rest("r") is still
 
 
@@ -334,7 +334,7 @@ def sees(node: SafetyFilterNode, state: StateMessage, *, latent: bool = True, **
     around = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
     inputs = {
         LATENT: latent_at(state) if latent else ABSENT,
-        WISH: WishMessage(**stamp(state), values=(0.2, 0.0), controller="test"),
+        NOMINAL: NominalMessage(**stamp(state), values=(0.2, 0.0), controller="test"),
         SURROUNDINGS: SurroundingsMessage(**stamp(state), **around),
     }
     return answer_to(node, state, inputs)

@@ -149,7 +149,7 @@ def test_one_number_is_f_of_one_state() -> None:
 
 @pytest.mark.parametrize("g", [np.ones(2), np.ones((2, 1)), np.ones((1, 3)), np.ones((1, 2, 1))], ids=str)
 def test_slopes_given_with_a_step_have_a_row_for_each_state(g: Any) -> None:
-    """The step knows the next state, and says nothing of their shape: the filter needs them once a wish is refused."""
+    """The step knows the next state, and says nothing of their shape: the filter needs them once a nominal action is refused."""
     settings = FilterSettings(action_low=(-1.0,) * 2, action_high=(1.0,) * 2, epsilon=0.0)
     for given, status in ((g, Status.fallback), (np.ones((1, 2)), Status.corrected)):
         model = Prediction(lambda x, given=given: (x, given), lambda x, a: x + a.sum())

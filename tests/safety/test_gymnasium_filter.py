@@ -152,11 +152,11 @@ def test_bounds_that_single_precision_cannot_hold() -> None:
 
     safe = SafetyFilter(lambda x: (F @ x, G), [FunctionBarrier(wall)], settings)
     env = GymnasiumSafetyFilter(Tight(), safe, state_of=lambda seen: seen[:2])
-    for wish in (-1.0, 1.0):
+    for nominal in (-1.0, 1.0):
         env.reset()
-        env.step(np.array([wish], np.float32))
+        env.step(np.array([nominal], np.float32))
         assert abs(float(env.env.taken[0])) <= 0.34
-        assert float(env.env.taken[0]) == pytest.approx(0.34 * wish)
+        assert float(env.env.taken[0]) == pytest.approx(0.34 * nominal)
         assert env.env.taken.dtype == np.float32
 
 
@@ -195,10 +195,10 @@ def test_a_vector_environment_gets_one_verdict_an_environment() -> None:
     assert isinstance(env, GymnasiumVectorSafetyFilter)
     _, infos = env.reset(seed=0)
     assert infos["start"].tolist() == [True] * 3
-    wishes = np.array([[1.0], [-0.5], [np.nan]], np.float32)
+    nominal_actions = np.array([[1.0], [-0.5], [np.nan]], np.float32)
     statuses: set[tuple[int, Status]] = set()
     for _ in range(120):
-        observations, _, terminated, _, infos = env.step(wishes)
+        observations, _, terminated, _, infos = env.step(nominal_actions)
         verdicts = infos["verdict"]
         assert verdicts.shape == (3,)
         (masks,) = (value for key, value in infos.items() if key.startswith("_") and key.endswith("verdict"))
@@ -272,10 +272,10 @@ def test_before_the_first_observation_nothing_is_known() -> None:
 def test_a_policy_that_writes_into_its_observation_moves_no_state(count: int) -> None:
     env = GymnasiumSafetyFilter(many(count) if count else Cart(), filter_of(), state_of=lambda seen: seen[:2])
     observation, _ = env.reset()
-    wish = np.ones((count, 1) if count else 1, np.float32)
+    nominal = np.ones((count, 1) if count else 1, np.float32)
     for _ in range(150):
         observation -= 50.0
-        observation = env.step(wish)[0]
+        observation = env.step(nominal)[0]
         assert np.all(observation[..., 0] < 1.0)
 
 

@@ -232,11 +232,11 @@ class Affine:
         self.slopes = random.normal(size=(rows, actions))
         self.base, self.now = random.normal(-0.7, 0.8, rows), random.normal(-0.3, 0.8, rows)
         self.now[0] = -abs(self.now[0])
-        self.wish, self.eta = random.uniform(-1.0, 1.0, actions), float(random.uniform(0.05, 1.0))
+        self.nominal, self.eta = random.uniform(-1.0, 1.0, actions), float(random.uniform(0.05, 1.0))
         self.required = (1.0 - self.eta) * self.now
         self.reach = 2.0 * np.abs(self.slopes).sum(axis=1)
         self.scale = np.maximum(np.abs(self.now), self.reach)
-        self.found = np.array(Case(self.after, self.now.tolist(), self.wish.tolist(), eta=self.eta).run().action)
+        self.found = np.array(Case(self.after, self.now.tolist(), self.nominal.tolist(), eta=self.eta).run().action)
 
     def after(self, action: Values) -> Values:
         return np.asarray(self.base + self.slopes @ action)
@@ -254,10 +254,10 @@ class Affine:
         return float(found.x[-1])
 
     def nearest(self, floors: Values) -> Values:
-        """The action nearest to the wish with h >= floors."""
-        eye = np.eye(len(self.wish))
+        """The action nearest to the nominal action with h >= floors."""
+        eye = np.eye(len(self.nominal))
         C, d = np.vstack([self.slopes, eye, -eye]), [*(floors - self.base), *[-1.0] * (2 * len(eye))]
-        return np.asarray(quadprog.solve_qp(2.0 * eye, 2.0 * self.wish, C.T, np.array(d))[0])
+        return np.asarray(quadprog.solve_qp(2.0 * eye, 2.0 * self.nominal, C.T, np.array(d))[0])
 
 
 @pytest.mark.parametrize("seed", range(100, 140))
@@ -294,8 +294,8 @@ def bent(seed: int) -> Any:
 def test_of_what_bends_a_fine_grid_knows_little_better() -> None:
     line, short = np.linspace(-1.0, 1.0, 41), []
     for seed in range(40):
-        h, wish = bent(seed), np.random.default_rng(1000 + seed).uniform(-1.0, 1.0, 2)
-        found = np.array(Case(h, [-1.0, -1.0, -1.0], wish.tolist(), affine=False).run().h_next)
+        h, nominal = bent(seed), np.random.default_rng(1000 + seed).uniform(-1.0, 1.0, 2)
+        found = np.array(Case(h, [-1.0, -1.0, -1.0], nominal.tolist(), affine=False).run().h_next)
         values = np.array([h(np.array([x, y])) for x in line for y in line])
         scale = np.maximum(1.0, values.max(axis=0) - values.min(axis=0))
         short.append((values / scale).min(axis=1).max() - (found / scale).min())
@@ -305,9 +305,9 @@ def test_of_what_bends_a_fine_grid_knows_little_better() -> None:
 
 
 @pytest.mark.parametrize("top", [-0.6, 0.1, 0.5])
-@pytest.mark.parametrize("wish", [-1.0, 0.0, 0.9])
-def test_the_top_of_a_parabola_is_found_within_what_may_be_given_away(top: float, wish: float) -> None:
-    found = Case(lambda a: [-1.0 - (a[0] - top) ** 2], [-1.0], [wish]).run()
+@pytest.mark.parametrize("nominal", [-1.0, 0.0, 0.9])
+def test_the_top_of_a_parabola_is_found_within_what_may_be_given_away(top: float, nominal: float) -> None:
+    found = Case(lambda a: [-1.0 - (a[0] - top) ** 2], [-1.0], [nominal]).run()
     assert found.h_next[0] >= -1.0 - TOLERANCE * (1.0 + abs(top)) ** 2
 
 
@@ -325,7 +325,9 @@ def test_the_robot_keeps_what_it_has_and_what_no_action_moves_counts_by_the_larg
 def test_of_what_is_above_zero_half_is_given_away_and_nothing_of_a_zero_missed_by_rounding() -> None:
     found = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run()
     assert found.h_next[0] == pytest.approx(0.0005, rel=1e-3)
-    known = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run([-1.0], [0.9985])  # 0.0005 below 0, nearer to the wish
+    known = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run(
+        [-1.0], [0.9985]
+    )  # 0.0005 below 0, nearer to the nominal action
     assert known.h_next[0] >= 0.0
     found = Case(lambda a: [a[0] - 1.0 - 1e-8], [-3.0], [-1.0]).run()
     assert found.h_next[0] >= -2e-8
@@ -342,7 +344,7 @@ def test_what_is_kept_but_for_rounding_is_not_stuck(now: float, required: float)
 
 @pytest.mark.parametrize("now", [0.0, 0.5])
 def test_where_all_is_well_now_what_keeps_all_wins_over_what_almost_does(now: float) -> None:
-    """The second known action is nearer to the wish, and misses its condition by less than else may be given away."""
+    """The second known action is nearer to the nominal action, and misses its condition by less than else may be given away."""
     case = Case(lambda a: [a[0] + 5.0, 3.0], [5.5, now], [0.0], eta=0.0)
     found = case.run([0.5], [0.4995])
     assert found.action == (0.5,)
@@ -358,14 +360,14 @@ def test_what_keeps_all_is_no_more_a_question_of_height(now: float) -> None:
 
 
 def test_an_affine_question_is_answered_in_one_round_without_anything_between_known_answers() -> None:
-    """Four corners, the wish, the backup, the highest and the nearest as high; one linear program for each level."""
+    """Four corners, the nominal action, the backup, the highest and the nearest as high; one linear program for each level."""
     highest = Counted(MaxMinProgram(2))
     rows, now = [[1.0, 1.0, -3.0], [-2.0, -1.0, -4.0], [0.3, -2.0, -3.6]], [-3.0, -4.0, -3.5]
     case = Case(lambda a: [x * a[0] + y * a[1] + z for x, y, z in rows], now, [0.0, 0.0], highest=highest)
     case.run()
     assert len(case.asked) == 4 + 1 + 1 + 2
     assert highest.solved == 1
-    # As near to the wish as what may be given away allows: what the programs propose is foretold, and no better.
+    # As near to the nominal action as what may be given away allows: what the programs propose is foretold, and no better.
     case = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0])
     assert case.run([-1.0], [0.9962]).action == (0.9962,)
     assert len(case.asked) == 2 + 2 + 1 + 2

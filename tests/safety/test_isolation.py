@@ -87,10 +87,10 @@ def test_functions_of_the_model_cannot_write(place: str) -> None:
 
 
 def test_the_callers_arrays_stay_the_callers() -> None:
-    state, wish, latent = np.array([0.5]), np.array([1.0]), np.array([0.3])
-    made(affine=lambda x, z: (x, np.eye(1))).decide(state, wish, latent)
-    assert [array.flags.writeable for array in (state, wish, latent)] == [True] * 3
-    assert (state, wish, latent) == ([0.5], [1.0], [0.3])
+    state, nominal, latent = np.array([0.5]), np.array([1.0]), np.array([0.3])
+    made(affine=lambda x, z: (x, np.eye(1))).decide(state, nominal, latent)
+    assert [array.flags.writeable for array in (state, nominal, latent)] == [True] * 3
+    assert (state, nominal, latent) == ([0.5], [1.0], [0.3])
 
 
 STRANGE = [
@@ -268,10 +268,10 @@ def test_rubbish_in_any_place_is_answered(rubbish: Any, name: str) -> None:
     model = load_model(name)
     low, high = np.maximum(model.system.action_low, -0.01), np.minimum(model.system.action_high, 0.01)
     settings = FilterSettings(action_low=tuple(low), action_high=tuple(high))
-    state, wish = np.zeros(len(model.system.state)), np.zeros(len(low))
+    state, nominal = np.zeros(len(model.system.state)), np.zeros(len(low))
     safe = SafetyFilter.for_model(model, settings, [FunctionBarrier(lambda x: 9.0 - x[0])])
-    good: dict[str, Any] = {"state": state, "wish": wish, "latent": model.latent}
-    for place in ("state", "wish", "latent", "memory", "barriers", "epsilon", "stale"):
+    good: dict[str, Any] = {"state": state, "nominal": nominal, "latent": model.latent}
+    for place in ("state", "nominal", "latent", "memory", "barriers", "epsilon", "stale"):
         verdict = safe.decide(**{**good, place: rubbish})
         assert isinstance(verdict, Verdict)
         assert (verdict.action >= low).all()
@@ -280,7 +280,7 @@ def test_rubbish_in_any_place_is_answered(rubbish: Any, name: str) -> None:
         if place != "memory" and not nothing:
             assert (place, verdict.status) == (place, Status.fallback)
     assert isinstance(safe.stop("why", rubbish, rubbish, memory=rubbish, stale=rubbish), Verdict)
-    assert isinstance(safe.hold("the wish", rubbish, rubbish, memory=rubbish, epsilon=rubbish), Verdict)
+    assert isinstance(safe.hold("the nominal action", rubbish, rubbish, memory=rubbish, epsilon=rubbish), Verdict)
 
 
 class Unprintable(Exception):  # noqa: N818 - what a user's own may be called
@@ -315,7 +315,7 @@ def test_two_threads_at_once_get_one_decision_and_one_refusal() -> None:
     asked = len(calls)
     seconds = [
         safe.decide([0.0], [1.0], barriers=free),
-        safe.hold("the wish", [0.0], barriers=free),
+        safe.hold("the nominal action", [0.0], barriers=free),
         safe.stop("why", [0.0], barriers=free),
     ]
     assert len(calls) == asked  # not even the backup: it is the other thread's as well

@@ -1,4 +1,4 @@
-"""The least unsafe action, aim by aim: the highest, then the conditions, then the wish."""
+"""The least unsafe action, aim by aim: the highest, then the conditions, then the nominal action."""
 
 from itertools import product
 from typing import Any
@@ -21,7 +21,7 @@ class Mute:
         return None
 
 
-def test_the_highest_is_taken_though_the_wish_is_far() -> None:
+def test_the_highest_is_taken_though_the_nominal_action_is_far() -> None:
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0, abs=2.5 * TOLERANCE)
     assert found.h_next[0] >= -2.0 - 2.0 * TOLERANCE  # of what the actions change: 2
@@ -55,7 +55,7 @@ def test_of_an_actuator_that_saturates_the_corners_tell_and_not_the_slope(
     assert case.run(*known).action[0] == pytest.approx(1.0 - 0.05 * TOLERANCE, abs=1e-5)
 
 
-def test_a_little_height_is_given_away_for_the_wish_but_not_from_just_zero_or_to_below_it() -> None:
+def test_a_little_height_is_given_away_for_the_nominal_action_but_not_from_just_zero_or_to_below_it() -> None:
     """The programs give away half of what the comparison allows for: rounding refuses nothing."""
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
     assert found.action[0] == pytest.approx(1.0 - TOLERANCE, abs=1e-6)
@@ -82,7 +82,7 @@ def test_after_the_least_share_the_next_least_is_raised_and_then_the_third() -> 
 
 
 def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
-    """h_1 asks for -0.2 of the second action; from there on the wish decides."""
+    """h_1 asks for -0.2 of the second action; from there on the nominal action decides."""
     for asked in (-0.2, 0.5):
         found = Case(lambda a: [a[0] - 5.0, a[1] + 3.0], [-5.0, 3.0 + asked], [-1.0, -1.0], eta=0.0).run()
         assert found.action == pytest.approx((1.0, asked), abs=0.02)
@@ -91,7 +91,7 @@ def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
 
 
 def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
-    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the wish."""
+    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the nominal action."""
     found = Case(lambda a: [a[0] - 3.0, 2.0 * a[1] - 2.0], [-3.0, -3.0], [-1.0, -1.0], eta=0.0).run()
     assert found.action == pytest.approx((1.0, -1.0 / 3.0), abs=0.02)
     both = Case(
@@ -100,8 +100,8 @@ def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
     assert both.action == pytest.approx((1.0, 0.5), abs=0.02)
 
 
-def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_wish_is_left() -> None:
-    """h_0 is the least and stays it; h_1 is brought to its condition, the second action stays as wished."""
+def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_nominal_action_is_left() -> None:
+    """h_0 is the least and stays it; h_1 is brought to its condition, the second action stays as requested."""
     found = Case(lambda a: [-7.0, a[0] - 0.5], [-7.0, 0.1], [-1.0, 0.25], eta=0.0).run()
     assert found.action == pytest.approx((0.6, 0.25), abs=0.02)
     case = Case(lambda a: [-7.0], [-7.0], [0.3])
@@ -110,7 +110,7 @@ def test_a_row_that_no_action_moves_holds_nothing_up_and_where_none_moves_the_wi
 
 
 def test_of_what_is_known_the_best_is_never_lost() -> None:
-    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the wish."""
+    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the nominal action."""
 
     def bump(a: Values) -> list[float]:
         return [0.5 - abs(a[0] - 0.2) - 0.1 * a[1]]
@@ -124,8 +124,8 @@ def test_of_what_is_known_the_best_is_never_lost() -> None:
     assert corners.run([0.0, 0.0]).action == (1.0, -1.0)
 
 
-def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_wish() -> None:
-    """h_0 stays the least; h_1 misses its condition by more at the one that is nearer to the wish."""
+def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_nominal_action() -> None:
+    """h_0 stays the least; h_1 misses its condition by more at the one that is nearer to the nominal action."""
 
     case = Case(lambda a: [-7.0, a[0]], [-7.0, 2.0], [-0.5], eta=0.0, highest=Mute())
     assert case.run([-0.5], [0.5]).action == (1.0,)
@@ -133,7 +133,7 @@ def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_wish(
     found = kept.run([-0.5], [0.3])
     assert found.kept is False
     assert found.residual[1] >= 0.0
-    assert found.action[0] <= 0.3, "and nearer to the wish by itself, as far as the condition allows"
+    assert found.action[0] <= 0.3, "and nearer to the nominal action by itself, as far as the condition allows"
 
 
 def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
@@ -152,21 +152,21 @@ def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
 
 def test_what_bends_is_followed_to_its_top_on_a_line_and_in_the_plane() -> None:
     """A tangent anywhere else leads past it: the programs are posed anew, steps on the way are tried."""
-    for wish, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
-        found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [wish]).run()  # type: ignore[misc]
+    for nominal, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
+        found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [nominal]).run()  # type: ignore[misc]
         assert found.h_next[0] >= -1.0 - 0.02 * 4.0
     random = np.random.default_rng(0)
     for _ in range(20):
-        top, wish = random.uniform(-0.8, 0.8, (2, 2))
-        found = Case(lambda a, top=top: [-1.0 - ((a - top) ** 2).sum()], [-1.0], wish.tolist()).run()  # type: ignore[misc]
+        top, nominal = random.uniform(-0.8, 0.8, (2, 2))
+        found = Case(lambda a, top=top: [-1.0 - ((a - top) ** 2).sum()], [-1.0], nominal.tolist()).run()  # type: ignore[misc]
         assert found.h_next[0] >= -1.0 - 0.15
 
 
 def test_corners_are_tried_where_a_tangent_is_blind_and_programs_posed_from_the_best() -> None:
-    """Flat from -0.9 to 0.5, steep beyond: no slope at the wish tells of it."""
+    """Flat from -0.9 to 0.5, steep beyond: no slope at the nominal action tells of it."""
     found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0], [-3.0], [0.0]).run()
     assert found.h_next[0] >= -2.5 - 0.01
-    # The corner is a foothold; between it and the top the tangent leads on to the wish.
+    # The corner is a foothold; between it and the top the tangent leads on to the nominal action.
     found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0, 2.0 - a[1]], [-3.0, 1.5], [0.0, 0.0]).run()
     assert found.h_next[0] >= -2.5 - 0.01
     assert found.action[1] == pytest.approx(0.0, abs=0.05)
@@ -182,7 +182,7 @@ def test_corners_are_tried_up_to_four_actions(actions: int, corners: int) -> Non
 
 
 def test_where_one_action_alone_has_numbers_the_search_begins_there() -> None:
-    """Five actions, so that no corners are tried; of the wish the model knows nothing."""
+    """Five actions, so that no corners are tried; of the nominal action the model knows nothing."""
     case = Case(
         lambda a: [np.nan if a[0] == 0.7 else a.sum() - 9.0], [-9.0], [0.7] + [0.0] * 4, affine=False, backup=[0.0] * 5
     )
@@ -202,12 +202,12 @@ def test_without_corners_what_actions_can_change_is_what_the_tangent_says_over_t
 def test_nothing_is_asked_of_an_action_beyond_the_bounds(affine: bool) -> None:
     random = np.random.default_rng(2)
     for _ in range(20):
-        top, wish = random.uniform(-1.2, 1.2, (2, 2))
+        top, nominal = random.uniform(-1.2, 1.2, (2, 2))
         steep = float(random.uniform(0.5, 8.0))
         case = Case(
             lambda a, top=top, steep=steep: [-1.0 - steep * ((a - top) ** 2).sum(), np.exp(steep * a[0]) - 2.0],  # type: ignore[misc]
             [-1.0, 0.5],
-            np.clip(wish, -1.0, 1.0).tolist(),
+            np.clip(nominal, -1.0, 1.0).tolist(),
             affine=affine,
         )
         case.run()
@@ -230,7 +230,7 @@ def test_a_program_that_gives_up_at_the_second_aim_leaves_what_the_first_one_fou
 
 
 def test_what_was_foretold_needs_no_second_round() -> None:
-    """Affine: 4 corners, the wish, the highest and the nearest as high."""
+    """Affine: 4 corners, the nominal action, the highest and the nearest as high."""
     case = Case(lambda a: [a[0] - 3.0, a[1] - 2.0], [-3.0, -2.0], [0.0, 0.0])
     case.run()
     assert len(case.asked) == 4 + 1 + 1 + 2
@@ -241,15 +241,15 @@ def test_never_below_zero_where_all_can_be_kept_above() -> None:
     random = np.random.default_rng(1)
     for _ in range(50):
         slope, room = random.uniform(0.5, 5.0), 10.0 ** random.uniform(-4.0, -1.0)
-        wish = random.uniform(-1.0, 1.0, 2)
+        nominal = random.uniform(-1.0, 1.0, 2)
         found = Case(
             lambda a, slope=slope, room=room: [a[0] + room, room - slope * a[0]],  # type: ignore[misc]
             [1.0, 1.0],
-            wish.tolist(),
+            nominal.tolist(),
             eta=0.1,
         ).run()
         assert min(found.h_next) >= 0.0
-        assert found.action[1] == pytest.approx(wish[1], abs=1e-3)
+        assert found.action[1] == pytest.approx(nominal[1], abs=1e-3)
 
 
 def test_it_is_the_same_in_any_unit() -> None:

@@ -248,17 +248,17 @@ def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     drives = [{"a": np.array([HSample(5.0, 5.0 - 0.04 * k), HSample(0.3, 0.3)])} for k in range(100)]
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
-    assert far.constants == {"ceiling.a": 0.5, "drive.ceiling.a": 0.5}
+    assert far.constants == {"clip.a": 0.5, "drive.clip.a": 0.5}
     nobody = [{"a": np.array([HSample(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
     seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
-    assert seen.constants["ceiling.a"] == 1.0, "where nobody came near, farther steps have to say something"
+    assert seen.constants["clip.a"] == 1.0, "where nobody came near, farther steps have to say something"
     assert seen.drive["a"] == pytest.approx(0.009)
     with pytest.raises(InputError, match="transitions: got 0"):
         calibration_from_drives([{"a": np.zeros((0, 4))}] * 100, 0.9, "", "x")
     low = [{"a": np.array([HSample(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
     found = calibration_from_drives(low, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"
-    assert found.constants["drive.ceiling.a"] == 64.0
+    assert found.constants["drive.clip.a"] == 64.0
 
 
 def test_ten_drives_near_are_enough_and_fewer_are_not() -> None:
@@ -267,11 +267,11 @@ def test_ten_drives_near_are_enough_and_fewer_are_not() -> None:
     for count, top, drive in ((10, 0.5, 0.01), (9, 1.0, 0.02)):
         drives = [{"a": np.array([near, far])}] * count + [{"a": np.array([far])}] + [{}] * (98 - count)
         made = calibration_from_drives(drives, 0.99, "", "x", low)
-        assert made.constants["ceiling.a"] == top
+        assert made.constants["clip.a"] == top
         assert made.drive["a"] == pytest.approx(drive)
         assert made.transitions == 2 * count + 1, "a drive without anything has no step"
     never = calibration_from_drives([{"a": np.array([HSample(1e13, 1e13)])}] * 99, 0.99, "", "x", low)
-    assert never.constants["ceiling.a"] == 0.5 * 2.0**40
+    assert never.constants["clip.a"] == 0.5 * 2.0**40
     assert never.drive == {"a": 0.0}
 
 

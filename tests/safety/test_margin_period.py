@@ -12,8 +12,8 @@ from tests.safety.node_steps import CAR, SETTINGS, asked, latent_at, stamp, stat
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT as LATENTS
+from safedpa.bus import NOMINAL, TAKEOVER, LatentMessage, ModelMessage, NominalMessage, ReceivedMessage, VerdictMessage
 from safedpa.bus import STATE as STATES
-from safedpa.bus import TAKEOVER, WISH, LatentMessage, ModelMessage, ReceivedMessage, VerdictMessage, WishMessage
 from safedpa.bus.messages.codec import encode
 from safedpa.bus.messages.topics import key_of
 from safedpa.calibration.from_drives import DriveTick, barrier_residuals
@@ -123,16 +123,19 @@ def test_what_an_offered_margin_would_bring_is_reported_for_the_robots_own_perio
     document = write_model(CAR) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
     new = fingerprint(parse_model(document))
     margin = margin_text(replace(OF_QUICK_STEPS, epsilon={**EPSILON, "obstacle": 0.02}, fingerprint=new))
-    for calibration, sent, foretold in ((OF_QUICK_STEPS, margin, "obstacle goes from 0.03 to 0.2"), (None, "", "")):
+    for calibration, sent, expected_effect in (
+        (OF_QUICK_STEPS, margin, "obstacle goes from 0.03 to 0.2"),
+        (None, "", ""),
+    ):
         node, verdict = answered(calibration)
         state = state_at(1, applied=verdict.action)
         offer = {"step": "offer", "change": 1, "fingerprint": new, "replaces": fingerprint(CAR)}
         node.hear("r", ModelMessage(**stamp(state), **offer, document=document, margin=sent))
-        wish = WishMessage(**stamp(state), values=(1.0, 0.0), controller="test")
-        node.step("r", state, {LATENTS: latent_at(state), WISH: wish})
+        nominal = NominalMessage(**stamp(state), values=(1.0, 0.0), controller="test")
+        node.step("r", state, {LATENTS: latent_at(state), NOMINAL: nominal})
         takeover = node.afterwards("r")[TAKEOVER]
         assert takeover.state == "ready", "where nothing was calibrated no margin is missed"
-        assert foretold in takeover.foretold
+        assert expected_effect in takeover.expected_effect
 
 
 TABLES = st.dictionaries(

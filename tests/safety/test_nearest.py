@@ -21,13 +21,13 @@ Row = tuple[float, float, float]
 Point = tuple[float, float]
 
 
-def nearest_kept(rows: Iterable[Row], wish: Point, weights: Point) -> Point | None:
+def nearest_kept(rows: Iterable[Row], nominal: Point, weights: Point) -> Point | None:
     """The point of the unit square; None where it has no answer."""
-    return answer(HardQP2D(*wish, *weights), rows)
+    return answer(HardQP2D(*nominal, *weights), rows)
 
 
-def nearest_with_slack(rows: Iterable[Row], wish: Point, weights: Point) -> Point | None:
-    return answer(SoftQP2D(*wish, *weights), rows)
+def nearest_with_slack(rows: Iterable[Row], nominal: Point, weights: Point) -> Point | None:
+    return answer(SoftQP2D(*nominal, *weights), rows)
 
 
 def answer(problem: Any, rows: Iterable[Row]) -> Point | None:
@@ -44,12 +44,12 @@ def test_wherever_all_can_be_kept_it_answers_as_quadprog_does() -> None:
     random = np.random.default_rng(0)
     for _ in range(500):
         A, inside = random.normal(size=(random.integers(1, 8), 2)), random.uniform(0.0, 1.0, 2)
-        right, wish = A @ inside - random.uniform(0.0, 0.2, len(A)), random.uniform(-1.0, 2.0, 2)
+        right, nominal = A @ inside - random.uniform(0.0, 0.2, len(A)), random.uniform(-1.0, 2.0, 2)
         weights = 10.0 ** random.uniform(-2.0, 0.0, 2)
         rows = [(a, b, limit) for (a, b), limit in zip(A.tolist(), right.tolist(), strict=True)]
         C, d = np.vstack([A, np.eye(2), -np.eye(2)]), np.concatenate([right, [0.0, 0.0, -1.0, -1.0]])
-        truth = quadprog.solve_qp(np.diag(2.0 * weights), 2.0 * weights * wish, C.T, d)[0]
-        found = nearest_kept(rows, (wish[0], wish[1]), (weights[0], weights[1]))
+        truth = quadprog.solve_qp(np.diag(2.0 * weights), 2.0 * weights * nominal, C.T, d)[0]
+        found = nearest_kept(rows, (nominal[0], nominal[1]), (weights[0], weights[1]))
         assert found == pytest.approx(truth, abs=1e-7)
 
 
@@ -60,18 +60,18 @@ def test_among_many_sides_it_gives_the_minimiser_or_nothing() -> None:
         count, centre = int(random.integers(5, 60)), random.uniform(0.2, 0.8, 2)
         angle, unit = random.uniform(0.0, 2.0 * np.pi, count), 10.0 ** random.uniform(-2.0, 0.0, count)
         A = np.stack([np.cos(angle), np.sin(angle)], axis=1) * unit[:, np.newaxis]
-        right, wish = A @ centre - 10.0 ** random.uniform(-2.0, 0.2) * unit, centre + random.normal(0.0, 3.0, 2)
+        right, nominal = A @ centre - 10.0 ** random.uniform(-2.0, 0.2) * unit, centre + random.normal(0.0, 3.0, 2)
         found = nearest_kept(
-            [(a, b, c) for (a, b), c in zip(A.tolist(), right.tolist(), strict=True)], wish, (1.0, 0.3)
+            [(a, b, c) for (a, b), c in zip(A.tolist(), right.tolist(), strict=True)], nominal, (1.0, 0.3)
         )
         C, d = np.vstack([A, np.eye(2), -np.eye(2)]), np.concatenate([right, [0.0, 0.0, -1.0, -1.0]])
-        truth = quadprog.solve_qp(np.diag([2.0, 0.6]), np.array([2.0, 0.6]) * wish, C.T, d)[0]
+        truth = quadprog.solve_qp(np.diag([2.0, 0.6]), np.array([2.0, 0.6]) * nominal, C.T, d)[0]
         silent += found is None
         assert found is None or found == pytest.approx(truth, abs=1e-6)
     assert 0 < silent < 30
 
 
-def test_the_wish_itself_a_foot_or_a_corner_is_nearest_and_weights_say_which_entry_moves_more() -> None:
+def test_the_nominal_action_itself_a_foot_or_a_corner_is_nearest_and_weights_say_which_entry_moves_more() -> None:
     assert nearest_kept([(1.0, 0.0, 0.2)], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
     assert nearest_kept([(1.0, 0.0, 0.75)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
     assert nearest_kept([(1.0, 0.0, 0.75), (0.0, 2.0, 1.5)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.75)
@@ -129,10 +129,10 @@ def test_no_answer_where_there_is_none(row: Row) -> None:
     assert nearest_kept([row], (0.5, 0.5), (1.0, 1.0)) is None
 
 
-@pytest.mark.parametrize("wish", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
+@pytest.mark.parametrize("nominal", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
 @pytest.mark.parametrize("rows", [[], [(1.0, 0.0, 0.6)], [(0.0, 1.0, 0.6), (1.0, 1.0, 1.2)]])
-def test_no_answer_to_a_wish_that_is_not_finite(wish: tuple[float, float], rows: list[Row]) -> None:
-    assert nearest_kept(rows, wish, (1.0, 1.0)) is None
+def test_no_answer_to_a_nominal_action_that_is_not_finite(nominal: tuple[float, float], rows: list[Row]) -> None:
+    assert nearest_kept(rows, nominal, (1.0, 1.0)) is None
 
 
 def test_rows_that_are_zero_or_almost_parallel_have_no_corner() -> None:
@@ -155,20 +155,20 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 AROUND = np.vstack([size * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) for size in (1e-2, 1e-4, 1e-6)])
 
 
-def cost(points: Any, rows: list[Row], wish: Any, weights: Any) -> Values:
+def cost(points: Any, rows: list[Row], nominal: Any, weights: Any) -> Values:
     """Of points (n, 2) of the unit square, as the problem has it."""
-    found = ((np.atleast_2d(points) - wish) ** 2) @ np.array(weights)
+    found = ((np.atleast_2d(points) - nominal) ** 2) @ np.array(weights)
     for a, b, limit in rows:
         slack = np.maximum(0.0, limit - np.atleast_2d(points) @ [a, b])
         found = found + LINEAR * slack + QUADRATIC * slack**2
     return np.asarray(found)
 
 
-def truth(rows: list[Row], wish: Values, weights: Values) -> Values:
+def truth(rows: list[Row], nominal: Values, weights: Values) -> Values:
     """(2 + rows,) u and slack by quadprog."""
     count, table = len(rows), np.array(rows)
     G = np.diag(2.0 * np.concatenate([weights, np.full(count, QUADRATIC)]))
-    c = np.concatenate([2.0 * weights * wish, np.full(count, -LINEAR)])
+    c = np.concatenate([2.0 * weights * nominal, np.full(count, -LINEAR)])
     eye = np.eye(2 + count)
     C = np.vstack([np.hstack([table[:, :2], np.eye(count)]), eye, -eye[:2]])
     return np.asarray(quadprog.solve_qp(G, c, C.T, np.concatenate([table[:, 2], np.zeros(2 + count), [-1.0, -1.0]]))[0])
@@ -189,13 +189,16 @@ def drawn(random: np.random.Generator) -> tuple[list[Row], Values, Values]:
 def test_it_answers_as_quadprog_does_and_leaves_next_to_nothing_to_others() -> None:
     random, silent, slack = np.random.default_rng(0), 0, 0
     for _ in range(1500):
-        rows, wish, weights = drawn(random)
-        found = nearest_with_slack(rows, (wish[0], wish[1]), (weights[0], weights[1]))
+        rows, nominal, weights = drawn(random)
+        found = nearest_with_slack(rows, (nominal[0], nominal[1]), (weights[0], weights[1]))
         if found is None:
             silent += 1
             continue
-        expected = truth(rows, wish, weights)
-        assert cost(found, rows, wish, weights)[0] <= cost(expected[:2], rows, wish, weights)[0] * (1.0 + 1e-12) + 1e-9
+        expected = truth(rows, nominal, weights)
+        assert (
+            cost(found, rows, nominal, weights)[0]
+            <= cost(expected[:2], rows, nominal, weights)[0] * (1.0 + 1e-12) + 1e-9
+        )
         assert found == pytest.approx(expected[:2], abs=2e-5)
         slack += bool(expected[2:].max() > 1e-6)
     assert silent <= 5
@@ -205,17 +208,17 @@ def test_it_answers_as_quadprog_does_and_leaves_next_to_nothing_to_others() -> N
 @settings(max_examples=300, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_other_point_costs_less(seed: int) -> None:
-    rows, wish, weights = drawn(np.random.default_rng(seed))
-    found = nearest_with_slack(rows, (wish[0], wish[1]), (weights[0], weights[1]))
+    rows, nominal, weights = drawn(np.random.default_rng(seed))
+    found = nearest_with_slack(rows, (nominal[0], nominal[1]), (weights[0], weights[1]))
     if found is None:
         return
     assert 0.0 <= min(found) <= max(found) <= 1.0
-    here = cost(found, rows, wish, weights)[0]
+    here = cost(found, rows, nominal, weights)[0]
     points = np.vstack([GRID, np.clip(found + AROUND, 0.0, 1.0)])
-    assert here <= cost(points, rows, wish, weights).min() * (1.0 + 1e-12) + 1e-9
+    assert here <= cost(points, rows, nominal, weights).min() * (1.0 + 1e-12) + 1e-9
 
 
-def test_without_a_condition_the_wish_stays_and_what_can_be_kept_costs_but_the_way_there() -> None:
+def test_without_a_condition_the_nominal_action_stays_and_what_can_be_kept_costs_but_the_way_there() -> None:
     assert nearest_with_slack([], (0.25, 0.5), (1.0, 1.0)) == (0.25, 0.5)
     assert nearest_with_slack([], (2.0, -3.0), (1.0, 0.5)) == (1.0, 0.0)
     assert nearest_with_slack([(1.0, 0.0, 0.2)], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
@@ -227,7 +230,7 @@ def test_without_a_condition_the_wish_stays_and_what_can_be_kept_costs_but_the_w
 
 
 def test_two_that_contradict_each_other_share_what_is_missing_by_what_they_cost() -> None:
-    """x >= 0.8 and x <= 0.2: either is short of 0.3; the wish's pull of 1e-5 of their prices moves them by no more."""
+    """x >= 0.8 and x <= 0.2: either is short of 0.3; the nominal action's pull of 1e-5 of their prices moves them by no more."""
     rows: list[Row] = [(1.0, 0.0, 0.8), (-1.0, 0.0, -0.2)]
     found = nearest_with_slack(rows, (0.9, 0.4), (1.0, 1.0))
     assert found is not None
@@ -269,20 +272,20 @@ def test_numbers_that_are_none_have_no_answer(row: Row) -> None:
     assert nearest_with_slack([row], (0.5, 0.5), (1.0, 1.0)) is None
 
 
-@pytest.mark.parametrize("wish", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
-def test_a_wish_that_is_no_number_has_no_answer(wish: tuple[float, float]) -> None:
-    assert nearest_with_slack([(1.0, 0.0, 0.2)], wish, (1.0, 1.0)) is None
+@pytest.mark.parametrize("nominal", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
+def test_a_nominal_action_that_is_no_number_has_no_answer(nominal: tuple[float, float]) -> None:
+    assert nearest_with_slack([(1.0, 0.0, 0.2)], nominal, (1.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("far", [1e154, 1e160, -1e160, 1e200, 1e308])
-def test_a_wish_beyond_all_squares_is_never_answered_with_what_is_no_number(far: float) -> None:
-    for wish in ((far, 0.5), (0.5, far)):
-        found = nearest_with_slack([(1.0, 0.0, 0.7), (-1.0, 0.0, -0.3)], wish, (1.0, 1.0))
+def test_a_nominal_action_beyond_all_squares_is_never_answered_with_what_is_no_number(far: float) -> None:
+    for nominal in ((far, 0.5), (0.5, far)):
+        found = nearest_with_slack([(1.0, 0.0, 0.7), (-1.0, 0.0, -0.3)], nominal, (1.0, 1.0))
         assert found is None or np.isfinite(found).all()
 
 
 def test_a_weight_too_faint_for_its_price_is_left_to_others() -> None:
-    """The bound of y would be held for a price of 4e-10, though nothing but the wish says where y should be."""
+    """The bound of y would be held for a price of 4e-10, though nothing but the nominal action says where y should be."""
     rows: list[Row] = [(1.0, 0.0, 0.25), (0.57, 0.43, -0.5), (-0.87, -0.13, -0.25), (-1.0, 0.0, 0.5)]
     assert nearest_with_slack(rows, (0.99, 0.82), (1.0, 1e-9)) is None
     assert nearest_with_slack(rows, (0.99, 0.82), (0.9e-6, 1.0)) is None
@@ -296,12 +299,12 @@ BOX = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 BOX_LIMITS = np.array([0.0, -1.0, 0.0, -1.0])
 
 
-def alone(slopes: Any, limits: Any, wish: Any) -> tuple[float, float] | None:
+def alone(slopes: Any, limits: Any, nominal: Any) -> tuple[float, float] | None:
     """What one robot's form says without the rows that are none."""
     rows: list[Row] = [
         (float(a), float(b), float(limit)) for (a, b), limit in zip(slopes, limits, strict=True) if limit > -inf
     ]
-    return nearest_kept(rows, (float(wish[0]), float(wish[1])), (float(WEIGHTS[0]), float(WEIGHTS[1])))
+    return nearest_kept(rows, (float(nominal[0]), float(nominal[1])), (float(WEIGHTS[0]), float(WEIGHTS[1])))
 
 
 @pytest.mark.parametrize("rows", range(1, 10))
@@ -311,24 +314,24 @@ def test_every_robot_gets_what_it_gets_alone(rows: int) -> None:
     slopes = np.concatenate([random.normal(size=(robots, rows, 2)), np.tile(BOX, (robots, 1, 1))], axis=1)
     limits = np.concatenate([random.normal(0.0, 0.7, (robots, rows)), np.tile(BOX_LIMITS, (robots, 1))], axis=1)
     limits[:, :rows][random.random((robots, rows)) < 0.1] = -inf
-    wish = random.uniform(-1.0, 2.0, (robots, 2))
-    points, certain = solve_hard_qp_2d_batch(slopes, limits, wish, WEIGHTS)
+    nominal = random.uniform(-1.0, 2.0, (robots, 2))
+    points, certain = solve_hard_qp_2d_batch(slopes, limits, nominal, WEIGHTS)
     for robot in range(robots):
-        own = alone(slopes[robot, :rows], limits[robot, :rows], wish[robot])
+        own = alone(slopes[robot, :rows], limits[robot, :rows], nominal[robot])
         assert certain[robot] == (own is not None)
         if own is not None:
             np.testing.assert_allclose(points[robot], own, rtol=0.0, atol=1e-9)
     assert certain.any()
 
 
-def one(slopes: Any, limits: Any, wish: Any) -> tuple[list[float], bool]:
+def one(slopes: Any, limits: Any, nominal: Any) -> tuple[list[float], bool]:
     all_slopes = np.concatenate([np.array(slopes, dtype=float), BOX])[np.newaxis]
     all_limits = np.concatenate([np.array(limits, dtype=float), BOX_LIMITS])[np.newaxis]
-    points, certain = solve_hard_qp_2d_batch(all_slopes, all_limits, np.array([wish]), np.ones(2))
+    points, certain = solve_hard_qp_2d_batch(all_slopes, all_limits, np.array([nominal]), np.ones(2))
     return points[0].tolist(), bool(certain[0])
 
 
-def test_the_wish_a_foot_and_a_corner() -> None:
+def test_the_nominal_action_a_foot_and_a_corner() -> None:
     assert one([[1.0, 0.0]], [0.2], (0.5, 0.5)) == ([0.5, 0.5], True)
     assert one([[1.0, 0.0]], [0.75], (0.5, 0.5)) == ([0.75, 0.5], True)
     assert one([[1.0, 0.0], [0.0, 2.0]], [0.75, 1.5], (0.5, 0.5)) == ([0.75, 0.75], True)
@@ -362,19 +365,19 @@ def test_the_corner_of_almost_parallel_conditions_is_not_believed(size: float) -
     assert not one(slopes, [0.75 * size, (-0.75 + 5e-11) * size], (0.5, 0.2))[1]
 
 
-def by_trying_all(slopes: Any, limits: Any, wish: Any) -> Any:
-    """The nearest of all points that could be it: the wish, its foot on every row, and every corner; None: no one."""
+def by_trying_all(slopes: Any, limits: Any, nominal: Any) -> Any:
+    """The nearest of all points that could be it: the nominal action, its foot on every row, and every corner; None: no one."""
     rows = [(a, b) for a, b in zip(slopes, limits, strict=True) if b > -inf and a.any()]
     A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
-    points = [wish]
+    points = [nominal]
     for first in range(len(A)):
         along = A[first] / WEIGHTS
-        points.append(wish + (b[first] - A[first] @ wish) / (A[first] @ along) * along)
+        points.append(nominal + (b[first] - A[first] @ nominal) / (A[first] @ along) * along)
         for second in range(first):
             if abs(np.linalg.det(A[[first, second]])) > 1e-9:
                 points.append(np.linalg.solve(A[[first, second]], b[[first, second]]))
     inside = [point for point in points if (A @ point >= b - 1e-9).all()]
-    return min(inside, key=lambda point: ((point - wish) ** 2) @ WEIGHTS, default=None)
+    return min(inside, key=lambda point: ((point - nominal) ** 2) @ WEIGHTS, default=None)
 
 
 @pytest.mark.parametrize("rows", [2, 5, 9])
@@ -385,9 +388,9 @@ def test_what_is_certain_is_the_nearest_of_all_points(rows: int) -> None:
     inside = random.uniform(0.2, 0.8, (robots, 2))
     own = (slopes[:, :rows] @ inside[:, :, np.newaxis])[..., 0] - random.uniform(0.0, 0.2, (robots, rows))
     limits = np.concatenate([own, np.tile(BOX_LIMITS, (robots, 1))], axis=1)
-    wish = inside + random.normal(0.0, 3.0, (robots, 2))
-    points, certain = solve_hard_qp_2d_batch(slopes, limits, wish, WEIGHTS)
+    nominal = inside + random.normal(0.0, 3.0, (robots, 2))
+    points, certain = solve_hard_qp_2d_batch(slopes, limits, nominal, WEIGHTS)
     for robot in np.flatnonzero(certain).tolist():
-        nearest = by_trying_all(slopes[robot], limits[robot], wish[robot])
+        nearest = by_trying_all(slopes[robot], limits[robot], nominal[robot])
         np.testing.assert_allclose(points[robot], nearest, rtol=0.0, atol=1e-6)
     assert certain.mean() > 0.9

@@ -283,7 +283,7 @@ def scene_ahead(distance: float) -> list[object]:
 
 
 def test_passed_never_hides_a_collision_that_is_on_its_way() -> None:
-    """The robot stands, but two metres a second are pending for 0.4 s: no wish is passed, and h_next says why."""
+    """The robot stands, but two metres a second are pending for 0.4 s: no nominal action is passed, and h_next says why."""
     model = late("actuator_delay", 0.4)
     latent = np.array(LATENT)
     memory = model.initial_memory(np.array((0.0, 0.0)), latent)

@@ -49,8 +49,8 @@ def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
     known = SafetyFilter(late.prediction, [late.barrier(plain)], ON_A_LINE)
     blind = SafetyFilter(affine, [plain], ON_A_LINE)
     for _ in range(110):
-        wish = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
-        verdict = known.decide(xi, wish) if knows else blind.decide(x, wish)
+        nominal = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
+        verdict = known.decide(xi, nominal) if knows else blind.decide(x, nominal)
         said.add(verdict.status)
         x = A @ x + B @ late.split(xi)[1][0]
         xi = late.next_state(xi, verdict.action, x)
@@ -213,10 +213,10 @@ class Robot:
         self.memory: Any = model.initial_memory(np.zeros(2), model.latent)
         self.applied, self.applied_by, self.tick = (0.0, 0.0), "none", 0
 
-    def turn(self, wish: tuple[float, float] = (1.0, 0.0)) -> VerdictMessage:
+    def turn(self, nominal: tuple[float, float] = (1.0, 0.0)) -> VerdictMessage:
         told: dict[str, Any] = {"applied": self.applied, "applied_by": self.applied_by}
         state = state_at(self.tick, tuple(self.values.tolist()), until_action=self.until_action, **told)
-        verdict = asked(self.node, state, latent_at(state, self.model), wish)
+        verdict = asked(self.node, state, latent_at(state, self.model), nominal)
         lost = self.tick in self.lost
         self.applied, self.applied_by = ((0.0, 0.0), "watchdog") if lost else (verdict.action, "filter")
         self.values, self.memory = self.model.advance(
@@ -271,7 +271,7 @@ def seen(movers: tuple[tuple[float, ...], ...], hidden: tuple[tuple[float, ...],
         movers=movers,
         hidden=hidden,
         ages=(0.05, 0.1),
-        amiss=("one source is late",),
+        problems=("one source is late",),
     )
 
 
@@ -303,7 +303,7 @@ def test_speeds_and_stationary_points_are_passed_on_unchanged() -> None:
     assert [row[3:] for row in found.hidden] == [(1.5,)]
     assert [len(row) for row in (*found.movers, *found.hidden)] == [6, 6, 4]
     assert found.movers[1] == before.movers[1], "who may not move is where it was"
-    assert (found.points, found.ages, found.amiss) == (before.points, before.ages, before.amiss)
+    assert (found.points, found.ages, found.problems) == (before.points, before.ages, before.problems)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -0.1])

@@ -15,7 +15,7 @@ def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(A) @ program.range)
 
 
-def reference(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> np.ndarray:
+def reference(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     """(a, s) by quadprog, in the unscaled actions and with every row: min x'Gx/2 - c'x, C'x >= d; s in shares of reach.
 
     A limit beyond what any action reaches by more than the reach counts as one by just that.
@@ -25,7 +25,7 @@ def reference(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.
     limit = np.minimum(b / reach, A @ program.low / reach + 2.0)
     weights = program.weights / program.range**2
     G = np.diag(2.0 * np.concatenate([weights, np.full(rows, QUADRATIC)]))
-    c = np.concatenate([2.0 * weights * wish, np.full(rows, -LINEAR)])
+    c = np.concatenate([2.0 * weights * nominal, np.full(rows, -LINEAR)])
     eye = np.eye(actions + rows)
     C = np.vstack([np.hstack([A / reach[:, np.newaxis], np.eye(rows)]), eye[:actions], -eye[:actions], eye[actions:]])
     d = np.concatenate([limit, program.low, -program.high, np.zeros(rows)])
@@ -41,28 +41,30 @@ def problem(random: np.random.Generator) -> tuple[QuadraticProgram, np.ndarray, 
     return program, A, b, random.uniform(program.low - 1.0, program.high + 1.0)
 
 
-def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
-    found = program.solve(A.tolist(), b.tolist(), wish.tolist())
+def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: np.ndarray) -> Solution:
+    found = program.solve(A.tolist(), b.tolist(), nominal.tolist())
     return Solution(np.array(found.action), np.array(found.slack), found.solved, found.status)
 
 
-def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, wish: Any) -> float:
+def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, nominal: Any) -> float:
     shares = slack / reaches(program, A)
-    return program.distance(action, wish) + QUADRATIC * float(shares @ shares) + LINEAR * float(shares.sum())
+    return program.distance(action, nominal) + QUADRATIC * float(shares @ shares) + LINEAR * float(shares.sum())
 
 
 def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
     random, relaxed = np.random.default_rng(0), 0
     for _ in range(1500):
-        program, A, b, wish = problem(random)
-        solution = solved(program, A, b, wish)
+        program, A, b, nominal = problem(random)
+        solution = solved(program, A, b, nominal)
         assert solution.solved
-        expected, actions, reach = reference(program, A, b, wish), len(program.low), reaches(program, A)
+        expected, actions, reach = reference(program, A, b, nominal), len(program.low), reaches(program, A)
         shares = expected[actions:]
         np.testing.assert_allclose(solution.action, expected[:actions], atol=2e-5 if shares.max() > 1e-6 else 1e-6)
         np.testing.assert_allclose(solution.slack / reach, shares, atol=1e-6)
-        best = objective(program, A, expected[:actions], shares * reach, wish)
-        assert objective(program, A, solution.action, solution.slack, wish) == pytest.approx(best, rel=1e-6, abs=1e-6)
+        best = objective(program, A, expected[:actions], shares * reach, nominal)
+        assert objective(program, A, solution.action, solution.slack, nominal) == pytest.approx(
+            best, rel=1e-6, abs=1e-6
+        )
         relaxed += shares.max() > 1e-6
     assert 150 < relaxed < 1350  # both kinds of problems were there
 
@@ -71,18 +73,18 @@ def test_optimality_conditions_hold() -> None:
     """No admissible direction lowers the objective: first-order conditions without the solver's multipliers."""
     random = np.random.default_rng(1)
     for _ in range(300):
-        program, A, b, wish = problem(random)
+        program, A, b, nominal = problem(random)
         b = np.minimum(b, A @ program.low + 2.0 * reaches(program, A))
-        solution = solved(program, A, b, wish)
+        solution = solved(program, A, b, nominal)
         assert (A @ solution.action + solution.slack >= b - 1e-7).all()
         assert (solution.action >= program.low - 1e-8).all()
         assert (solution.action <= program.high + 1e-8).all()
         assert (solution.slack >= -1e-9).all()
-        here = objective(program, A, solution.action, solution.slack, wish)
+        here = objective(program, A, solution.action, solution.slack, nominal)
         for _ in range(20):
-            other = np.clip(solution.action + random.normal(0, 0.05, len(wish)), program.low, program.high)
+            other = np.clip(solution.action + random.normal(0, 0.05, len(nominal)), program.low, program.high)
             slack = np.maximum(0.0, b - A @ other)
-            assert objective(program, A, other, slack, wish) >= here - 1e-4  # of 1e4, the price
+            assert objective(program, A, other, slack, nominal) >= here - 1e-4  # of 1e4, the price
 
 
 @pytest.mark.parametrize("actions", [1, 2, 3])
@@ -93,12 +95,12 @@ def test_no_unit_of_a_row_or_an_action_matters(actions: int) -> None:
         rows = int(random.integers(1, 8))
         low = -random.uniform(0.2, 3.0, actions)
         high, weights = low + random.uniform(0.5, 5.0, actions), random.uniform(0.3, 3.0, actions)
-        A, wish = random.normal(size=(rows, actions)), random.uniform(low - 1.0, high + 1.0)
+        A, nominal = random.normal(size=(rows, actions)), random.uniform(low - 1.0, high + 1.0)
         b = A @ random.uniform(low, high) + random.normal(0.0, 0.3, rows)
         units, scales = 10.0 ** random.uniform(-12, 12, rows), 10.0 ** random.uniform(-6, 6, actions)
-        one = solved(QuadraticProgram(low, high, weights), A, b, wish)
+        one = solved(QuadraticProgram(low, high, weights), A, b, nominal)
         scaled = QuadraticProgram(low * scales, high * scales, 7.0 * weights)
-        other = solved(scaled, A * units[:, np.newaxis] / scales, b * units, wish * scales)
+        other = solved(scaled, A * units[:, np.newaxis] / scales, b * units, nominal * scales)
         assert one.solved == other.solved
         np.testing.assert_allclose(other.action / scales, one.action, atol=2e-5)
         np.testing.assert_allclose(other.slack / units, one.slack, atol=1e-6 * np.abs(A).sum() * 5.0)
@@ -129,11 +131,11 @@ def test_a_corner_is_the_minimiser_to_the_last_bit_and_only_where_quadprog_says_
         low = -random.uniform(0.2, 3.0, 2)
         program = QuadraticProgram(low, low + random.uniform(0.5, 5.0, 2), random.uniform(0.3, 3.0, 2))
         rows = int(random.integers(1, 4))
-        A, wish = random.normal(size=(rows, 2)), random.uniform(program.low - 1.0, program.high + 1.0)
+        A, nominal = random.normal(size=(rows, 2)), random.uniform(program.low - 1.0, program.high + 1.0)
         middle = A @ (program.low + 0.5 * program.range)
         b = middle + random.uniform(-0.2, 1.2, rows) * reaches(program, A)
         b[0] = middle[0] + random.uniform(0.51, 1.2) * reaches(program, A)[0]
-        solution, expected = solved(program, A, b, wish), reference(program, A, b, wish)
+        solution, expected = solved(program, A, b, nominal), reference(program, A, b, nominal)
         np.testing.assert_allclose(solution.action, expected[:2], atol=2e-5)
         np.testing.assert_allclose(solution.slack / reaches(program, A), expected[2:], atol=1e-6)
         at_end = np.minimum(expected[:2] - program.low, program.high - expected[:2]) / program.range
@@ -147,10 +149,10 @@ def test_a_corner_is_the_minimiser_to_the_last_bit_and_only_where_quadprog_says_
 
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_bound_is_met_to_the_last_bit_where_range_and_lowest_do_not_add_up_to_it(place: int) -> None:
-    low, high, slopes, wish = np.array([-3.0, -3.0]), np.array([0.1, 0.1]), np.zeros(2), np.array([-1.0, -1.0])
+    low, high, slopes, nominal = np.array([-3.0, -3.0]), np.array([0.1, 0.1]), np.zeros(2), np.array([-1.0, -1.0])
     assert low[0] + (high[0] - low[0]) != high[0]
     slopes[place] = 1.0
-    solution = solved(QuadraticProgram(low, high, np.ones(2)), slopes[np.newaxis], np.array([0.5]), wish)
+    solution = solved(QuadraticProgram(low, high, np.ones(2)), slopes[np.newaxis], np.array([0.5]), nominal)
     assert solution.action[place] == 0.1
     assert solution.action[1 - place] == pytest.approx(-1.0, abs=1e-12)
 

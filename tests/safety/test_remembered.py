@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 
-from safedpa.bus import LATENT, VERDICT, WISH, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, VERDICT, NominalMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.robots.car.barriers.obstacles import car_barriers
@@ -136,8 +136,8 @@ def verdicts(monkeypatch: pytest.MonkeyPatch) -> list[Verdict]:
 
 def step(node: SafetyFilterNode, tick: int, robot: str = "r", **changed: Any) -> VerdictMessage:
     state = state_at(tick, **{"obstacles": ((1.0, 0.2, 0.2),), "period": 0.005, **changed})
-    wish = WishMessage(**stamp(state), values=(1.0, 0.0), controller="test")
-    node.step(robot, state, {LATENT: latent_at(state), WISH: wish})
+    nominal = NominalMessage(**stamp(state), values=(1.0, 0.0), controller="test")
+    node.step(robot, state, {LATENT: latent_at(state), NOMINAL: nominal})
     verdict = node.afterwards(robot)[VERDICT]
     assert isinstance(verdict, VerdictMessage)
     return verdict
@@ -224,14 +224,14 @@ def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[Comm
 @pytest.mark.parametrize("until_action", [0.0, 0.03, 0.05, 0.12])
 def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_action: float) -> None:
     trail, states = followed(model, until_action, 14)
-    foretold = trail.foretold(until_action)
+    delayed_prediction = trail.delayed_prediction(until_action)
     if model is CAR and until_action == 0.0:
-        assert foretold is None
+        assert delayed_prediction is None
         return
-    assert foretold is not None
-    assert foretold.before == states[-2]
-    np.testing.assert_allclose(foretold.hoped_before, states[-2], atol=2e-3)
-    np.testing.assert_allclose(foretold.hoped, states[-1], atol=2e-3)
+    assert delayed_prediction is not None
+    assert delayed_prediction.before == states[-2]
+    np.testing.assert_allclose(delayed_prediction.hoped_before, states[-2], atol=2e-3)
+    np.testing.assert_allclose(delayed_prediction.hoped, states[-1], atol=2e-3)
     assert np.abs(np.array(states[-1]) - states[-2]).max() > 0.02
 
 
@@ -260,11 +260,11 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_one
 
 def test_after_a_gap_nothing_is_known_of_before() -> None:
     trail, _ = followed(DELAYED, 0.0, 8)
-    assert trail.foretold(0.0) is not None
+    assert trail.delayed_prediction(0.0) is not None
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
     trail.add(20, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
     trail.decided(LATENTS)
-    assert trail.foretold(0.0) is None
+    assert trail.delayed_prediction(0.0) is None
     assert trail.pending(0.12).sent == (((0.0, 0.0), pytest.approx(0.02)), ((0.0, 0.0), PERIOD), ((0.0, 0.0), PERIOD))
 
 
@@ -273,7 +273,7 @@ def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
     for tick in range(9):
         trail.add(tick, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
-    assert trail.foretold(0.0) is None
+    assert trail.delayed_prediction(0.0) is None
 
 
 def test_the_earlier_commands_come_in_order_and_none_after_a_gap() -> None:
@@ -307,8 +307,8 @@ def test_what_is_expected_goes_on_under_the_newest_action() -> None:
 @pytest.mark.parametrize(("until_action", "ticks"), [(0.0, 5), (0.05, 7), (0.12, 11)])
 def test_a_prediction_is_compared_with_the_measurement_as_soon_as_possible(until_action: float, ticks: int) -> None:
     """The dead time of 3 periods, the two newest states, and twice the age: of the state, and of what was in force."""
-    assert followed(DELAYED, until_action, ticks)[0].foretold(until_action) is not None
-    assert followed(DELAYED, until_action, ticks - 1)[0].foretold(until_action) is None
+    assert followed(DELAYED, until_action, ticks)[0].delayed_prediction(until_action) is not None
+    assert followed(DELAYED, until_action, ticks - 1)[0].delayed_prediction(until_action) is None
 
 
 def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATENTS) -> CommandHistory:
@@ -324,28 +324,31 @@ def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATEN
 
 def test_a_prediction_begins_where_the_dead_time_began_and_not_before() -> None:
     for far, away in ((range(4), False), (range(4, 5), True), (range(5, 8), False)):
-        foretold = elsewhere(far).foretold(0.0)
-        assert foretold is not None
-        assert (foretold.hoped[0] > 50.0) == away
+        delayed_prediction = elsewhere(far).delayed_prediction(0.0)
+        assert delayed_prediction is not None
+        assert (delayed_prediction.hoped[0] > 50.0) == away
 
 
 @pytest.mark.parametrize(("undecided", "known"), [(7, False), (4, False), (6, True), (8, True), (3, True)])
 def test_both_ends_of_a_prediction_were_decided_at(undecided: int, known: bool) -> None:
-    assert (elsewhere(range(0), undecided).foretold(0.0) is not None) == known
+    assert (elsewhere(range(0), undecided).delayed_prediction(0.0) is not None) == known
 
 
 def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
     heavy = tuple(value + 0.5 for value in LATENTS)
-    light, loaded = elsewhere(range(0)).foretold(0.0), elsewhere(range(0), latent=heavy).foretold(0.0)
+    light, loaded = (
+        elsewhere(range(0)).delayed_prediction(0.0),
+        elsewhere(range(0), latent=heavy).delayed_prediction(0.0),
+    )
     assert light is not None
     assert loaded is not None
     start = np.array((0.2, 0.0, 0.0, 1.0))
-    for foretold, latent in ((light, LATENTS), (loaded, heavy)):
+    for delayed_prediction, latent in ((light, LATENTS), (loaded, heavy)):
         memory = DELAYED.initial_memory(np.array((1.0, 0.0)), np.array(LATENTS))
         state = start
         for _ in range(4):
             state, memory = DELAYED.advance(state, np.array((1.0, 0.0)), memory, np.array(latent), period=PERIOD)
-        np.testing.assert_allclose(foretold.hoped, state, atol=1e-12)
+        np.testing.assert_allclose(delayed_prediction.hoped, state, atol=1e-12)
     assert abs(light.hoped[0] - loaded.hoped[0]) > 1e-5
 
 

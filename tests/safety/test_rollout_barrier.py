@@ -58,8 +58,8 @@ def drive(barrier: AbstractBarrier, seed: int, ticks: int) -> tuple[float, set[S
     for tick in range(ticks):
         if tick % 40 == 0:
             target = DISCS[random.integers(3), :2] + 0.1 * random.normal(size=2)
-        wish = np.clip(3.0 * (target - x[:2]) - 0.2 * x[2:] + random.normal(size=2), -1.0, 1.0)
-        verdict = safe.decide(x, wish)
+        nominal = np.clip(3.0 * (target - x[:2]) - 0.2 * x[2:] + random.normal(size=2), -1.0, 1.0)
+        verdict = safe.decide(x, nominal)
         said.add(verdict.status)
         x = A @ x + B @ verdict.action
         least = min(least, float(room(x).min()))
@@ -131,11 +131,11 @@ def test_a_planar_quadrotor_is_kept_off_by_its_tilt() -> None:
             least = np.inf
             for _ in range(70):
                 tilt = np.clip(-0.4 * (2.0 - x[0]) + 0.2 * x[3], -0.4, 0.4) + 0.1 * random.normal()
-                wish = np.array([2.0 * (0.3 - x[1]) - x[4], 60.0 * (tilt - x[2]) - 14.0 * x[5]])
-                wish = np.clip(wish, limits.low, limits.high)
-                verdict = safe.decide(x, wish) if filtered else None
+                nominal = np.array([2.0 * (0.3 - x[1]) - x[4], 60.0 * (tilt - x[2]) - 14.0 * x[5]])
+                nominal = np.clip(nominal, limits.low, limits.high)
+                verdict = safe.decide(x, nominal) if filtered else None
                 f, g = quadrotor(x)
-                x = f + g @ (wish if verdict is None else verdict.action)
+                x = f + g @ (nominal if verdict is None else verdict.action)
                 least = min(least, float(pillar(x).min()))
                 assert verdict is None or verdict.status in (Status.passed, Status.corrected)
             hits[filtered] += least < 0.0
@@ -161,8 +161,8 @@ def least_between_ticks(barrier: AbstractBarrier, seed: int) -> float:
     limits = FilterSettings(action_low=(-0.5, -0.5), action_high=(0.5, 0.5), eta=0.5, epsilon=0.005)
     safe = SafetyFilter(jumping, [barrier], limits)
     for _ in range(14):
-        wish = np.clip(3.0 * (THIN + 0.3 * random.normal(size=2) - x), -0.5, 0.5)
-        verdict = safe.decide(x, wish)
+        nominal = np.clip(3.0 * (THIN + 0.3 * random.normal(size=2) - x), -0.5, 0.5)
+        verdict = safe.decide(x, nominal)
         assert verdict.status in (Status.passed, Status.corrected)
         way = x + np.linspace(0.0, 1.0, 101)[:, np.newaxis] * verdict.action
         least = min(least, float(past_thin(way).min()))
@@ -214,8 +214,8 @@ def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height:
     plain = SafetyFilter(affine, [rollout()], SETTINGS, backup=brake)
     random, x, seen = np.random.default_rng(4), np.zeros(4), set()
     for _ in range(50):
-        wish = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
-        one, other = plain.decide(x, wish), safe.decide(place * x, push * wish)
+        nominal = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
+        one, other = plain.decide(x, nominal), safe.decide(place * x, push * nominal)
         seen.add(one.status)
         assert other.status is one.status
         np.testing.assert_allclose(other.action / push, one.action, atol=1e-6)
@@ -307,8 +307,8 @@ def test_it_looks_past_a_delay() -> None:
         random, x = np.random.default_rng(seed), np.zeros(4)
         xi, safe = late.state(x), SafetyFilter(late.prediction, [barrier], SETTINGS, backup=barrier.backup)
         for _ in range(60):
-            wish = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
-            verdict = safe.decide(xi, wish)
+            nominal = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
+            verdict = safe.decide(xi, nominal)
             assert verdict.status in (Status.passed, Status.corrected)
             x = A @ x + B @ late.split(xi)[1][0]
             xi = late.next_state(xi, verdict.action, x)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 
-from safedpa.bus import LATENT, VERDICT, WISH, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, VERDICT, NominalMessage, VerdictMessage
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
 from safedpa.safety.solver.candidates import LASTS, HeldSolution
@@ -33,9 +33,9 @@ class Robot:
         self.asked += 1
         return x + self.step * np.sin(action)
 
-    def at(self, seconds: float | None, h: float = 0.19, wish: float = -1.0, **known: Any) -> Verdict:
+    def at(self, seconds: float | None, h: float = 0.19, nominal: float = -1.0, **known: Any) -> Verdict:
         known = {"searched": self.searched, **known}
-        return self.filter.decide(np.array([h]), np.array([wish]), time=seconds, **known)
+        return self.filter.decide(np.array([h]), np.array([nominal]), time=seconds, **known)
 
 
 HELD = " Found a moment ago, and no worse now."
@@ -102,12 +102,12 @@ def test_an_action_that_misses_more_is_searched_for_again() -> None:
     assert robot.asked >= other.asked
 
 
-def test_a_wish_that_keeps_all_passes_and_an_action_that_does_by_now_is_not_called_relaxed() -> None:
+def test_a_nominal_action_that_keeps_all_passes_and_an_action_that_does_by_now_is_not_called_relaxed() -> None:
     robot = Robot(step=0.1)
     assert robot.at(0.0, h=0.01).status is Status.relaxed
-    assert robot.at(0.005, h=0.19, wish=0.5).status is Status.passed
-    assert robot.at(0.010, h=0.19, wish=-1.0).status is Status.corrected
-    # The way from the wish leads nowhere there, and what was held keeps everything: it is looked for wholly.
+    assert robot.at(0.005, h=0.19, nominal=0.5).status is Status.passed
+    assert robot.at(0.010, h=0.19, nominal=-1.0).status is Status.corrected
+    # The way from the nominal action leads nowhere there, and what was held keeps everything: it is looked for wholly.
     robot = Robot()
     assert robot.at(0.0).status is Status.relaxed
     found = robot.at(0.005, epsilon={"function": 0.0966})
@@ -132,7 +132,10 @@ def test_two_robots_of_one_service_hold_their_own() -> None:
     around: dict[str, Any] = {"values": (0.0,) * 4, "obstacles": ((0.675, 0.0, 0.1), (-0.4, 0.0, 0.1))}
     for tick in range(20):
         state = state_at(tick, period=0.005, robot_time=0.005 * tick, **around)
-        inputs = {LATENT: latent_at(state), WISH: WishMessage(**stamp(state), values=(1.0, 0.0), controller="test")}
+        inputs = {
+            LATENT: latent_at(state),
+            NOMINAL: NominalMessage(**stamp(state), values=(1.0, 0.0), controller="test"),
+        }
         for robot in ("r", "s")[: 1 if tick < 4 else 2]:
             node.step(robot, state, inputs)
             verdict = node.afterwards(robot)[VERDICT]
@@ -223,7 +226,7 @@ def test_an_action_of_another_filter_is_not_handed_on(sides: Any) -> None:
 def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, int]:
     """Least h of a barrier beside one that hardly any action moves, and how often it was below 0.
 
-    h_A = x is short of its condition whatever is done; h_B is the room beyond the braking way, which the wish uses up.
+    h_A = x is short of its condition whatever is done; h_B is the room beyond the braking way, which the nominal action uses up.
     """
     dt, acceleration = 0.005, 3.0
     moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])

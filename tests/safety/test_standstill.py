@@ -1,4 +1,4 @@
-"""A robot that stands though something is wished is noticed, with a reason, whatever robot it is."""
+"""A robot that stands though something is requested is noticed, with a reason, whatever robot it is."""
 
 import pytest
 
@@ -12,18 +12,20 @@ from safedpa.systems import System, Variable
 PERIOD = 0.05
 
 
-def stood(seconds: float, wished: float, driven: float, creep: float = 0.0, noise: float = 0.0) -> DeadlockDetector:
-    """After so long at one place; metres a tick that the model promised under the wish and under the action."""
+def stood(
+    seconds: float, nominal_speed: float, driven: float, creep: float = 0.0, noise: float = 0.0
+) -> DeadlockDetector:
+    """After so long at one place; metres a tick that the model promised under the nominal action and under the action."""
     standing, x = DeadlockDetector((0, 1)), 1.0
     for tick in range(round(seconds / PERIOD) + 1):
         here = (x + noise * (tick % 2), 0.0, 0.3)
         standing.measure(here, PERIOD)
-        standing.promise(here, (here[0] + wished, 0.0, 0.0), (here[0] + driven, 0.0, 0.0))
+        standing.promise(here, (here[0] + nominal_speed, 0.0, 0.0), (here[0] + driven, 0.0, 0.0))
         x += creep
     return standing
 
 
-def test_standing_despite_a_wish_is_counted_and_reported_after_five_seconds() -> None:
+def test_standing_despite_a_nominal_action_is_counted_and_reported_after_five_seconds() -> None:
     assert stood(4.9, 0.005, 0.0).reason("corrected", ("obstacle 0",), False) == ""
     later = stood(6.0, 0.005, 0.0)
     assert later.seconds == pytest.approx(6.0)
@@ -47,7 +49,7 @@ def test_an_action_that_should_move_it_and_does_not_lies_in_the_dead_band() -> N
 
 
 def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
-    assert stood(6.0, 0.005, 0.00005).failed == 0.0, "a hundredth of what is wished"
+    assert stood(6.0, 0.005, 0.00005).failed == 0.0, "a hundredth of the nominal action"
     standing = DeadlockDetector((0,))
     for _ in range(20):
         standing.measure((0.0,), PERIOD)
@@ -55,7 +57,7 @@ def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
     assert standing.failed == 0.0, "a fiftieth is no more than that"
 
 
-def test_a_wish_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band() -> None:
+def test_a_nominal_action_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band() -> None:
     standing = DeadlockDetector((0,))
     for tick in range(122):
         standing.measure((0.0,), PERIOD)
@@ -110,12 +112,12 @@ def test_each_reason_has_its_cure(reason: str, begins: str) -> None:
 def test_noise_and_creeping_are_standing_but_driving_is_not() -> None:
     assert stood(6.0, 0.005, 0.001, creep=2e-5).seconds > 5.0
     assert stood(6.0, 0.005, 0.001, noise=1e-4).seconds > 5.0
-    assert stood(6.0, 0.005, 0.001, creep=2e-4).seconds > 5.0, "it is the wish that is held against"
+    assert stood(6.0, 0.005, 0.001, creep=2e-4).seconds > 5.0, "it is the nominal action that is held against"
     assert stood(6.0, 0.005, 0.004, creep=0.004).seconds == 0.0
-    assert stood(6.0, 0.0, 0.0).seconds == 0.0, "nothing is wished"
+    assert stood(6.0, 0.0, 0.0).seconds == 0.0, "nothing is requested"
 
 
-def test_moving_again_and_wishing_nothing_end_a_stand() -> None:
+def test_moving_again_and_requesting_nothing_end_a_stand() -> None:
     standing = stood(6.0, 0.005, 0.001)
     standing.measure((1.5, 0.0, 0.0), PERIOD)
     assert (standing.seconds, standing.failed) == (0.0, 0.0)
@@ -144,23 +146,23 @@ def test_places_are_positions_or_what_is_no_rate() -> None:
 
 
 @pytest.mark.parametrize(("ticks", "stands"), [(1, True), (10, True), (11, False)])
-def test_ticks_without_a_wish_end_a_stand_only_where_they_last(ticks: int, stands: bool) -> None:
+def test_ticks_without_a_nominal_action_end_a_stand_only_where_they_last(ticks: int, stationary_for: bool) -> None:
     standing = DeadlockDetector((0,))
     for tick in range(220):
         standing.measure((1.0,), PERIOD)
         if tick % 40 >= ticks:
             standing.promise((1.0,), (1.005,), (1.0,))
-    assert (standing.seconds > 5.0) is stands
-    assert standing.reason("relaxed", ("wall",), False).startswith("margin" if stands else "")
+    assert (standing.seconds > 5.0) is stationary_for
+    assert standing.reason("relaxed", ("wall",), False).startswith("margin" if stationary_for else "")
 
 
-def test_half_a_second_without_a_wish_is_forgiven() -> None:
-    for ticks, stands in ((2, True), (3, False)):
+def test_half_a_second_without_a_nominal_action_is_forgiven() -> None:
+    for ticks, stationary_for in ((2, True), (3, False)):
         standing = DeadlockDetector((0,))
         standing.promise((1.0,), (1.1,), (1.0,))
         for _ in range(1 + ticks):
             standing.measure((1.0,), 0.25)
-        assert (standing.seconds == 0.25 * (1 + ticks)) is stands
+        assert (standing.seconds == 0.25 * (1 + ticks)) is stationary_for
 
 
 def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
@@ -177,7 +179,7 @@ def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
     assert pushing.reason("relaxed", ("wall",), True).startswith("dead band"), "it is pushed all the time"
 
 
-def test_moving_in_a_tick_without_a_wish_ends_a_stand_and_without_promised_motion_there_is_none() -> None:
+def test_moving_in_a_tick_without_a_nominal_action_ends_a_stand_and_without_promised_motion_there_is_none() -> None:
     standing = stood(6.0, 0.005, 0.0)
     standing.measure((1.0, 0.0, 0.0), PERIOD)
     standing.measure((1.5, 0.0, 0.0), PERIOD)
@@ -189,11 +191,11 @@ def test_moving_in_a_tick_without_a_wish_ends_a_stand_and_without_promised_motio
     assert standing.seconds == 0.0
 
 
-def verdict(time: float, stands: float, why: str) -> VerdictMessage:
+def verdict(time: float, stationary_for: float, why: str) -> VerdictMessage:
     return VerdictMessage(
         epoch=1, tick=round(time / PERIOD), robot_time=time, publish_time=0.0, status="corrected", sentence="",
-        action=(), wish=(), slack=0.0, active=(), h_now=0.0, h_next=0.0, margin=0.0, solver="", microseconds=0.0,
-        stands=stands, standstill=why,
+        action=(), nominal=(), slack=0.0, active=(), h_now=0.0, h_next=0.0, margin=0.0, solver="", microseconds=0.0,
+        stationary_for=stationary_for, stationary_reason=why,
     )  # fmt: skip
 
 
@@ -213,8 +215,8 @@ def test_stands_are_one_where_they_began_together() -> None:
     record_deadlock(found, verdict(20.0000008, 6.0000004, "margin"))
     assert found == [{"from": 14.0, "seconds": 6.0, "reason": "margin"}], "to a millionth of a second"
     found.clear()
-    for time, stands in ((6.0, 6.0), (6.001, 6.0), (20.0000008, 6.0000004), (20.5, 6.5), (21.0, 6.5)):
-        record_deadlock(found, verdict(time, stands, "margin"))
+    for time, stationary_for in ((6.0, 6.0), (6.001, 6.0), (20.0000008, 6.0000004), (20.5, 6.5), (21.0, 6.5)):
+        record_deadlock(found, verdict(time, stationary_for, "margin"))
     assert [(stand["from"], stand["seconds"]) for stand in found] == [
         (0.0, 6.0),
         (0.001, 6.0),

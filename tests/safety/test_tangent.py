@@ -1,4 +1,4 @@
-"""The conditions linearised about one outcome, and the way back from it towards the wish."""
+"""The conditions linearised about one outcome, and the way back from it towards the nominal action."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -179,7 +179,7 @@ def test_what_no_step_brings_nearer_costs_one_look_an_entry_and_stays_itself() -
     assert plane.tried == [pytest.approx((7.5, 0.5)), pytest.approx((8.5, 0.3))], "the furthest entry first"
 
 
-def test_a_wish_is_approached_no_further_than_the_bounds_allow_and_within_a_step_left_alone() -> None:
+def test_a_nominal_action_is_approached_no_further_than_the_bounds_allow_and_within_a_step_left_alone() -> None:
     plane = Plane(lambda a: 1.0)
     kept = start(plane, 10.0 * STEP, 2.0 * STEP - 1.0)
     assert backtrack_towards(plane, SIDES, (0.0, -1.0), kept) is kept
@@ -207,7 +207,7 @@ def test_a_car_is_not_sent_along_the_plateau_of_its_drive(number: int) -> None:
     model, settings, question = load_model("car"), settings_named("car"), car_question(2010, number)
     verdict = SafetyFilter.for_model(model, settings).decide(
         question.state,
-        question.wish,
+        question.nominal,
         model.latent,
         barriers=car_barriers(settings, FOOTPRINT, question.obstacles, FIELD),
     )

@@ -294,14 +294,14 @@ def worst_truth(x: Values, a: Values) -> Values:
 
 
 def least_residual(epsilon: float, seed: int, steps: int = 60) -> tuple[float, float]:
-    """The least h(x[t+1]) - (1 - eta) h(x[t]) and the least h over a drive that wishes to leave the set."""
+    """The least h(x[t+1]) - (1 - eta) h(x[t]) and the least h over a drive that requests to leave the set."""
     chosen = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=ETA, epsilon=epsilon)
     safe = SafetyFilter(learned, [FunctionBarrier(h, lambda x: -SLOPE)], chosen)
     random = np.random.default_rng(seed)
     x, residual, least = random.uniform(-0.5, 0.5, 2), np.inf, np.inf
     for _ in range(steps):
-        wish = np.sign(SLOPE) + 0.3 * random.normal(size=2)
-        verdict = safe.decide(x, np.clip(wish, -1.0, 1.0))
+        nominal = np.sign(SLOPE) + 0.3 * random.normal(size=2)
+        verdict = safe.decide(x, np.clip(nominal, -1.0, 1.0))
         following = worst_truth(x, verdict.action)
         residual = min(residual, h(following) - (1.0 - ETA) * h(x))
         x, least = following, min(least, h(following))

@@ -341,7 +341,7 @@ def driven(
     safe = SafetyFilter(lambda x: (x, np.array([[STEP]])), [barrier], settings)
     x, now, then = 1.0 - h, [], []
     for _ in range(steps):
-        verdict = safe.decide(np.array([x]), wish=[1.0])
+        verdict = safe.decide(np.array([x]), nominal=[1.0])
         now.append(verdict.h_now)
         then.append(verdict.h_next)
         moved = STEP * float(verdict.action[0])
@@ -352,7 +352,9 @@ def driven(
 @pytest.mark.parametrize("h", [0.0, 0.01, 0.05, DEPTH])
 @pytest.mark.parametrize("error", [0.0, 0.01, EPSILON])
 def test_where_an_action_raises_h_by_the_error_h_stays_above_0_wherever_it_begins(h: float, error: float) -> None:
-    given_away = TOLERANCE * (STEP + 2.0 * error)  # of what the actions can change in h, for the least change of a wish
+    given_away = TOLERANCE * (
+        STEP + 2.0 * error
+    )  # of what the actions can change in h, for the least change of a nominal action
     now, then = driven(-(error + given_away) / STEP, error, h, 300)
     assert min(now) >= min(h, (EPSILON - error) / ETA) - 1e-9, "where the condition is kept h tends to the second"
     bound = least_after(h, [error] * 300, [error] * 300, ETA)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.bus import ACTION, LATENT, SURROUNDINGS, WISH, LatentMessage, Stale, StateMessage, WishMessage
+from safedpa.bus import ACTION, LATENT, NOMINAL, SURROUNDINGS, LatentMessage, NominalMessage, Stale, StateMessage
 from safedpa.dynamics import AbstractDynamics, PhysicsModel, Setting, fingerprint, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
@@ -132,9 +132,9 @@ def rolled(broken, ticks: int = 60) -> float:
         state, values = (state, tuple(model.latent.tolist())) if tick == 0 else broken(state, tuple(model.latent))
         stamp = {"epoch": 1, "tick": tick, "robot_time": state.robot_time, "publish_time": 0.0}
         latent = LatentMessage(**stamp, model=fingerprint(model), values=values, deviations=(0.1,) * len(model.latent))
-        wish = WishMessage(**stamp, values=(0.2, 0.0), controller="t")
+        nominal = NominalMessage(**stamp, values=(0.2, 0.0), controller="t")
         seen = Stale(SURROUNDINGS, 1)
-        action = node.step("r", state, {LATENT: latent, WISH: wish, SURROUNDINGS: seen})[ACTION].values
+        action = node.step("r", state, {LATENT: latent, NOMINAL: nominal, SURROUNDINGS: seen})[ACTION].values
         node.afterwards("r")
         true = np.asarray(model.step(true, np.array(action), model.latent))
     return float(true[3])

@@ -178,7 +178,7 @@ def test_a_way_counts_from_the_first_state_on_and_over_half_a_second_without_one
     assert way.way == 1.0
     way.follow(message(22, 0.0, values=(1.1, 0.0, 0.0), towed=()))
     assert way.way == pytest.approx(0.8), "place and heading are enough"
-    way.follow(message(23, 1.1, towed=(), reversed_way=0.0))
+    way.follow(message(23, 1.1, towed=(), distance_reversed=0.0))
     assert way.way == 0.0, "told by the robot"
 
 
@@ -205,13 +205,13 @@ def test_a_filter_that_is_started_again_believes_the_robot_that_counts_itself() 
         old.follow(message(tick, 0.2 * tick))
     old.follow(message(9, 1.5))
     assert old.way == pytest.approx(0.1)
-    new.follow(message(60, 1.5, reversed_way=old.way))
+    new.follow(message(60, 1.5, distance_reversed=old.way))
     unknowing.follow(message(60, 1.5))
     assert new.way == old.way
     assert unknowing.way == TOWED[1], "who is told nothing has to take it for folded up"
-    new.follow(message(61, 1.5, reversed_way=7.0))
+    new.follow(message(61, 1.5, distance_reversed=7.0))
     assert new.way == TOWED[1], "more than this is not remembered"
-    new.follow(message(62, 1.6, reversed_way=math.nan))
+    new.follow(message(62, 1.6, distance_reversed=math.nan))
     assert new.way == pytest.approx(TOWED[1] - 0.1), "no number: it counts itself"
 
 
@@ -363,9 +363,12 @@ def test_the_settings_of_the_pendulum() -> None:
             PENDULUM.with_barriers(corridor_seconds=wrong)
 
 
-def declared(barriers: Any, stands: bool = True) -> DeclaredScene:
+def declared(barriers: Any, stationary_for: bool = True) -> DeclaredScene:
     robot: Any = SimpleNamespace(
-        name="toy", stands=stands, barriers=barriers, backup=lambda state, _model, _settings: np.array([state[0]])
+        name="toy",
+        stationary_for=stationary_for,
+        barriers=barriers,
+        backup=lambda state, _model, _settings: np.array([state[0]]),
     )
     return DeclaredScene(robot, load_model("pendulum"), PENDULUM)
 
@@ -377,7 +380,7 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
         latents.append(latent)
         return [FunctionBarrier(lambda x: 1.0 - x[0])]
 
-    scene = declared(barriers, stands=False)
+    scene = declared(barriers, stationary_for=False)
     scene.learn(np.array([2.0]))
     found = scene.of(state())
     assert not isinstance(found, str)
@@ -386,8 +389,8 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
     assert scene.backup is not None
     assert scene.backup(np.array([3.0, 0.0])).tolist() == [3.0]
     assert scene.backup(None).tolist() == PENDULUM.resting_action.tolist(), "where it is, nobody knows"
-    assert (scene.stands, declared(barriers).stands) == (False, True)
-    assert (AbstractScene.stands, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
+    assert (scene.stationary_for, declared(barriers).stationary_for) == (False, True)
+    assert (AbstractScene.stationary_for, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
 
 
 def test_whatever_a_declared_robot_raises_or_however_many_obstacles_it_has_a_sentence_says_so() -> None:
@@ -406,7 +409,7 @@ def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(mon
     model, own = load_model("pendulum"), scene_of(load_model("pendulum"), PENDULUM)
     assert not isinstance(own, DeclaredScene)
     for scene in (own, None):
-        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, stands=True, name="any", backup=None)
+        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, stationary_for=True, name="any", backup=None)
         monkeypatch.setattr(scenes, "robot_like", lambda _, robot=robot: robot)
         found = scene_of(model, PENDULUM)
         assert found is own if scene is own else isinstance(found, DeclaredScene)

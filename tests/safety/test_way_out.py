@@ -43,8 +43,8 @@ def here(
     return TickContext(tick, PERIOD, at, margins or [0.1] * len(at), ahead, lambda action: abs(action[0]) <= fails)
 
 
-def verdict(status: Status = Status.relaxed, wish: float = -1.0) -> Verdict:
-    return replace(resting_verdict(np.zeros(1), "none"), status=status, wish=np.array([wish]), h_next=0.19)
+def verdict(status: Status = Status.relaxed, nominal: float = -1.0) -> Verdict:
+    return replace(resting_verdict(np.zeros(1), "none"), status=status, nominal=np.array([nominal]), h_next=0.19)
 
 
 def led(out: DeadlockEscape, heights: Heights, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
@@ -116,7 +116,7 @@ def test_the_barriers_that_are_not_short_keep_their_conditions_all_along() -> No
     assert "held for 0.5 s" in sinks.reason, "from 0.25 it may fall to 0.225, and would fall to 0.2"
 
 
-def test_of_those_that_lead_far_the_nearest_to_the_wish() -> None:
+def test_of_those_that_lead_far_the_nearest_to_the_nominal_action() -> None:
     def far(action: float, ticks: int) -> list[float]:
         return [0.19 + (0.8 if action > 0.0 else 0.3) * (abs(action) >= 0.25 and ticks > 4) - 0.0001 * min(ticks, 4)]
 
@@ -164,7 +164,7 @@ def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a
         asked.append(tuple(action))
         return True
 
-    still = replace(verdict(), wish=np.zeros(2))
+    still = replace(verdict(), nominal=np.zeros(2))
     counts = []
     for tick in range(10):
         now = TickContext(tick, PERIOD, [0.19], [0.1], lambda action: iter([[0.189]]), fails)
@@ -190,23 +190,23 @@ def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks:
             counts[-1] += 1
             yield [0.19 + 0.05 * action[0] if action[0] > 0.9 else 0.19]
 
-    wanted = replace(verdict(), wish=np.zeros(2))
+    wanted = replace(verdict(), nominal=np.zeros(2))
     for tick in range(ticks):
         counts.append(0)
         found = out.instead_of(wanted, TickContext(tick, period, [0.19], [0.1], ahead, lambda _: False), 1.0)
         assert ("leads out" in found.reason) is (tick == ticks - 1)
-    assert 240 <= max(counts[:-1]) <= 239 * 2 + 1, "and the wish"
+    assert 240 <= max(counts[:-1]) <= 239 * 2 + 1, "and the nominal action"
 
 
 @pytest.mark.parametrize("from_tick", [1, 2, 4])
 def test_what_has_no_height_is_no_way_out(from_tick: int) -> None:
-    """Where a barrier is no number nobody knows anything: neither the wish nor a manoeuvre leads there."""
+    """Where a barrier is no number nobody knows anything: neither the nominal action nor a manoeuvre leads there."""
 
     def unknown(action: float, ticks: int) -> list[float]:
         return [*dips(action, ticks), float("nan") if ticks >= from_tick and action != 0.0 else 9.0]
 
     assert led(way_out(), unknown).action[0] == 0.0
-    raises = verdict(wish=1.0)
+    raises = verdict(nominal=1.0)
     found = way_out().instead_of(
         raises, here(0, lambda action, ticks: [0.19 + 0.01 * ticks, *unknown(action, 9)[1:]]), 0.0
     )
@@ -221,7 +221,7 @@ def test_what_was_found_some_ticks_ago_is_judged_once_more() -> None:
         for tick in range(10):
             rise = 0.3 if tick < 9 else last
             known = TickContext(tick, PERIOD, [0.19], [0.1], lambda _, h=rise: iter([[0.189], [h]]), lambda _: False)  # type: ignore[misc]
-            found = out.instead_of(replace(verdict(), wish=np.zeros(2)), known, 1.0)
+            found = out.instead_of(replace(verdict(), nominal=np.zeros(2)), known, 1.0)
         assert ("leads out" in found.reason) is taken
 
 
@@ -260,11 +260,11 @@ def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_
         ((0.3, 0.5), (0.24, 0.4), False),
     ],
 )
-def test_the_wish_is_taken_where_it_raises_what_is_short(
+def test_the_nominal_action_is_taken_where_it_raises_what_is_short(
     now: tuple[float, ...], then: tuple[float, ...], taken: bool
 ) -> None:
     place = here(0, lambda _, ticks: list(now if ticks == 0 else then))
-    found = way_out().instead_of(verdict(wish=-3.0), place, 0.0)
+    found = way_out().instead_of(verdict(nominal=-3.0), place, 0.0)
     assert bool(found.action[0] == -1.0) is taken, "within its bounds"
     if taken:
         assert "raises every h" in found.reason
@@ -286,7 +286,7 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
     calibration = replace(uncalibrated(settings, own), epsilon={"obstacle": 0.0283, "field": 0.0054, "speed": 0.025})
     memory = RobotSession.begun(CalibratedModel(model, own, calibration), settings)
     state = CarRobot(Scene.random(1, "box"), PERIOD / 2).state_message()
-    state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), reversed_way=0.0, until_action=until_action)
+    state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), distance_reversed=0.0, until_action=until_action)
     latent = np.array([0.8, 1.09])
     ways = []
     for _ in range(60):
@@ -303,7 +303,7 @@ def test_a_car_next_to_an_obstacle_gets_out(until_action: float) -> None:
 
 
 def next_verdict(memory: RobotSession, state: StateMessage, latent: np.ndarray) -> Verdict:
-    """What the service decides for a wish to reverse into what is behind."""
+    """What the service decides for a nominal action to reverse into what is behind."""
     memory.observe_state(state)
     known = {"memory": memory.pending, "barriers": memory.barriers, "epsilon": memory.margin.epsilon}
     found = memory.filter.decide(state.values, (-0.6, 0.34), latent, **known, time=state.robot_time)

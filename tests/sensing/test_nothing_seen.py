@@ -8,8 +8,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from safedpa.bus import LATENT, SURROUNDINGS, VERDICT, WISH, ScanMessage, StateMessage, SurroundingsMessage
-from safedpa.bus.messages.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, SURROUNDINGS, VERDICT, ScanMessage, StateMessage, SurroundingsMessage
+from safedpa.bus.messages.messages import ActionMessage, LatentMessage, NominalMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.dynamics.model_file import parse_model, write_model
 from safedpa.perception import PerceptionNode
@@ -43,8 +43,8 @@ def asked(
     latent = LatentMessage(  # type: ignore[arg-type]
         **stamped, model=fingerprint(model), values=tuple(known.tolist()), deviations=(0.1,) * len(known)
     )
-    wish = WishMessage(**stamped, values=(1.0, 0.0), controller="t")  # type: ignore[arg-type]
-    node.step("r", state, {LATENT: latent, WISH: wish, SURROUNDINGS: seen})
+    nominal = NominalMessage(**stamped, values=(1.0, 0.0), controller="t")  # type: ignore[arg-type]
+    node.step("r", state, {LATENT: latent, NOMINAL: nominal, SURROUNDINGS: seen})
     verdict = node.afterwards("r")[VERDICT]
     assert isinstance(verdict, VerdictMessage)
     return verdict
@@ -70,7 +70,7 @@ def test_a_late_laser_is_looked_at_all_the_same(latency: float) -> None:
     blind = 0
     for tick in range(60):
         state, message = seen_by(node, robot)
-        blind += not message.amiss and not (message.points or message.movers or message.hidden)
+        blind += not message.problems and not (message.points or message.movers or message.hidden)
         action = asked(safe, state, message).action
         robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=action))
         robot.advance()
@@ -85,8 +85,8 @@ def test_perception_that_restarts_mid_drive_reports_that_it_has_not_looked_yet(l
         if tick == 21:
             node.rescue("r", robot.state_message(), "a fault")
         _, message = seen_by(node, robot)
-        assert message.amiss or message.points or message.movers or message.hidden
-        assert tick != 21 or message.amiss
+        assert message.problems or message.points or message.movers or message.hidden
+        assert tick != 21 or message.problems
         robot.advance()
 
 
@@ -140,7 +140,7 @@ def test_a_speed_that_stays_whatever_is_done_does_not_drive_the_car_backwards() 
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     commands = []
     for _ in range(60):
-        verdict = asked(node, state, surroundings(state, amiss=("the source laser is frozen",)))
+        verdict = asked(node, state, surroundings(state, problems=("the source laser is frozen",)))
         commands.append(verdict.action[0])
         state = replace(
             state, tick=state.tick + 1, robot_time=state.robot_time + state.period, applied=tuple(verdict.action)
@@ -168,7 +168,7 @@ def commands_while_told(
     node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), []
     for speed in speeds:
         state = replace(state, values=(0.0, 0.0, 0.0, speed))
-        action = asked(node, state, surroundings(state, amiss=("the source laser is frozen",))).action
+        action = asked(node, state, surroundings(state, problems=("the source laser is frozen",))).action
         commands.append(action[0])
         state = replace(
             state,
@@ -272,7 +272,7 @@ def test_after_a_leap_of_the_clock_nothing_of_before_is_believed(leap: float) ->
     leapt = replace(robot.state_message(), robot_time=state.robot_time + leap)
     message = node.step("r", leapt, {})[SURROUNDINGS]
     assert isinstance(message, SurroundingsMessage)
-    assert message.amiss
+    assert message.problems
 
 
 PERIOD = 0.05
@@ -329,7 +329,7 @@ def test_a_robot_that_heads_west_with_a_wrapped_heading_is_believed() -> None:
             node.hear("r", scan_of(tick, (tick - 0.5) * PERIOD, tick - 1, yaw=pi))
         message = step(node, state_of(tick, yaw=float(np.arctan2(np.sin(true), np.cos(true)))))
         if tick > 10:
-            assert not message.amiss
+            assert not message.problems
             assert min(np.hypot(x - 1.5, y) - radius for x, y, radius in message.points) < 0.25
             assert min(np.hypot(x + 1.5, y) - radius for x, y, radius in message.points) > 1.0
 
@@ -346,7 +346,7 @@ def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_c
         node.hear("r", scan_of(tick, time, tick if tells_tick else int(time / PERIOD)))
         message = step(node, state_of(tick + 1))
         assert message.ages == (-1.0,)
-    assert message.amiss == (
+    assert message.problems == (
         f"the source laser tells scans from {ahead - PERIOD + 0.01:.2f} s ahead of the robot's clock",
     )
 

@@ -90,7 +90,7 @@ def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
     for _, _, message in told[20:]:
         assert len(message.points) > 60
         restless.append(len(message.movers))
-        assert not message.amiss
+        assert not message.problems
         for x, y, radius, *_ in message.points + message.movers:
             assert abs(clearance_at(OUTLINE, x, y)) < radius + 0.03
     assert np.mean(restless) < 3
@@ -221,7 +221,7 @@ def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
             rooms = [hypot(x - 1.7, y - 0.5) - radius for x, y, radius in message.points]
             assert min(rooms) < 0.1, state.robot_time
             assert not message.movers
-            assert not message.amiss
+            assert not message.problems
         robot.advance()
         bare.advance()
 
@@ -332,15 +332,15 @@ def blinded(scan: ScanMessage, state: StateMessage) -> ScanMessage:
 )
 def test_a_fault_of_a_source_is_reported(change: Changes, said: str) -> None:
     told = driven(120, action=(0.5, 0.3), change=change)
-    assert any(said in sentence for _, state, message in told for sentence in message.amiss)
-    assert change is turned or said in " ".join(told[-1][2].amiss)
+    assert any(said in sentence for _, state, message in told for sentence in message.problems)
+    assert change is turned or said in " ".join(told[-1][2].problems)
 
 
 def test_a_source_that_speaks_again_is_believed_again() -> None:
     told = driven(120, change=silent_between(2.0, 3.0))
-    amiss = [state.robot_time for _, state, message in told if message.amiss]
-    assert min(amiss[1:]) < 2.7
-    assert 2.9 < max(amiss) < 3.3
+    problems = [state.robot_time for _, state, message in told if message.problems]
+    assert min(problems[1:]) < 2.7
+    assert 2.9 < max(problems) < 3.3
 
 
 def test_people_from_a_blind_quarter_are_accounted_for() -> None:

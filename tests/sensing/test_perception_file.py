@@ -175,7 +175,7 @@ def test_a_wrong_file_is_refused_before_any_process_starts(
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("[perception]\nfastst = 1")
     Path("good.toml").write_text(DOCK)
-    Path("robot.toml").write_text('format = 1\nname = "r1"\nrobot = "car"\n')
+    Path("robot.toml").write_text('format = 2\nname = "r1"\nrobot = "car"\n')
     assert safedpa.run(words.split()) == 2
     error = capsys.readouterr().err
     lines = [line for line in error.splitlines() if not line.startswith("{")]  # events of a second ago may come late
@@ -211,23 +211,23 @@ def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
 ) -> None:
     name = "watched"  # of each kind and robot the log has one event a second
     node, robot = node_that_met_a_car(DOCK + WET, name)
-    assert stepped(node, robot, name).amiss == ()
+    assert stepped(node, robot, name).problems == ()
     answer = node.switches.answer(name, switch("source laser=off", "zone dock=off"))
     assert answer.ok
     assert "source laser off (was on), zone dock off (was on), from its next tick after 10 on" in answer.sentence
     assert "no source is left, so the filter brakes" in answer.sentence
-    assert "switched off" in stepped(node, robot, name).amiss[0]
+    assert "switched off" in stepped(node, robot, name).problems[0]
     told = node.switches.answer(name, Request(do="status")).sentence
     assert told == (
         "robot 'watched': source laser off, zone dock off, zone wet on; no source is left, so the filter brakes"
     )
     node.rescue(name, robot.state_message(), "a fault")
     node.forget(name)
-    assert "switched off" in stepped(node, robot, name).amiss[0], "neither a fault nor silence brings it back"
+    assert "switched off" in stepped(node, robot, name).problems[0], "neither a fault nor silence brings it back"
     again = node.switches.answer(name, switch("source laser=on"))
     assert again.sentence.endswith("on, until another order or perception's end, since it keeps no file of orders")
     assert "was off" in again.sentence
-    assert [stepped(node, robot, name).amiss for _ in range(6)][-1] == ()
+    assert [stepped(node, robot, name).problems for _ in range(6)][-1] == ()
     events = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith("{")]
     kinds = [(event["kind"], event["tick"]) for event in events if event["robot"] == name]
     assert ("perception.ignores", 0) in kinds
@@ -258,7 +258,7 @@ def test_an_order_that_is_wrong_in_one_part_changes_nothing(switches: tuple[str,
         node.switches.answer("r1", switch(*switches))
     assert said in str(refusal.value)
     assert node.switches.answer("r1", Request(do="status")) == before
-    assert stepped(node, robot).amiss == ()
+    assert stepped(node, robot).problems == ()
 
 
 def test_a_robot_that_was_not_heard_and_a_word_that_is_none_are_refused() -> None:
@@ -284,7 +284,7 @@ def test_the_command_asks_over_the_bus(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert safedpa.run(["sense", "r1", "--source", "laser=off", "--zone", "dock=off", "--who", "me"]) == 0
     assert "source laser off (was on), zone dock off (was on)" in capsys.readouterr().out
     assert heard == [("r1", Request(do="switch", switches=("source laser=off", "zone dock=off"), who="me"), True)]
-    assert stepped(node, robot).amiss
+    assert stepped(node, robot).problems
     assert safedpa.run(["sense", "r1", "--json"]) == 0
     assert "source laser off, zone dock off" in json.loads(capsys.readouterr().out)["sentence"]
     assert safedpa.run(["sense", "r1", "--zone", "dok=off"]) == 2

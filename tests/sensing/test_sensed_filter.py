@@ -7,8 +7,8 @@ from math import hypot
 import numpy as np
 import pytest
 
-from safedpa.bus import LATENT, SURROUNDINGS, VERDICT, WISH, Stale, StateMessage, SurroundingsMessage
-from safedpa.bus.messages.messages import LatentMessage, VerdictMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, SURROUNDINGS, VERDICT, Stale, StateMessage, SurroundingsMessage
+from safedpa.bus.messages.messages import LatentMessage, NominalMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.operations import FLOATS
 from safedpa.perception import PerceptionNode
@@ -119,11 +119,11 @@ def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: floa
     """With every load, straight and turning, driving steadily and just speeding up; the settings' own numbers."""
     counter = reversal_braking(SETTINGS)
     for steer in (0.0, 0.34):
-        for wished in (speed, np.copysign(2.0, speed)):
+        for nominal_speed in (speed, np.copysign(2.0, speed)):
             world = CarWorld((0.0, 0.0, 0.0), (-60.0, 60.0, -60.0, 60.0), (), load_named(load))
-            for _ in range(60 if wished == speed else 12):
-                world.advance(wished, steer, 0.05)
-                if wished != speed and abs(world.state[3]) >= abs(speed):
+            for _ in range(60 if nominal_speed == speed else 12):
+                world.advance(nominal_speed, steer, 0.05)
+                if nominal_speed != speed and abs(world.state[3]) >= abs(speed):
                     break
             began, taken, way = world.state[3], 0.0, 0.0
             while abs(world.state[3]) > STANDS:
@@ -191,7 +191,7 @@ def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
     return SurroundingsMessage(**stamp, **{**empty, **known})  # type: ignore[arg-type]
 
 
-def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, wish: float = 1.0) -> VerdictMessage:
+def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, nominal: float = 1.0) -> VerdictMessage:
     """One tick of the real node at the origin, driving east."""
     robot = CarRobot(
         Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0)), senses=SimulatedSensors((Laser(LaserSettings()),))
@@ -203,8 +203,8 @@ def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, wish: 
     latent = LatentMessage(
         **stamp, model=own, values=tuple(MODEL.latent.tolist()), deviations=(0.1,) * len(MODEL.latent)
     )
-    wished = WishMessage(**stamp, values=(wish, 0.0), controller="test")
-    inputs = {LATENT: latent, WISH: wished, SURROUNDINGS: seen or surroundings(state)}
+    nominal_speed = NominalMessage(**stamp, values=(nominal, 0.0), controller="test")
+    inputs = {LATENT: latent, NOMINAL: nominal_speed, SURROUNDINGS: seen or surroundings(state)}
     node.step("r", state, inputs)
     verdict = node.afterwards("r")[VERDICT]
     assert isinstance(verdict, VerdictMessage)
@@ -215,7 +215,7 @@ def state_of() -> StateMessage:
     return CarRobot(Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))).state_message()
 
 
-def test_the_wish_passes_where_nothing_is_near_and_a_point_ahead_is_kept_away_from() -> None:
+def test_the_nominal_action_passes_where_nothing_is_near_and_a_point_ahead_is_kept_away_from() -> None:
     assert decided(None).status == "passed"
     verdict = decided(surroundings(state_of(), points=((1.05, 0.0, 0.05),)))
     assert verdict.status == "corrected"
@@ -231,7 +231,7 @@ def test_what_moves_needs_more_room_than_what_is_at_rest_and_what_hides_behind_t
     assert decided(surroundings(state_of(), hidden=((*place, 1.5),))).status != "passed"
     behind = ((-0.9, 0.0, 0.3, 1.5),)
     assert decided(surroundings(state_of(), hidden=behind)).status == "passed"
-    assert decided(surroundings(state_of(), hidden=behind), speed=-0.5, wish=-0.5).status != "passed"
+    assert decided(surroundings(state_of(), hidden=behind), speed=-0.5, nominal=-0.5).status != "passed"
 
 
 def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_brakes() -> None:
@@ -246,7 +246,7 @@ def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_
     [
         (Stale(SURROUNDINGS, None), "no surroundings has arrived"),
         (Stale(SURROUNDINGS, 4), "4 ticks old"),
-        (surroundings(state_of(), amiss=("the source laser is frozen",)), "laser is frozen"),
+        (surroundings(state_of(), problems=("the source laser is frozen",)), "laser is frozen"),
         (surroundings(state_of(), ages=()), "ages of 0 sources"),
         (surroundings(state_of(), movers=((1.0, 2.0, 0.1),)), "movers"),
         (surroundings(state_of(), points=((1.0, 2.0, -0.1),)), "below 0"),
@@ -375,7 +375,7 @@ class Ahead:
 
 
 def driven(scene: Scene, people: tuple[Person, ...], seconds: float, seed: int = 1) -> CarRobot:
-    """The real nodes, the laser alone; the wish is full speed ahead."""
+    """The real nodes, the laser alone; the nominal action is full speed ahead."""
     from safedpa.adaptation import AdaptationNode
     from safedpa.policy import PolicyNode
 

@@ -77,7 +77,7 @@ def test_objects_in_an_ignored_zone_are_left_out_those_behind_stay_hidden_and_th
     assert not middles(ignoring.hidden, (1.1, -0.4), (1.9, 0.4)), "no person hides in it"
     nothing = told(PerceptionSettings(), replace(PILLAR, obstacles=()))
     assert not middles(nothing.hidden, *BEHIND)
-    assert not ignoring.amiss
+    assert not ignoring.problems
     # The rays that end in it passed it.
     assert not middles(told(with_zones(DOCK)).hidden, (0.3, -0.5), (1.0, 0.5))
 
@@ -317,14 +317,14 @@ def test_what_only_a_source_sees_that_is_off_is_hidden_and_its_silence_is_nothin
     assert middles(one.hidden, *beside)
     assert [x for x, *_ in both.points if x < -2.5]
     assert not [x for x, *_ in one.points if x < -2.5]
-    assert one.amiss == ()
+    assert one.problems == ()
     assert len(one.ages) == 2
     assert one.ages[1] == one.ages[0] > 0.0, "the report is as old as what the others saw"
 
 
 def test_without_any_source_the_filter_brakes() -> None:
     message = told(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))
-    assert message.amiss == ("no source is listened to: laser switched off",)
+    assert message.problems == ("no source is listened to: laser switched off",)
     assert message.ages == (-1.0,)
     model = load_model("car")
     node = PerceptionNode(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))
@@ -338,19 +338,19 @@ def test_without_any_source_the_filter_brakes() -> None:
 def test_a_source_has_a_time_out_of_its_own() -> None:
     silent = [lone(30)[0]]
 
-    def amiss(own: PerceptionSettings, after: float) -> tuple[str, ...]:
+    def problems(own: PerceptionSettings, after: float) -> tuple[str, ...]:
         node, state = PerceptionNode(own), car().state_message()
         node.hear("r", silent[0])
         for tick in range(round(after / 0.05) + 1):
             seen = node.step("r", replace(state, tick=tick, robot_time=0.05 * tick), {})[SURROUNDINGS]
         assert isinstance(seen, SurroundingsMessage)
-        return seen.amiss
+        return seen.problems
 
     quick = PerceptionSettings(sources={"laser": SourceSettings(time_out=0.2)})
-    assert amiss(PerceptionSettings(), 0.3) == ()
-    assert amiss(quick, 0.3) == ("the source laser was silent for 0.30 s, its time-out is 0.2 s",)
-    assert amiss(quick, 0.2) == ()
-    assert "its time-out is 0.5 s" in amiss(PerceptionSettings(), 0.6)[0]
+    assert problems(PerceptionSettings(), 0.3) == ()
+    assert problems(quick, 0.3) == ("the source laser was silent for 0.30 s, its time-out is 0.2 s",)
+    assert problems(quick, 0.2) == ()
+    assert "its time-out is 0.5 s" in problems(PerceptionSettings(), 0.6)[0]
 
 
 def test_a_closed_zone_that_the_robot_could_never_leave_is_refused() -> None:

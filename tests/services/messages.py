@@ -16,7 +16,7 @@ def state_of(*values, **fields):
 
 def verdict_of(status, **fields):
     """A verdict without anything to tell."""
-    usual = STAMP | {"sentence": "", "action": (0.0, 0.0), "wish": (), "slack": 0.0, "active": (), "h_now": 1.0}
+    usual = STAMP | {"sentence": "", "action": (0.0, 0.0), "nominal": (), "slack": 0.0, "active": (), "h_now": 1.0}
     usual |= {"h_next": 1.0, "margin": 0.0, "solver": "", "microseconds": 1.0}
     return VerdictMessage(status=status, **{**usual, **fields})
 

@@ -59,7 +59,7 @@ def test_the_demonstration_drives_the_car_whose_steering_is_bent(plans: list[Pla
 @pytest.mark.parametrize("robot", sorted(robots()))
 def test_every_robot_that_ships_is_served(plans: list[Plan], tmp_path: Path, robot: str) -> None:
     file = tmp_path / "robot.toml"
-    file.write_text(f'format = 1\nrobot = "{robot}"\nname = "own"\n', encoding="utf-8")
+    file.write_text(f'format = 2\nrobot = "{robot}"\nname = "own"\n', encoding="utf-8")
     begun(serve.command, str(file), "--headless", "--policy", "random", "--out", str(tmp_path))
     (plan,) = plans
     assert (plan.robot, plan.name, plan.controller, plan.dashboard) == (robot, "own", "random", False)

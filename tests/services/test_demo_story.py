@@ -244,9 +244,11 @@ def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
 
 
 @pytest.mark.parametrize(("standstill", "unsaid"), [(None, 9.0), ("", 9.0), ("the wall is near", 0.0)])
-def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(standstill, unsaid):
+def test_a_stand_is_explained_by_a_verdict_that_names_its_reason(stationary_reason, unsaid):
     drive = Drive()
-    drive.watch.verdict = None if standstill is None else verdict_of("corrected", standstill=standstill)
+    drive.watch.verdict = (
+        None if stationary_reason is None else verdict_of("corrected", stationary_reason=stationary_reason)
+    )
     for t in range(10):
         drive.watch.state = state_of(robot_time=float(t))
         drive.story.look(drive.watch)

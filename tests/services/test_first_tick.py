@@ -7,7 +7,7 @@ import pytest
 
 _FIRST_TICK = """
 import argparse, sys
-from safedpa.bus import LATENT, WISH, LatentMessage, StateMessage, WishMessage
+from safedpa.bus import LATENT, NOMINAL, LatentMessage, StateMessage, NominalMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa_services.nodes import add_filter_options, safety_filter
 parser = argparse.ArgumentParser()
@@ -33,7 +33,7 @@ latent = tuple(model.latent.tolist())
 node.prepare("r1", state)
 node.step("r1", state, {
     LATENT: LatentMessage(**stamp, model=fingerprint(model), values=latent, deviations=latent),
-    WISH: WishMessage(**stamp, values=(1.0,) * actions, controller="test"),
+    NOMINAL: NominalMessage(**stamp, values=(1.0,) * actions, controller="test"),
 })
 print(node.newest("r1") is state, sorted(set(sys.modules) - loaded))
 """

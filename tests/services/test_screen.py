@@ -81,7 +81,7 @@ def test_the_headline_waits_for_the_robot_and_then_tells_of_it(watch, tmp_path):
 def test_a_standstill_is_explained_and_a_finding_is_shown(watch, tmp_path):
     watch.verdict = verdict_of("corrected")
     assert not [line for line in drawn(watch, child_of(tmp_path)) if "stands for" in line]
-    watch.verdict = verdict_of("corrected", stands=7.0, standstill="the wall is near")
+    watch.verdict = verdict_of("corrected", stationary_for=7.0, stationary_reason="the wall is near")
     watch.finding = finding_of("raised")
     lines = [line.rstrip() for line in drawn(watch, child_of(tmp_path))]
     assert "stands for 7 s, the wall is near" in lines

@@ -34,7 +34,7 @@ def served(monkeypatch, tmp_path):
         monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", Supervisor)
         monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(broker))
         file = tmp_path / "robot.toml"
-        file.write_text('format = 1\nrobot = "car"\nname = "own"\n', encoding="utf-8")
+        file.write_text('format = 2\nrobot = "car"\nname = "own"\n', encoding="utf-8")
         words = [str(file), "--headless", "--policy", "random", "--no-diagnosis", "--out", str(tmp_path)]
         result = CliRunner().invoke(serve.command, words)
         assert result.exception is None, result.output

@@ -88,7 +88,7 @@ class Watch:
         self.orders.append(self.clock.now)
         return self.takes_orders
 
-    def stands(self):
+    def stationary_for(self):
         return self.clock.now >= self.stands_at
 
 

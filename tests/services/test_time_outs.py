@@ -211,11 +211,11 @@ def test_a_router_whose_work_stands_still_is_ended_after_seconds(clock, waits):
     ended: list[float] = []
     gone = threading.Event()
 
-    def stands():
+    def stationary_for():
         ended.append(clock.now)
         gone.set()
 
-    LoopWatchdog(stands)
+    LoopWatchdog(stationary_for)
     gone.wait()
     assert 3.0 <= ended[0] <= 10.0
 

@@ -48,14 +48,14 @@ def watch(broker):
     ],
 )
 def test_a_robot_stands_once_its_filter_stopped_it_and_a_car_once_its_wheels_stand_too(
-    watch, loop, state, status, stands
+    watch, loop, state, status, stationary_for
 ):
     if state is not None:
         loop.publish(STATE, "r1", state)
     if status is not None:
         loop.publish(VERDICT, "r1", verdict_of(status))
     watch.listen(0.0)
-    assert watch.stands() is stands
+    assert watch.stationary_for() is stationary_for
 
 
 def test_a_repeated_verdict_counts_once_and_other_robots_do_not_count(watch, loop):
@@ -118,7 +118,9 @@ def test_a_robot_whose_bus_is_closed_takes_no_order(watch, loop):
 
 
 def test_a_long_standstill_is_noted_with_its_reason(watch, loop):
-    loop.publish(VERDICT, "r1", verdict_of("corrected", tick=1, stands=6.0, standstill="the wall is near"))
+    loop.publish(
+        VERDICT, "r1", verdict_of("corrected", tick=1, stationary_for=6.0, stationary_reason="the wall is near")
+    )
     watch.listen(0.0)
     assert [stand["reason"] for stand in watch.standstills] == ["the wall is near"]
 

@@ -129,9 +129,9 @@ def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monk
     chosen = settings_named("car").with_barriers(clearance=0.0)
     alone, corrected = SafetyFilter.for_model(BatchedCars(configuration).model, chosen), 0
     for _ in range(60):
-        before, wish, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
-        driving.advance(wish)
-    scene, asked = driving.scene, weights["action_middle"] + weights["action_scale"] * wish
+        before, nominal, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
+        driving.advance(nominal)
+    scene, asked = driving.scene, weights["action_middle"] + weights["action_scale"] * nominal
     kept = asked_of[-1][-1]
     assert (kept.min() > 0.05, kept.max() < 0.19, kept.std() > 0.02) == (True, True, True)
     for car in range(CARS):

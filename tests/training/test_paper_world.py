@@ -107,18 +107,20 @@ def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, w
     assert not np.array_equal(other.observation(), before)
 
 
-def test_what_was_trained_wishes_the_same_whatever_hangs_behind(taught: tuple[Weights, dict[str, Any]]) -> None:
+def test_what_was_trained_requests_the_same_whatever_hangs_behind(taught: tuple[Weights, dict[str, Any]]) -> None:
     made, _ = taught
     np.testing.assert_array_equal(made["observation_body"], BODY)
     policy, latent = LearnedPolicy(made), np.zeros(made.description.latents)
     message = CarRobot(Scene.random(3, "none")).state_message()
-    wishes = {policy.wish(replace(message, footprint=footprint), latent) for footprint in _footprints(message)}
-    assert len(wishes) == 1
+    nominal_actions = {
+        policy.nominal_action(replace(message, footprint=footprint), latent) for footprint in _footprints(message)
+    }
+    assert len(nominal_actions) == 1
     seeing = LearnedPolicy(
         Weights({k: v for k, v in made.tensors.items() if k != "observation_body"}, made.description)
     )
-    assert len({seeing.wish(replace(message, footprint=item), latent) for item in _footprints(message)}) > 1
-    assert seeing.wish(message, latent)[0] == pytest.approx(wishes.pop()[0], abs=1e-5)
+    assert len({seeing.nominal_action(replace(message, footprint=item), latent) for item in _footprints(message)}) > 1
+    assert seeing.nominal_action(message, latent)[0] == pytest.approx(nominal_actions.pop()[0], abs=1e-5)
 
 
 def _footprints(message: StateMessage) -> list[tuple[float, ...]]:

@@ -77,7 +77,7 @@ def state(tick, epoch=1, **more):
 
 def verdict(tick, **more):
     return VerdictMessage(
-        **stamp(tick), status="passed", sentence="The wish is safe.", action=(1.0, 0.0), wish=(1.0, 0.0), slack=0.0,
+        **stamp(tick), status="passed", sentence="The nominal action is safe.", action=(1.0, 0.0), nominal=(1.0, 0.0), slack=0.0,
         active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0, **more,
     )  # fmt: skip
 
@@ -152,15 +152,17 @@ def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen,
 
 
 def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
-    assert book.standstill() == "", "before a verdict nothing is known"
-    book.take(verdict(198, stands=9.0), 10.0)
-    assert book.standstill() == "", "it stands where no policy moves it"
+    assert book.stationary_reason() == "", "before a verdict nothing is known"
+    book.take(verdict(198, stationary_for=9.0), 10.0)
+    assert book.stationary_reason() == "", "it stands where no policy moves it"
     for tick, seconds in ((199, 5.5), (219, 6.5)):
-        book.take(verdict(tick, stands=seconds, standstill="margin: obstacle leave less room"), 10.0)
-    assert book.standstill().startswith("r1 stands for 6 s, margin: obstacle leave less room. Give it another goal")
+        book.take(verdict(tick, stationary_for=seconds, stationary_reason="margin: obstacle leave less room"), 10.0)
+    assert book.stationary_reason().startswith(
+        "r1 stands for 6 s, margin: obstacle leave less room. Give it another goal"
+    )
     assert change_lines(book).count("stands: margin") == 1
     book.take(verdict(220), 10.0)
-    assert book.standstill() == ""
+    assert book.stationary_reason() == ""
     assert change_lines(book).count("stands: margin") == 1
 
 
@@ -190,7 +192,7 @@ def test_services_with_different_models_are_named(book):
     assert "policy refuses change 2: bad" in change_lines(book)
     words = "the margin of obstacle goes from 0.03 to 0.115 where h is 0.08"
     ready = TakeoverMessage(
-        **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", foretold=words
+        **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", expected_effect=words
     )
     book.take(ready, 1.0)
     assert f"change 3: {words}" in change_lines(book)

@@ -158,7 +158,7 @@ def test_a_trouble_of_the_workbench_pops_up_for_no_longer_than_ten_seconds(finis
             heards.append(heard)
 
     heards: list[Any] = []
-    monkeypatch.setattr(page, "wishes_dark", light)
+    monkeypatch.setattr(page, "prefers_dark", light)
     bench = Troubled(InputSelection(), tmp_path)
     bench.trouble = "the worker was ended: start it again"
 

@@ -38,7 +38,7 @@ def _opened(built, module, monkeypatch, finished, *, leaves):
                 client.delete()
             return False
 
-        monkeypatch.setattr(module, "wishes_dark", asked)
+        monkeypatch.setattr(module, "prefers_dark", asked)
         with client:
             made = built()
             client.on_delete(made.close)

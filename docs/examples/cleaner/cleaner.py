@@ -159,7 +159,7 @@ def heading(state, operations):
 class Seeker:
     """forward = 0.8 m/s cos(e), turn = 2.5 e; e from the heading to the goal, or past the obstacle before it."""
 
-    def wish(self, state, latent):
+    def nominal_action(self, state, latent):
         """The action (2,), and the controller's name."""
         x, y, yaw = state.values
         way = atan2(state.goal[1] - y, state.goal[0] - x)

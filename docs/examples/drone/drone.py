@@ -149,7 +149,7 @@ class Drone(AbstractRobot):
 class Seeker:
     """a = (2 (goal - p) clipped to 2 m/s - v) / 0.4 s - wind."""
 
-    def wish(self, state, latent):
+    def nominal_action(self, state, latent):
         """The acceleration (2,), and the controller's name."""
         position, velocity = np.array(state.values[:2]), np.array(state.values[2:])
         wanted = 2.0 * (np.array(state.goal) - position)

@@ -21,7 +21,7 @@ __all__ = ["command"]
 def command(file: Path, seed: int, as_json: bool) -> int:
     """Check a robot of your own: what is missing, wrong, or fine, each part in a sentence; exit code 2 if any is not.
 
-    FILE.py declares it (a class derived from AbstractRobot). Its stand-in is driven by random wishes behind its filter.
+    FILE.py declares it (a class derived from AbstractRobot). Its stand-in is driven by random nominal actions behind its filter.
     """
     from safedpa.check_robot import check_robot
     from safedpa.dynamics import load_own

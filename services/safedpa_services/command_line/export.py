@@ -37,7 +37,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
     A recording gives one row per tick: t [s], the states, the actions in force until the next row, and what the safety
     filter decided at that tick: status, slack, h_now, h_next, margin. A rosbag2 is a folder of standard messages:
-    odometry, tf, wish and command, diagnostics, markers; Foxglove, Rerun and ROS 2 open it.
+    odometry, tf, nominal action and command, diagnostics, markers; Foxglove, Rerun and ROS 2 open it.
 
     Of a model (a file, or the name of one that ships) --out is a folder: parameters.json with every parameter, and
     files of other simulators (MJCF, URDF, Gazebo) as far as they can say it; what they cannot is told.

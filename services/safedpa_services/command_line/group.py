@@ -15,7 +15,7 @@ __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
     "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
-    "effects", "export", "go", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
+    "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
     "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""

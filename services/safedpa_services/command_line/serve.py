@@ -26,9 +26,7 @@ __all__ = ["command"]
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
 @click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
-@click.option(
-    "--policy", "controller", metavar="NAME", help="let a policy here wish: goal_seeker, learned, planner ..."
-)
+@click.option("--policy", "controller", metavar="NAME", help="run this policy here: goal_seeker, learned, planner ...")
 @click.option("--perception", default="", metavar="FILE.toml", help="settings, sources and zones of perception")
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
 @click.option("--diagnosis/--no-diagnosis", default=True, show_default=True, help="watch over the model")
@@ -46,8 +44,8 @@ __all__ = ["command"]
 def command(file: Path, **options: Any) -> None:
     """Serve the robot of ROBOT.toml: adaptation, safety filter, recorder, diagnosis, dashboard, workbench.
 
-    Where the file says how it is reached by ROS 2, the gateway runs too, and its own policy wishes by the topic of
-    [wish]; else the robot joins the bus by itself (docs/bus.md). Without [wish] --policy says who wishes, with
+    Where the file says how it is reached by ROS 2, the gateway runs too, and its own policy requests by the topic of
+    [nominal]; else the robot joins the bus by itself (docs/bus.md). Without [nominal] --policy names the policy, with
     [[scans]] perception runs too. With certificates a router lets everybody say and hear what is his. Until Ctrl-C.
     """
     from safedpa.bus.security.access_control import role_of_robot
@@ -59,25 +57,25 @@ def command(file: Path, **options: Any) -> None:
         load_own_everywhere(options["robot_file"])
     asked = load_served_robot(file)
     speaks_ros = isinstance(asked, RobotFile)
-    wishes = isinstance(asked, RobotFile) and bool(asked.wish.topic)
+    with_policy = isinstance(asked, RobotFile) and bool(asked.nominal.topic)
     if options["perception"] and not (isinstance(asked, RobotFile) and asked.scans):
         raise InputError(
             f"--perception: got a file, and {file} has no [[scans]]; leave it out, or name its scans there"
         )
     if speaks_ros:
         need("ros", what="a robot that speaks ROS 2")
-    if wishes and options["controller"]:
-        raise InputError("--policy: got one for a robot whose own policy wishes; leave one of the two out")
-    if not wishes and not options["controller"]:
-        raise InputError(f"{file}: nobody wishes; name one with --policy, or a topic in [wish] of a ROS robot")
+    if with_policy and options["controller"]:
+        raise InputError("--policy: got one for a robot whose own policy requests; leave one of the two out")
+    if not with_policy and not options["controller"]:
+        raise InputError(f"{file}: no policy; name one with --policy, or a topic in [nominal] of a ROS robot")
     if not options["headless"]:
         need("view", what="the dashboard", instead="leave it out with --headless")
     stop, own = StopSignal(), _own_certificates(options, speaks_ros=speaks_ros)
     with planned(_as_asked(asked, options), own) as made:
         stop.listen_to_signals()
         plan = replace(made, senses=isinstance(asked, RobotFile) and bool(asked.scans))
-        gateway = plan.gateway(file, wishes=wishes) if speaks_ros else None
-        services = _services(plan, policy=not wishes)
+        gateway = plan.gateway(file, with_policy=with_policy) if speaks_ros else None
+        services = _services(plan, policy=not with_policy)
         if gateway is None:
             role = "" if plan.wallet is None else f" with the certificate of role {role_of_robot(plan.name)}"
             where = plan.door or plan.endpoint

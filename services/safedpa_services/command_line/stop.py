@@ -15,7 +15,7 @@ from safedpa_services.command_line.stop_orders import give_order
 @click.option("--robot", default="", help="this robot alone; default: the whole fleet")
 @who_option
 def command(robot: str, **options: Any) -> None:
-    """Stop a robot or the whole fleet: the safety filter hands on no wish of the policy any more and brakes.
+    """Stop a robot or the whole fleet: the safety filter hands on no nominal action of the policy any more and brakes.
 
     A car stands, a pendulum is kept within its corridor. The order holds until 'safedpa go'; whether it also holds over
     a restart of the filter stands in the answer.

@@ -98,7 +98,9 @@ GROUPS = {
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
 @click.option("--rate", type=float, help="ticks per second; default: the robot's own (car 20, pendulum 100, point 50)")
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
-@click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
+@click.option(
+    "--no-filter", "unfiltered", is_flag=True, help="hand the policy's nominal actions on unchecked, to see why not"
+)
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
 @click.option(
     "--diagnosis/--no-diagnosis",
@@ -114,7 +116,7 @@ GROUPS = {
 @click.option("--perception", default="", metavar="FILE.toml", help="settings, sources and zones of perception")
 @click.option(
     "--controller",
-    help="who wishes for actions, such as goal_seeker, learned, planner, random; default: learned where the model's "
+    help="who requests actions, such as goal_seeker, learned, planner, random; default: learned where the model's "
     "weights hold a policy, else the robot's own",
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
@@ -406,8 +408,8 @@ def driven(plan: Plan, stop: StopSignal, shown_by: ShownBy) -> dict[str, Any]:
     if not robot.begun:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
-    stands, accounts = watch.standstills, plan.other_summaries
-    return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
+    stationary_for, accounts = watch.standstills, plan.other_summaries
+    return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stationary_for, accounts)
 
 
 def _screen_of(plan: Plan, *, quiet: bool) -> ShownBy:
@@ -432,7 +434,9 @@ def _tell(summary: dict[str, Any]) -> None:
         click.echo(
             f"{name}: {account['ticks']} ticks, {account['goals_reached']} goals, {account['collisions']} collisions"
         )
-    click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
+    click.echo(
+        f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} nominal actions"
+    )
     for stand in summary["standstills"]:
         print_plain(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:

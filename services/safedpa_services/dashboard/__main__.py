@@ -53,7 +53,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         grpc_port = open_server(
             lambda port: DataProxy(options.bind, port, own, options.name),
             grpc_port,
-            wished=options.grpc_port is not None,
+            required=options.grpc_port is not None,
         )
     address = "" if grpc_port is None else _open_door(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
@@ -69,8 +69,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
 def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
     first = choose_port(options.web_port, 9090, "--web-port", options.bind)
-    wished = options.web_port is not None
-    port = open_server(lambda port: ViewerServer(options.bind, port, grpc_port, options.name), first, wished=wished)
+    required = options.web_port is not None
+    port = open_server(lambda port: ViewerServer(options.bind, port, grpc_port, options.name), first, required=required)
     host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
     return f"http://{host}:{port}"
 

@@ -16,7 +16,7 @@ _LARGEST = 1e12
 """Of any unit; beyond it a curve has a gap, since one such number flattens the plot."""
 
 _BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE, 1.5), ("threshold", VERMILLION, 1.5))
-_ACTION = (("wish", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
+_ACTION = (("nominal", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
 """Name, colour, width of the curves of one pane, in the order of their values."""
 
 _WITHOUT_BARRIER = ("fallback", "disabled", "stopped")
@@ -78,11 +78,13 @@ def barrier_entries(verdict: VerdictMessage) -> list[TimelineEntry]:
 
 
 def action_entries(verdict: VerdictMessage, look: DisplaySettings) -> list[TimelineEntry]:
-    """Wish and filtered action of each entry of the action, between the actuator's limits."""
+    """Nominal action and filtered action of each entry of the action, between the actuator's limits."""
     entries = []
     for index, variable in enumerate(look.system.action):
-        wish, filtered = (_gap(row[index]) if index < len(row) else math.nan for row in (verdict.wish, verdict.action))
-        values = (wish, filtered, look.action_low[index], look.action_high[index])
+        nominal, filtered = (
+            _gap(row[index]) if index < len(row) else math.nan for row in (verdict.nominal, verdict.action)
+        )
+        values = (nominal, filtered, look.action_low[index], look.action_high[index])
         entries.append(TimelineEntry(("action", variable.name), Curves(values)))
     return entries
 

@@ -39,7 +39,7 @@ _HOST = re.compile(r"[A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]")
 
 
 def choose_port(wanted: int | None, first: int, option: str, bind: str) -> int:
-    """The wanted port, or without a wish the first free one from ``first`` on.
+    """The wanted port, or, if none is required, the first free one from ``first`` on.
 
     Raises InputError when the wanted one is taken or none is free.
     """
@@ -53,13 +53,13 @@ def choose_port(wanted: int | None, first: int, option: str, bind: str) -> int:
     raise InputError(f"{option}: no free port from {first} to {first + _ATTEMPTS - 1}; name one")
 
 
-def open_server(door: Callable[[int], object], first: int, *, wished: bool) -> int:
+def open_server(door: Callable[[int], object], first: int, *, required: bool) -> int:
     """The port at which a door was opened: ``first``, or the next where that was taken since it was chosen.
 
     Another dashboard that is started at the same moment looks at the same ports. Raises InputError where the first was
-    wished for, or none of so many can be had.
+    requested, or none of so many can be had.
     """
-    last = first if wished else first + _ATTEMPTS - 1
+    last = first if required else first + _ATTEMPTS - 1
     for port in range(first, last):
         with contextlib.suppress(InputError):
             door(port)

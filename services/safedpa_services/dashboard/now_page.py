@@ -72,9 +72,9 @@ class NowPage:
         if verdict is None:
             return []
         lines = [f"**{_plain(verdict.status)}**: {_plain(verdict.sentence[:_LONGEST])}"]
-        if verdict.standstill:
-            stands = f"**Stands for {verdict.stands:.0f} s**, {_plain(verdict.standstill)}."
-            lines.append(f"{stands} {_plain(what_to_do(verdict.standstill))}")
+        if verdict.stationary_reason:
+            stationary_for = f"**Stands for {verdict.stationary_for:.0f} s**, {_plain(verdict.stationary_reason)}."
+            lines.append(f"{stationary_for} {_plain(what_to_do(verdict.stationary_reason))}")
         return lines
 
     def _waiting_lines(self, now: float) -> list[str]:
@@ -123,7 +123,7 @@ def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
     ]
     zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
     ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
-    return [told[:_LONGEST] for told in (*ages, *seen.amiss, *zones, *ordered)]
+    return [told[:_LONGEST] for told in (*ages, *seen.problems, *zones, *ordered)]
 
 
 def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> MarkdownPage:

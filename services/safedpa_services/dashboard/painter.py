@@ -61,7 +61,7 @@ _PANES = (
         "the smallest barrier value, now and predicted for the next tick. Above the threshold 0: safe. Each step must "
         "keep it above the margin's condition. A gap: the filter could not compute it.",
     ),
-    ("action", "what the policy wished and what the filter let through, between the actuator's limits."),
+    ("action", "what the policy requested and what the filter let through, between the actuator's limits."),
     (
         "verdict",
         "filter: passed, corrected, relaxed (less than the margin), violated (outside), fallback (no decision), "
@@ -243,7 +243,9 @@ def _bracketed(unit: str) -> str:
 
 
 def _action(origin: str, variable: Variable) -> Any:
-    return _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: wished and let through", 8)
+    return _curves(
+        f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: requested and let through", 8
+    )
 
 
 def _planes(origin: str, scene: Scene, look: DisplaySettings) -> list[Any]:

@@ -1,4 +1,4 @@
-"""``python -m safedpa_services.policy``: wishes for actions that lead every robot of a fleet to its goal."""
+"""``python -m safedpa_services.policy``: requests actions that lead every robot of a fleet to its goal."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Recorder:
 
     def __init__(self, bus: Bus, path: Path, setup: SetupMessage, robot: str = "*") -> None:
         self._bus, self._path, self._setup = bus, path, setup
-        self._about = {"format": "1", "fleet": bus.fleet, "software": setup.software, "robot": robot}
+        self._about = {"format": "2", "fleet": bus.fleet, "software": setup.software, "robot": robot}
         self._inbox = bus.inbox(tuple(TOPICS.values()), robot, keep_all=True)
         self._fleet = bus.inbox((SETUP,), NO_ROBOT, keep_all=True) if robot != "*" else None
         self._file: McapRecorder | None = McapRecorder(path, self._about)

@@ -43,7 +43,7 @@ from safedpa_services.ros_gateway.voice import HealthPublisher
 __all__ = ["checked_face", "make_gateway", "parser", "work"]
 
 _POLICY = "policy"
-"""Whose certificate is shown for the wish; it lies beside the robot's."""
+"""Whose certificate is shown for the nominal action; it lies beside the robot's."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -65,8 +65,8 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         options.role = role_of_robot(asked.name)
     with (
         bus_from_options(options) as bus,
-        _wishing(options, bus, wishes=bool(asked.wish.topic)) as wishing,
-        make_gateway(asked, bus, wishing) as gateway,
+        _policy_bus(options, bus, with_policy=bool(asked.nominal.topic)) as policy_bus,
+        make_gateway(asked, bus, policy_bus) as gateway,
         log_lifetime("robot", stop),
     ):
         gateway.run(stop)
@@ -74,10 +74,10 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 
 
 @contextmanager
-def _wishing(options: argparse.Namespace, bus: Bus, *, wishes: bool) -> Iterator[Bus]:
-    """The bus over which the robot's own policy wishes: with certificates a robot's may not, the policy's may."""
+def _policy_bus(options: argparse.Namespace, bus: Bus, *, with_policy: bool) -> Iterator[Bus]:
+    """The bus over which the robot's own policy requests: with certificates a robot's may not, the policy's may."""
     card, options.policy_card = options.policy_card, None
-    if not wishes or (options.certificates is None and card is None):
+    if not with_policy or (options.certificates is None and card is None):
         yield bus
         return
     with bus_from_options(
@@ -102,7 +102,7 @@ def checked_face(asked: RobotFile) -> tuple[AbstractFace, Limits, float]:
     face = declared.ros_face(model)
     if face is None:
         raise InputError(f"robot '{asked.robot}': it does not say how it speaks ROS; write its method 'ros_face'")
-    for key, kind in (("command", asked.command.type), ("wish", asked.wish.type)):
+    for key, kind in (("command", asked.command.type), ("nominal", asked.nominal.type)):
         if kind and kind not in face.commands:
             raise InputError(f"{key}.type: got '{kind}', wanted one of {', '.join(face.commands)}")
     settings = settings_named(asked.settings or declared.settings_name)
@@ -111,8 +111,8 @@ def checked_face(asked: RobotFile) -> tuple[AbstractFace, Limits, float]:
 
 
 @contextmanager
-def make_gateway(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iterator[Gateway]:
-    """The gateway, joined to both sides; it wishes over another bus where one is given.
+def make_gateway(asked: RobotFile, bus: Bus, policy_bus: Bus | None = None) -> Iterator[Gateway]:
+    """The gateway, joined to both sides; it requests over another bus where one is given.
 
     Raises InputError and BusError before anything is sent to the robot.
     """
@@ -130,22 +130,22 @@ def make_gateway(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iter
             )
         ]
         voice = HealthPublisher(asked.name, asked.frame, face, told[0], told[1])
-        senses = _senses(link, asked, face, asked.wish.type or command_type)
+        senses = _senses(link, asked, face, asked.nominal.type or command_type)
         command = link.publisher(asked.command.topic, command_type, type_hash)
         link.watched(asked.command.topic, PUBLISHER)  # from now on it is told
-        yield Gateway(bus, link, asked, face, limits, senses, command, voice, period, wishing=wishing)
+        yield Gateway(bus, link, asked, face, limits, senses, command, voice, period, policy_bus=policy_bus)
 
 
-def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, wish_type: str) -> SensorInputs:
+def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
     """Everything that the file names, heard from now on."""
     odometry = LatestMessage(asked.odometry.type, pose_paths(), asked.wire.frame)
     driver = CommandEchoMonitor(asked.command.topic)
     link.hear(asked.odometry.topic, asked.odometry.type, odometry.take)
     link.overhear(asked.command.topic, driver.take)
-    wish = goal = localised = None
-    if asked.wish.topic:
-        wish = LatestMessage(wish_type, face.paths(wish_type))
-        link.hear(asked.wish.topic, wish_type, wish.take)
+    nominal = goal = localised = None
+    if asked.nominal.topic:
+        nominal = LatestMessage(nominal_type, face.paths(nominal_type))
+        link.hear(asked.nominal.topic, nominal_type, nominal.take)
     if asked.goal.topic:
         goal = LatestMessage(_GOAL, goal_paths(), asked.frame)
         link.hear(asked.goal.topic, _GOAL, goal.take)
@@ -155,7 +155,7 @@ def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, wish_type: str)
     scanners = tuple(Scanner(scan.frame) for scan in asked.scans)
     for scan, scanner in zip(asked.scans, scanners, strict=True):
         link.hear(scan.topic, SCAN_TYPE, scanner.take)
-    return SensorInputs(odometry, driver, wish, goal, localised, scanners)
+    return SensorInputs(odometry, driver, nominal, goal, localised, scanners)
 
 
 def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
@@ -166,7 +166,7 @@ def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
     others = link.others_on(topic, PUBLISHER)
     if others:
         raise InputError(
-            f"{topic}: {others[0].node} publishes there already; have it publish {asked.wish.topic}, which goes "
+            f"{topic}: {others[0].node} publishes there already; have it publish {asked.nominal.topic}, which goes "
             "through the filter, and let the gateway alone write the driver's topic"
         )
     end = time.monotonic() + _DRIVER_SECONDS

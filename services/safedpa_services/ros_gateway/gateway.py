@@ -1,6 +1,6 @@
 """The gateway: one robot of the bus in front of one that speaks ROS 2.
 
-Each period: state[k] from the newest odometry and the wish of the robot's own policy go to the bus, the filter's
+Each period: state[k] from the newest odometry and the nominal action of the robot's own policy go to the bus, the filter's
 action of tick k goes to the driver as soon as it is there. Where none comes in time, the odometry is too old, or
 somebody else drives, the gateway sends the brake itself. It counts ticks by its own clock, whatever the stamps say.
 """
@@ -14,15 +14,15 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
-from safedpa.bus import ACTION, HEALTH, SCAN, STATE, VERDICT, WISH, Bus, ReceivedMessage
+from safedpa.bus import ACTION, HEALTH, NOMINAL, SCAN, STATE, VERDICT, Bus, ReceivedMessage
 from safedpa.bus.logging import log_event
 from safedpa.bus.messages.messages import (
     ActionMessage,
     HealthMessage,
+    NominalMessage,
     ScanMessage,
     StateMessage,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.bus.messages.service_info import software_version
 from safedpa.ros.face import AbstractFace
@@ -62,13 +62,13 @@ class Gateway:
         voice: HealthPublisher,
         period: float,
         clock: Callable[[], float] = time.monotonic,
-        wishing: Bus | None = None,
+        policy_bus: Bus | None = None,
     ) -> None:
-        self._wishing = wishing or bus
+        self._policy_bus = policy_bus or bus
         self._bus, self._link, self._asked, self._face, self._clock = bus, link, asked, face, clock
         self._low, self._high, self._brake = limits
         self._senses, self._command, self._voice = senses, command, voice
-        self._wish_type = asked.wish.type or command.type
+        self._nominal_type = asked.nominal.type or command.type
         self._name, self.period = asked.name, period
         self._inbox = bus.inbox((ACTION,), asked.name, alone=True)
         self._verdicts = bus.inbox((VERDICT,), asked.name, alone=True)
@@ -168,12 +168,12 @@ class Gateway:
         )
         self._publish_scans(age)
         self._bus.publish(STATE, self._name, state)
-        if self._senses.wish is None:
+        if self._senses.nominal is None:
             return
-        numbers, wish_age, _ = self._senses.wish.read()
-        if wish_age <= asked.wish.largest_age:
-            wish = self._face.action(self._wish_type, numbers, self._values)
-            self._wishing.publish(WISH, self._name, WishMessage(**stamp, values=wish, controller="ros"))
+        numbers, nominal_age, _ = self._senses.nominal.read()
+        if nominal_age <= asked.nominal.largest_age:
+            nominal = self._face.action(self._nominal_type, numbers, self._values)
+            self._policy_bus.publish(NOMINAL, self._name, NominalMessage(**stamp, values=nominal, controller="ros"))
 
     def _publish_scans(self, age: float) -> None:
         """What the scanners told since the last state, on the same clock as the states: when each was measured."""

@@ -1,4 +1,4 @@
-"""``robot.toml``: which robot, where it is reached, what it tells, who wishes, and how it is driven.
+"""``robot.toml``: which robot, where it is reached, what it tells, who requests, and how it is driven.
 
 What cannot be in it is told by key, before anything is joined or moved.
 """
@@ -37,7 +37,7 @@ __all__ = [
     "load_served_robot",
 ]
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class NominalActionTopic:
     """What the robot's own policy would do; it goes through the filter."""
 
     topic: str = ""
-    """Empty: a policy of this side wishes (``safedpa serve --policy``)."""
+    """Empty: a policy of this side requests (``safedpa serve --policy``)."""
     type: str = ""
     """Empty: that of the command."""
     largest_age: float = 0.5
@@ -155,7 +155,7 @@ class RobotFile(ServedRobot):
     odometry: OdometryTopic
     command: CommandTopic
     surroundings: ObstaclesTopic
-    wish: NominalActionTopic = field(default_factory=NominalActionTopic)
+    nominal: NominalActionTopic = field(default_factory=NominalActionTopic)
     goal: GoalTopic = field(default_factory=GoalTopic)
     localisation: LocalisationTopic = field(default_factory=LocalisationTopic)
     scans: tuple[ScanTopic, ...] = ()
@@ -184,7 +184,7 @@ def _loaded(path: Path, kind_of: Callable[[Mapping[str, Any]], type[ServedRobot]
     try:
         table = parse_toml(text_of_file(path, "toml_bytes"))
         if table.pop("format", None) != FORMAT:
-            raise InputError(f"format: wanted {FORMAT}; this program reads no other")
+            raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
         found: ServedRobot = _of(kind_of(table), table, "")
         check_served(found)
         if isinstance(found, RobotFile):
@@ -303,7 +303,7 @@ def _check_wire(found: RobotFile) -> None:
 
 
 def _check_ages(found: RobotFile) -> None:
-    ages = [("odometry", found.odometry.largest_age), ("wish", found.wish.largest_age)]
+    ages = [("odometry", found.odometry.largest_age), ("nominal", found.nominal.largest_age)]
     for key, age in [*ages, ("localisation", found.localisation.largest_age)]:
         if not 0.0 < age <= 2.0:
             raise InputError(f"{key}.largest_age: got {age}, wanted more than 0 and at most 2 s")
@@ -317,7 +317,7 @@ def _check_topics(found: RobotFile) -> None:
     topics = {
         "odometry": found.odometry.topic,
         "command": found.command.topic,
-        "wish": found.wish.topic,
+        "nominal": found.nominal.topic,
         "goal": found.goal.topic,
         "localisation": found.localisation.topic,
     }
@@ -329,9 +329,9 @@ def _check_topics(found: RobotFile) -> None:
     for key, topic in said.items():  # over a bridge its bytes would be taken for a command
         if topic.strip("/") == found.command.topic.strip("/"):
             raise InputError(f"{key}: got the command's own topic, '{topic}': the driver obeys what comes there")
-    if found.wish.topic.strip("/") == found.command.topic.strip("/"):
+    if found.nominal.topic.strip("/") == found.command.topic.strip("/"):
         raise InputError(
-            f"wish.topic: got the command's own, '{found.command.topic}': the policy would speak past the filter; have "
+            f"nominal.topic: got the command's own, '{found.command.topic}': the policy would speak past the filter; have "
             "it publish another one, drive_in say"
         )
     if found.localisation.topic and found.localisation.frame.strip("/") in ("", found.wire.frame.strip("/")):

@@ -1,4 +1,4 @@
-"""The newest of what the robot tells and its policy wishes, with its age by this machine's own clock.
+"""The newest of what the robot tells and its policy requests, with its age by this machine's own clock.
 
 The clocks of messages are not believed: a stamp may jump. What counts is when a message arrived, and that its stamp
 differs from the one before: a publisher that repeats itself tells nothing new.
@@ -129,7 +129,7 @@ class SensorInputs:
 
     odometry: LatestMessage
     driver: CommandEchoMonitor
-    wish: LatestMessage | None = None
+    nominal: LatestMessage | None = None
     goal: LatestMessage | None = None
     localised: TransformListener | None = None
     scanners: tuple[Scanner, ...] = ()
@@ -137,10 +137,10 @@ class SensorInputs:
     @property
     def refused(self) -> int:
         """Messages that were not believed."""
-        heard = (self.odometry, self.wish, self.goal, self.localised, *self.scanners)
+        heard = (self.odometry, self.nominal, self.goal, self.localised, *self.scanners)
         return sum(one.refused for one in heard if one is not None)
 
     def not_believed(self, scans: Sequence[str]) -> dict[str, str]:
-        """Why the newest message of goal, wish or a scanner, by its name in ``scans``, was refused, where it was."""
-        heard = {"goal": self.goal, "wish": self.wish, **dict(zip(scans, self.scanners, strict=True))}
+        """Why the newest message of goal, nominal action or a scanner, by its name in ``scans``, was refused, where it was."""
+        heard = {"goal": self.goal, "nominal": self.nominal, **dict(zip(scans, self.scanners, strict=True))}
         return {f"{name}_refused": one.why for name, one in heard.items() if one is not None and one.why}

@@ -22,12 +22,12 @@ class LoopWatchdog:
 
     def __init__(
         self,
-        stands: Callable[[], None] = lambda: os._exit(1),
+        stationary_for: Callable[[], None] = lambda: os._exit(1),
         *,
         look_seconds: float = _LOOK_SECONDS,
         looks: int = _LOOKS,
     ) -> None:
-        self._stands, self._look_seconds, self._looks = stands, look_seconds, looks
+        self._stands, self._look_seconds, self._looks = stationary_for, look_seconds, looks
         self._beats = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)

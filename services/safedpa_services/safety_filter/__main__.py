@@ -1,4 +1,4 @@
-"""``python -m safedpa_services.safety_filter``: turns wishes into actions that keep every robot of a fleet safe."""
+"""``python -m safedpa_services.safety_filter``: turns nominal actions into actions that keep every robot of a fleet safe."""
 
 from __future__ import annotations
 

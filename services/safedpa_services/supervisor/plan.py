@@ -16,7 +16,7 @@ from safedpa_services.supervisor.securing import OPERATOR, CertificateStore
 __all__ = ["Plan"]
 
 _POLICY = "policy"
-"""Whose certificate a robot's own policy shows for its wish."""
+"""Whose certificate a robot's own policy shows for its nominal action."""
 _TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 
 
@@ -164,10 +164,10 @@ class Plan:
             return ZenohSettings(listen=(self.endpoint,))
         return ZenohSettings("client", (), (self.endpoint,), self.wallet.identity(OPERATOR))
 
-    def gateway(self, file: Path, *, wishes: bool) -> Child:
-        """The robot's process where it speaks ROS 2: the gateway. ``wishes``: its own policy's topic is heard there."""
+    def gateway(self, file: Path, *, with_policy: bool) -> Child:
+        """The robot's process where it speaks ROS 2: the gateway. ``with_policy``: its own policy's topic is subscribed to there."""
         child = self._child("robot", "safedpa_services.ros_gateway", str(file))
-        if self.wallet is not None and self.wallet.cards and wishes:
+        if self.wallet is not None and self.wallet.cards and with_policy:
             child.further = {"--policy-card": self.wallet.cards[_POLICY]}
         return child
 

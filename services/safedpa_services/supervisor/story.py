@@ -94,7 +94,7 @@ class DemoNarrator:
     _place: tuple[float, ...] = ()
     _now: float = 0.0
     _searches: int = 0
-    _wish: str = ""
+    _nominal: str = ""
     """Effect that is to be accepted."""
     _next: float = 0.0
     _told_person: str = ""
@@ -116,14 +116,14 @@ class DemoNarrator:
         """Takes in what the watch heard."""
         if watch.state is not None:
             self._now = watch.state.robot_time
-            self.unsaid.look(watch.state, said=bool(watch.verdict and watch.verdict.standstill))
+            self.unsaid.look(watch.state, said=bool(watch.verdict and watch.verdict.stationary_reason))
             self._drive(watch.state.values[:2])
         finding = watch.finding
         if finding is not None and finding is not self._seen:
             self._seen = finding
             self._hear(finding)
-        if self._wish and self.told.taken is None and self._now >= self._next:
-            self._next, effect = self._now + _AGAIN, self._wish
+        if self._nominal and self.told.taken is None and self._now >= self._next:
+            self._next, effect = self._now + _AGAIN, self._nominal
             self._beside(lambda: self._accept(effect))
         elif not self.accepts and self._told_person and self.told.taken is None and self._now >= self._next:
             self._next = self._now + _AGAIN
@@ -215,7 +215,7 @@ class DemoNarrator:
             self._lines.put(f"your turn: accept {effect} on the page, or another one; it drives on meanwhile")
         elif promised >= WANTED_FALL and (not group or self._searches >= _SEARCHES):
             self._lines.put(f"--yes: {effect} is accepted; it promises {100 * promised:.0f} % less error")
-            self._wish = effect
+            self._nominal = effect
         else:
             why = (
                 f"cannot be told from {', '.join(group)} yet"

@@ -155,7 +155,7 @@ class Supervisor:
             for watch in self._watches:
                 watch.listen(0.0)
             self.on_turn()
-            braking = [(child, watch) for child, watch in braking if _drives(child) and not watch.stands()]
+            braking = [(child, watch) for child, watch in braking if _drives(child) and not watch.stationary_for()]
 
 
 def _drives(child: Child) -> bool:

@@ -41,9 +41,9 @@ def _hint_style(hint: str) -> str:
 def _standing(watch: RunMonitor) -> list[Text]:
     """For how long the robot has stood and why, once that is told."""
     verdict = watch.verdict
-    if verdict is None or not verdict.standstill:
+    if verdict is None or not verdict.stationary_reason:
         return []
-    return [Text(f"stands for {verdict.stands:.0f} s, {verdict.standstill}", style="yellow")]
+    return [Text(f"stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}", style="yellow")]
 
 
 def _headline(watch: RunMonitor) -> Text:

@@ -55,7 +55,7 @@ class RunMonitor:
     state: StateMessage | None = None
     finding: FindingMessage | None = None
     standstills: list[Stand] = field(default_factory=list)
-    """Every stand of more than 5 s while something was wished."""
+    """Every stand of more than 5 s while something was requested."""
 
     def __post_init__(self) -> None:
         self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE, FINDING))
@@ -78,7 +78,7 @@ class RunMonitor:
             return False
         return answer is not None and answer.ok
 
-    def stands(self) -> bool:
+    def stationary_for(self) -> bool:
         """Whether the robot obeys the order: a car by standing; what has no stand obeys by hearing of it."""
         state, verdict = self.state, self.verdict
         if state is None or verdict is None or verdict.status != "stopped":

@@ -6,7 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
-__all__ = ["answer_of", "wishes_dark"]
+__all__ = ["answer_of", "prefers_dark"]
 
 _SECONDS = 5.0
 
@@ -19,6 +19,6 @@ async def answer_of(script: str, seconds: float = _SECONDS) -> Any:
         return None
 
 
-async def wishes_dark() -> bool:
+async def prefers_dark() -> bool:
     """Whether the browser asks for dark pages."""
     return bool(await answer_of("matchMedia('(prefers-color-scheme: dark)').matches"))

@@ -75,8 +75,8 @@ class RobotHistory:
     troubles: deque[str] = field(default_factory=lambda: deque(maxlen=5))
     """Messages about this robot that were refused, and why."""
 
-    stands: list[Stand] = field(default_factory=list)
-    """Every stand of more than 5 s while something was wished, since the start."""
+    stationary_for: list[Stand] = field(default_factory=list)
+    """Every stand of more than 5 s while something was requested, since the start."""
 
     def take(self, message: Message, at: float) -> None:
         """Takes one message in, heard at ``at`` [s]."""
@@ -104,15 +104,17 @@ class RobotHistory:
         self.state, self.seen = message, at
 
     def _stand(self, verdict: VerdictMessage) -> None:
-        known = len(self.stands)
-        record_deadlock(self.stands, verdict)
-        if len(self.stands) > known:
-            self.marks.append(TimelineMark(float(self.stands[-1]["from"]), "model", f"stands: {verdict.standstill}"))
+        known = len(self.stationary_for)
+        record_deadlock(self.stationary_for, verdict)
+        if len(self.stationary_for) > known:
+            self.marks.append(
+                TimelineMark(float(self.stationary_for[-1]["from"]), "model", f"stands: {verdict.stationary_reason}")
+            )
 
     def _anew(self, epoch: int) -> None:
         """Forgets what was before the robot's start."""
         self.epoch = epoch
-        for kept in (self.path, self.errors, self.marks, self.stands):
+        for kept in (self.path, self.errors, self.marks, self.stationary_for):
             kept.clear()
         self.finding, self.report, self.report_of, self.before = None, None, 0, None
 
@@ -153,8 +155,10 @@ class RobotHistory:
         if message.state == "refused":
             text = f"{message.service} refuses change {message.change}: {message.reason}"
             self.marks.append(TimelineMark(message.robot_time, "model", text))
-        elif message.foretold:
-            self.marks.append(TimelineMark(message.robot_time, "model", f"change {message.change}: {message.foretold}"))
+        elif message.expected_effect:
+            self.marks.append(
+                TimelineMark(message.robot_time, "model", f"change {message.change}: {message.expected_effect}")
+            )
         elif message.state == "taken":
             self.models[message.service] = message.fingerprint
 
@@ -176,13 +180,13 @@ class RobotHistory:
         listed = ", ".join(f"{name} {value[:8]}" for name, value in present.items())
         return f"The services have different models in force ({listed}); the filter falls back where they matter."
 
-    def standstill(self) -> str:
-        """For how long the robot stands, why, and what to do about it; empty while it moves or nothing is wished."""
+    def stationary_reason(self) -> str:
+        """For how long the robot stands, why, and what to do about it; empty while it moves or nothing is requested."""
         verdict = self.verdict
-        if verdict is None or not verdict.standstill:
+        if verdict is None or not verdict.stationary_reason:
             return ""
-        told = f"{self.name} stands for {verdict.stands:.0f} s, {verdict.standstill}."
-        return f"{told} {what_to_do(verdict.standstill)}".rstrip()
+        told = f"{self.name} stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}."
+        return f"{told} {what_to_do(verdict.stationary_reason)}".rstrip()
 
     def account(self) -> str:
         """The drive in a sentence."""

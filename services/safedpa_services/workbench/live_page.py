@@ -13,7 +13,7 @@ from nicegui import events, ui
 
 from safedpa.bus import Answer, Request
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.workbench.browser import answer_of, wishes_dark
+from safedpa_services.workbench.browser import answer_of, prefers_dark
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.help import show_keys
 from safedpa_services.workbench.live_book import RobotHistory
@@ -132,8 +132,8 @@ class LivePage:
         self._link.untold.discard(self)
 
     async def begin(self) -> None:
-        """Chooses dark or light as the browser wishes."""
-        dark = await wishes_dark()
+        """Chooses dark or light as the browser prefers."""
+        dark = await prefers_dark()
         if not self._gone:
             self._set_dark(dark)
             self.show()
@@ -164,9 +164,9 @@ class LivePage:
         finding = book.finding
         self._verdict.set_content(escaped(_capital(finding.sentence) if finding else "No finding was heard yet."))
         self._trouble(book.silence(time.monotonic()) or book.mismatch() or (book.troubles[-1] if book.troubles else ""))
-        stands = book.standstill()
-        self._stands.set_visibility(bool(stands))
-        self._stands.set_content(escaped(stands))
+        stationary_for = book.stationary_reason()
+        self._stands.set_visibility(bool(stationary_for))
+        self._stands.set_content(escaped(stationary_for))
         self._filter.set_content(escaped(book.verdict.sentence if book.verdict else ""))
         self._where.set_content(escaped(_where(book)))
         self._legend.set_content(field_legend(self._look))

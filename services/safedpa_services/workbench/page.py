@@ -11,7 +11,7 @@ from nicegui import events, ui
 from safedpa.errors import SafedpaError
 from safedpa_services.web.shelf import FileStore
 from safedpa_services.workbench.bench import Bench, News
-from safedpa_services.workbench.browser import answer_of, wishes_dark
+from safedpa_services.workbench.browser import answer_of, prefers_dark
 from safedpa_services.workbench.brush import Brush
 from safedpa_services.workbench.elements import action, escaped, text
 from safedpa_services.workbench.help import show_keys
@@ -73,7 +73,7 @@ class WorkbenchPage:
 
     async def begin(self) -> None:
         """Shows what the bench holds, or has it open what was named, or asks; does nothing in a tab that went."""
-        dark = await wishes_dark()
+        dark = await prefers_dark()
         if self._gone:  # closed while it was asked: who begins to listen now would never leave
             return
         self._set_dark(dark)

@@ -50,7 +50,7 @@ KINDS = MappingProxyType(
         "message.refused": "What arrived was no message, or came out of order; says why.",
         "filter.fallback_entered": "The safety filter could not decide and brakes; says why.",
         "filter.fallback_left": "The safety filter decides again; says for how many ticks it had not.",
-        "filter.disabled": "The safety filter hands wishes on unchecked, since it is switched off.",
+        "filter.disabled": "The safety filter hands nominal actions on unchecked, since it is switched off.",
         "filter.stopped": "A robot is stopped by an order or by the filter's end.",
         "filter.released": "A robot that was stopped may drive again.",
         "order.taken": "Somebody ordered robots to stop or to go, or switched a source or a zone.",

@@ -67,7 +67,7 @@ def calibration_from_drives(
     tops: dict[str, float] = {}
     for kind in dict.fromkeys(kind for heights in drives for kind in heights):
         along = [heights.get(kind, _NOTHING) for heights in drives]
-        for which, name in enumerate(("ceiling", "drive.ceiling")):
+        for which, name in enumerate(("clip", "drive.clip")):
             margin, used = _fitted(kind, along, coverage, ceiling, which)
             tables[which][kind], tops[f"{name}.{kind}"] = margin, used.of(kind, 0.0)
     steps = sum(max(map(len, heights.values()), default=0) for heights in drives)

@@ -55,26 +55,26 @@ class LearnedBase(AbstractBase):
         names = self.system.state_names
         entries = [state[name] for name in names]
         latent = [parameters[name] for name in self._latents]
-        wish = [action[name] for name in self.system.action_names]
+        nominal = [action[name] for name in self.system.action_names]
         if operations is FLOATS or operations is COMPLEX or is_recorded(entries[0]):
-            change = self._single(entries, latent, wish)
+            change = self._single(entries, latent, nominal)
         elif operations is NUMPY:
-            change = self._batch(entries, latent, wish)
+            change = self._batch(entries, latent, nominal)
         else:
-            change = self._tensors(entries, latent, wish)
+            change = self._tensors(entries, latent, nominal)
         return {name: value / self.weights.description.period for name, value in zip(names, change, strict=True)}
 
     def integrate(self, derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
         """state + period rates: networks tell the change over a whole period, nothing is to be refined."""
         return euler(derivative, state, time, period)
 
-    def _single(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
+    def _single(self, entries: list[Scalar], latent: list[Scalar], nominal: list[Scalar]) -> list[Scalar]:
         """The change of one robot."""
-        states, actions = len(entries), len(wish)
+        states, actions = len(entries), len(nominal)
         known = call_function(self.known_of_one, (*entries, *latent), states * (1 + actions))
         rows = [known[start : start + actions] for start in range(states, len(known), actions)]
         return [
-            start + sum(slope * felt for slope, felt in zip(row, wish, strict=True))
+            start + sum(slope * felt for slope, felt in zip(row, nominal, strict=True))
             for start, row in zip(known[:states], rows, strict=True)
         ]
 
@@ -97,8 +97,8 @@ class LearnedBase(AbstractBase):
             last = self._last = (state, latent, self.networks.row_of_one(state, latent))
         return last[2]
 
-    def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
-        arrays = np.broadcast_arrays(*entries, *latent, *wish)
+    def _batch(self, entries: list[Scalar], latent: list[Scalar], nominal: list[Scalar]) -> list[Scalar]:
+        arrays = np.broadcast_arrays(*entries, *latent, *nominal)
         states, latents = len(entries), len(latent)
         x, z, a = (
             np.stack(part, axis=-1) if part else np.zeros((*arrays[0].shape, 0))
@@ -108,12 +108,12 @@ class LearnedBase(AbstractBase):
         change = f + np.einsum("...sa,...a->...s", g, a)
         return [change[..., index] for index in range(states)]
 
-    def _tensors(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
+    def _tensors(self, entries: list[Scalar], latent: list[Scalar], nominal: list[Scalar]) -> list[Scalar]:
         from safedpa.networks.tensors import TensorNetworks
 
         if self._torch is None:
             self._torch = TensorNetworks(self.weights)
-        change: list[Scalar] = self._torch.change(entries, latent, wish)
+        change: list[Scalar] = self._torch.change(entries, latent, nominal)
         return change
 
 

@@ -62,8 +62,8 @@ def analyse_fleet(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
     named = with_one_name(sorted(outcomes, key=lambda item: item.name))
     judged = [item for item in named if item.judged]
     chances = {i.name: chance(i.evidence, i.trials) if i.found else 1.0 for i in judged}
-    stands, limit = believed([chances[item.name] for item in judged])
-    sure = {item.name for item, well in zip(judged, stands, strict=True) if well}
+    stationary_for, limit = believed([chances[item.name] for item in judged])
+    sure = {item.name for item, well in zip(judged, stationary_for, strict=True) if well}
     evidence = evidence_over(judged)
     groups = _groups(named, sure, robot)
     common = common_effects(judged, robot)

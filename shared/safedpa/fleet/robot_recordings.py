@@ -13,6 +13,7 @@ from typing import Any
 
 from safedpa.bus.messages.topics import STATE, topic_of
 from safedpa.errors import InputError, SafedpaError
+from safedpa.records.earlier_format import current_key
 from safedpa.records.readers.mcap_recovery import DamageError, channels_at_end, records_of
 
 __all__ = ["robots_in", "split_recording"]
@@ -80,7 +81,7 @@ def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, An
 def _state_robot(channel: Any) -> str:
     """The robot whose states a channel carries, empty where it carries something else."""
     try:
-        _, robot, topic = topic_of(channel.topic)
+        _, robot, topic = topic_of(current_key(channel.topic))
     except InputError:
         return ""
     return robot if topic == STATE and channel.message_encoding == "msgpack" else ""

@@ -41,7 +41,7 @@ class ChangeInProgress:
     taken: set[str] = field(default_factory=set)
     refused: str = ""
     """Why it cannot be, before it was decided."""
-    foretold: str = ""
+    expected_effect: str = ""
     """What a service says that the change will do."""
     epoch: int = 0
     from_tick: int = 0
@@ -54,7 +54,7 @@ class ChangeInProgress:
     @property
     def consequence(self) -> str:
         """What it does, as the end of a sentence; empty where nothing was told."""
-        return f"; {self.foretold}" if self.foretold else ""
+        return f"; {self.expected_effect}" if self.expected_effect else ""
 
     @property
     def unconfirmed(self) -> str:
@@ -87,7 +87,7 @@ class ChangeInProgress:
             self.refused = f"{message.service} refused it: {message.reason}"
         elif message.state in ("ready", "taken"):
             self.ready.add(message.service)
-            self.foretold = message.foretold or self.foretold
+            self.expected_effect = message.expected_effect or self.expected_effect
             if message.state == "taken":
                 self.taken.add(message.service)
 

@@ -78,7 +78,7 @@ class PerceptionNode(AbstractNode):
             movers=seen.movers,
             hidden=seen.hidden,
             ages=around.sources.ages(state.robot_time),
-            amiss=around.sources.amiss(state.robot_time),
+            problems=around.sources.problems(state.robot_time),
             scans=self._scans(robot, state),
             off=tuple(name for name in state.sources if name in in_force.off),
             zones=counting.names,

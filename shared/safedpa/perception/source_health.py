@@ -92,7 +92,7 @@ class Sources:
         oldest = -1.0 if not others or min(others) == -1.0 else max(others)
         return tuple(oldest if name in self._off else age for name, age in told.items())
 
-    def amiss(self, now: float) -> tuple[str, ...]:
+    def problems(self, now: float) -> tuple[str, ...]:
         """A sentence for each thing that is wrong."""
         if self._known and self._off.issuperset(self._known):
             return (f"no source is listened to: {', '.join(self._known)} switched off",)

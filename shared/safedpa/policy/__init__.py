@@ -1,4 +1,4 @@
-"""Controllers that wish for an action; none of them is trusted, all of them are filtered."""
+"""Controllers that request an action; none of them is trusted, all of them are filtered."""
 
 from safedpa.policy.controller import Controller, controller_for
 from safedpa.policy.learned import LearnedPolicy

@@ -43,7 +43,7 @@ class BackOffSettings:
 
 @final
 class BackOffController:
-    """Hands on the wishes of another controller of a car, and interrupts it where the car makes no headway.
+    """Hands on the nominal actions of another controller of a car, and interrupts it where the car makes no headway.
 
     The first time the heading turns towards the goal while the car reverses, then away from it, and so on in turn; a
     new goal begins anew.
@@ -58,9 +58,9 @@ class BackOffController:
         self._attempts = 0
         self._goal: tuple[float, ...] = ()
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The wish, and whose it is: the controller's name, with ``:back_off`` while it is interrupted."""
-        wish, name = self._controller.wish(state, latent)  # it may remember, so it is asked in every tick
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """The nominal action, and whose it is: the controller's name, with ``:back_off`` while it is interrupted."""
+        nominal, name = self._controller.nominal_action(state, latent)  # it may remember, so it is asked in every tick
         now = state.robot_time
         if state.goal != self._goal:
             self._goal, self._attempts, self._until = state.goal, 0, -math.inf
@@ -68,7 +68,7 @@ class BackOffController:
         if now >= self._until and self._is_held(now, *state.values[:2]):
             self._begin(now, state)
         if now >= self._until:
-            return wish, name
+            return nominal, name
         return (self._settings.reverse_speed, self._steer), f"{name}:back_off"
 
     def _begin(self, now: float, state: StateMessage) -> None:

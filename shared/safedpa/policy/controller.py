@@ -24,18 +24,18 @@ class RandomActions:
     """Uniform over the actuators' bounds, drawn anew in each tick; of robots that declare none over the system's.
 
     The generator's seed is the tick with the state's bytes: so a drive in lockstep repeats, also where this process was
-    started anew in between, and two robots in different states wish for different actions.
+    started anew in between, and two robots in different states request different actions.
     """
 
     def __init__(self, model: AbstractDynamics) -> None:
         system = model.system
         robot = robot_like(system)
-        bounds = () if robot is None else robot.wish_range
+        bounds = () if robot is None else robot.nominal_range
         if len(bounds) != len(system.action):
             bounds = tuple(zip(system.action_low.tolist(), system.action_high.tolist(), strict=True))
         self._low, self._high = np.array(bounds).T
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """The action (actions,) and the controller's name; no latent is needed."""
         del latent
         count = len(state.values)
@@ -56,16 +56,16 @@ class NetworkLatent:
         names = model.latent_names
         self._entries = [index for index, path in enumerate(names) if path.startswith(f"base.{LATENT_PREFIX}")]
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """As the policy, with the model's latent (latents,)."""
-        return self._policy.wish(state, None if latent is None else latent[self._entries])
+        return self._policy.nominal_action(state, None if latent is None else latent[self._entries])
 
 
 class Controller(Protocol):
-    """Wishes for the actions of one robot; it may remember what was before."""
+    """Computes the nominal actions of one robot; may keep state between calls."""
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """The wished action (actions,), and what the controller is called or about.
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """The requested action (actions,), and what the controller is called or about.
 
         ``latent`` (latents,) is that of the model, None when it is not known. Raises MessageError when the state does
         not fit.
@@ -74,7 +74,7 @@ class Controller(Protocol):
 
 @runtime_checkable
 class UsesSurroundings(Protocol):
-    """A controller that is told what perception makes of the sensors, before each wish of a robot that names any."""
+    """A controller that is told what perception makes of the sensors, before each nominal action of a robot that names any."""
 
     def look(self, seen: SurroundingsMessage | None) -> None:
         """What is around the robot at the moment of the state that follows; None: nobody knows."""

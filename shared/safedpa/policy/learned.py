@@ -70,10 +70,10 @@ class LearnedPolicy:
             seen += offset
             np.tanh(seen, out=seen)
         chosen = np.minimum(np.maximum(np.dot(seen, matrix) + bias, -1.0), 1.0)
-        wish: list[float] = (self._action_middle + self._action_scale * chosen).tolist()
-        return wish
+        nominal: list[float] = (self._action_middle + self._action_scale * chosen).tolist()
+        return nominal
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """The action for a state, and the controller's name.
 
         Raises MessageError when the state or the latent (latents,) does not fit the policy.

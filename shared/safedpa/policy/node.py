@@ -1,4 +1,4 @@
-"""The policy service's step: wish[k] from state[k] and latent[k]."""
+"""The policy service's step: nominal action[k] from state[k] and latent[k]."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from safedpa.bus import (
     LATENT,
     MODEL,
+    NOMINAL,
     SURROUNDINGS,
     TAKEOVER,
-    WISH,
     AbstractNode,
     Answer,
     Inputs,
     LatentMessage,
     Message,
     ModelMessage,
+    NominalMessage,
     Outputs,
     StateMessage,
     SurroundingsMessage,
     Topic,
-    WishMessage,
 )
 from safedpa.bus.service.model_versions import ModelVersions
 from safedpa.bus.service.sandbox import AbstractJobHandle
@@ -47,16 +47,16 @@ class _PolicyModel:
 
 
 class _RobotController(NamedTuple):
-    """What one robot's wishes come from."""
+    """What one robot's nominal actions come from."""
 
     controller: Controller
     looks: UsesSurroundings | None
-    """The same, if it looks around; asked once, since asking takes as long as a wish."""
+    """The same, if it looks around; asked once, since asking takes as long as a nominal action."""
 
 
 @final
 class PolicyNode(AbstractNode):
-    """Wishes for actions that lead each robot to its goal, by one of the robot's controllers.
+    """Computes nominal actions that lead each robot to its goal, by one of the robot's controllers.
 
     Without a name it is the learned policy when the model's weights hold one, else the robot's default. A latent that
     does not belong to the model is left aside. Raises InputError for a controller that does not exist or lacks its
@@ -65,7 +65,7 @@ class PolicyNode(AbstractNode):
 
     name = "policy"
     inputs = (LATENT,)
-    outputs = (WISH, TAKEOVER)
+    outputs = (NOMINAL, TAKEOVER)
     listens = (MODEL,)
     share = 0.2
     # A load does not change within a tick, and waiting for news of it would take a quarter of sense to act.
@@ -91,17 +91,17 @@ class PolicyNode(AbstractNode):
             self._controllers.pop(robot, None)
         held = self._versions.of(robot)
         self._states[robot] = state
-        wishes = self._controllers.get(robot)
-        if wishes is None:
+        driven = self._controllers.get(robot)
+        if driven is None:
             made = held.make()
-            wishes = self._controllers[robot] = _RobotController(
+            driven = self._controllers[robot] = _RobotController(
                 made, made if isinstance(made, UsesSurroundings) else None
             )
-        if wishes.looks is not None:
+        if driven.looks is not None:
             seen = inputs.get(SURROUNDINGS)
-            wishes.looks.look(seen if isinstance(seen, SurroundingsMessage) else None)
-        values, controller = wishes.controller.wish(state, _latent(held, inputs))
-        message = WishMessage(
+            driven.looks.look(seen if isinstance(seen, SurroundingsMessage) else None)
+        values, controller = driven.controller.nominal_action(state, _latent(held, inputs))
+        message = NominalMessage(
             epoch=state.epoch,
             tick=state.tick,
             robot_time=state.robot_time,
@@ -110,7 +110,7 @@ class PolicyNode(AbstractNode):
             controller=controller,
             model=held.fingerprint,
         )
-        return {WISH: message}
+        return {NOMINAL: message}
 
     def afterwards(self, robot: str) -> Outputs:
         """Prepares a model that was offered, and answers."""
@@ -137,7 +137,7 @@ class PolicyNode(AbstractNode):
         return self._versions.fingerprint(robot)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """No wish: the filter brakes. What the controller remembers may be broken, so it begins anew."""
+        """No nominal action: the filter brakes. What the controller remembers may be broken, so it begins anew."""
         del state, reason
         self._controllers.pop(robot, None)
         return {}
@@ -158,7 +158,7 @@ class PolicyNode(AbstractNode):
         held = self._held(offered_model(offer, self._versions.of(robot).model))
         state = self._states.get(robot)
         if state is not None:
-            held.make().wish(state, held.model.latent)
+            held.make().nominal_action(state, held.model.latent)
         return held
 
 

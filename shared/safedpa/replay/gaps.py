@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
-from safedpa.bus import LATENT, WISH, Topic
+from safedpa.bus import LATENT, NOMINAL, Topic
 from safedpa.replay.tape import RobotTape
 
 __all__ = ["TickGap", "gaps_of"]
@@ -40,7 +40,7 @@ def gaps_of(tape: RobotTape) -> list[TickGap]:
     """
     found = [gap for service in tape.computed for gap in _output_gaps(tape, service)]
     behind = [
-        gap for service, topic in (("adaptation", LATENT), ("policy", WISH)) for gap in _behind(tape, service, topic)
+        gap for service, topic in (("adaptation", LATENT), ("policy", NOMINAL)) for gap in _behind(tape, service, topic)
     ]
     return [*_state_gaps(tape), *found, *behind]
 

@@ -1,4 +1,4 @@
-"""A recording through the real nodes: does every latent, wish, action and verdict come out again?"""
+"""A recording through the real nodes: does every latent, nominal action, action and verdict come out again?"""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from safedpa.bus import (
     ACTION,
     LATENT,
+    NOMINAL,
     SURROUNDINGS,
     VERDICT,
-    WISH,
     ActionMessage,
     Message,
     StateMessage,
@@ -32,7 +32,7 @@ _AGREED = 20
 
 _STATISTICS = frozenset({"coverage"})
 """Shares of the last 500 steps: where some of these were unknown they tell another number, and decide nothing."""
-_TOPICS = {PerceptionNode.name: SURROUNDINGS, "adaptation": LATENT, "policy": WISH, "safety_filter": VERDICT}
+_TOPICS = {PerceptionNode.name: SURROUNDINGS, "adaptation": LATENT, "policy": NOMINAL, "safety_filter": VERDICT}
 """What each service computes."""
 
 

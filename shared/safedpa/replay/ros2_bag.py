@@ -12,12 +12,12 @@ from typing import Any
 from safedpa.bus.messages.messages import (
     ComputedMessage,
     Message,
+    NominalMessage,
     SetupMessage,
     StateMessage,
     VerdictMessage,
-    WishMessage,
 )
-from safedpa.bus.messages.topics import SETUP, STATE, VERDICT, WISH, topic_of
+from safedpa.bus.messages.topics import NOMINAL, SETUP, STATE, VERDICT, topic_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.model_file import parse_model
 from safedpa.errors import InputError, RecordingError, RunError, did_you_mean
@@ -36,7 +36,7 @@ _TYPES = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "state": "sensor_msgs/msg/JointState",
     "action": "sensor_msgs/msg/JointState",
-    "wish": "sensor_msgs/msg/JointState",
+    "nominal": "sensor_msgs/msg/JointState",
     "markers": "visualization_msgs/msg/MarkerArray",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
@@ -55,7 +55,7 @@ class ExportedBag:
 def export_bag(recording: Path, out: Path, robot: str | None = None) -> ExportedBag:
     """Writes one robot's drive as a rosbag2 folder ``out``, MCAP inside; times are those of ``_Clock``.
 
-    Topics: odometry, tf and the command for a robot on the plane; state, wish and action as numbers with names;
+    Topics: odometry, tf and the command for a robot on the plane; state, nominal action and action as numbers with names;
     diagnostics of every verdict; markers of what it perceives and of what the filter foresees. Raises InputError where
     ``out`` is there already, RunError where the recording cannot be used, RecordingError when it cannot be written.
     """
@@ -133,7 +133,7 @@ Told = tuple[str, str, int, Mapping[str, Any]]
 def _told(recording: Path, name: str, speaks: _RosMessages, findings: list[Finding]) -> Iterator[Told]:
     """(topic, type, ns, fields) of everything that is written, in the recording's order."""
     clock = _Clock()
-    for key, _, message in read_messages(recording, findings, (STATE, VERDICT, WISH)):
+    for key, _, message in read_messages(recording, findings, (STATE, VERDICT, NOMINAL)):
         if topic_of(key)[1] == name:
             at = clock.of(message)
             for topic, kind, values in speaks.of(message, at):
@@ -195,8 +195,8 @@ class _RosMessages:
                 yield "command", command, {**beside, **self._face.message(command, message.applied, message.values)}
                 if message.obstacles:
                     yield "markers", _TYPES["markers"], {"markers": _discs(head, message.obstacles)}
-        elif isinstance(message, WishMessage):
-            yield "wish", _TYPES["wish"], self._numbers(head, self._system.action_names, message.values)
+        elif isinstance(message, NominalMessage):
+            yield "nominal", _TYPES["nominal"], self._numbers(head, self._system.action_names, message.values)
         elif isinstance(message, VerdictMessage):
             yield "/diagnostics", _TYPES["/diagnostics"], diagnostics_of(head, self._name, message)
             if self._face is not None and len(message.predicted) > 1:

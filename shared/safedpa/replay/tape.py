@@ -17,15 +17,16 @@ import msgspec
 from safedpa.bus import (
     LATENT,
     NO_ROBOT,
+    NOMINAL,
     SURROUNDINGS,
     VERDICT,
-    WISH,
     ActionMessage,
     AskedMessage,
     ComputedMessage,
     LatentMessage,
     Message,
     ModelMessage,
+    NominalMessage,
     ScanMessage,
     SetupMessage,
     StateMessage,
@@ -33,7 +34,6 @@ from safedpa.bus import (
     TakeoverMessage,
     Topic,
     VerdictMessage,
-    WishMessage,
     decode,
     encode,
     topic_of,
@@ -43,9 +43,9 @@ from safedpa.limits import parse_json
 from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.records import Finding
+from safedpa.records.earlier_format import without_removed_settings
 from safedpa.records.readers.mcap import read_payloads
 from safedpa.runtime.node import SafetyFilterNode
-from safedpa.safety.settings import without_former_keys
 
 __all__ = ["RecordedMessage", "RobotTape", "Stamp", "files_of", "options_of", "read_tape"]
 
@@ -54,7 +54,7 @@ Stamp = tuple[int, int]
 
 _SENDERS: dict[type[Message], tuple[str, Topic]] = {
     LatentMessage: ("adaptation", LATENT),
-    WishMessage: ("policy", WISH),
+    NominalMessage: ("policy", NOMINAL),
     VerdictMessage: ("safety_filter", VERDICT),
     SurroundingsMessage: (PerceptionNode.name, SURROUNDINGS),
 }
@@ -160,7 +160,7 @@ class RobotTape:
         if setup.instance in self._instances[setup.service]:
             return
         self._instances[setup.service].add(setup.instance)
-        settings, gone = without_former_keys(setup.settings)
+        settings, gone = without_removed_settings(setup.settings)
         known.append((at, replace(setup, settings=settings)))
         message = f"{', '.join(gone)}: recorded, but no settings any more; the filter of now has none of them"
         if gone and all(finding.message != message for finding in self.findings):

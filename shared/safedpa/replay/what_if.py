@@ -1,6 +1,6 @@
 """What another filter would have decided on the recorded states: open loop, one verdict for each recorded one.
 
-The states and wishes stay the recorded ones. With another model its latents are estimated anew from the recorded
+The states and nominal actions stay the recorded ones. With another model its latents are estimated anew from the recorded
 states. What the robot did was what the recorded filter said; where the other one says something else, it sees in the
 next tick that the robot did not do that, as it would with a robot that is braked by its watchdog. So it learns nothing
 about its margin from that period.

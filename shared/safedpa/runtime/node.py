@@ -1,6 +1,6 @@
-"""The safety filter service's step: action[k] and its verdict from state[k], latent[k] and wish[k].
+"""The safety filter service's step: action[k] and its verdict from state[k], latent[k] and nominal action[k].
 
-Whatever is missing, an action goes out in time: without a wish, or with a latent that is too old, it is the backup.
+Whatever is missing, an action goes out in time: without a nominal action, or with a latent that is too old, it is the backup.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from safedpa.bus import (
     ACTION,
     LATENT,
     MODEL,
+    NOMINAL,
     SURROUNDINGS,
     TAKEOVER,
     VERDICT,
-    WISH,
     AbstractNode,
     ActionMessage,
     Answer,
@@ -25,13 +25,13 @@ from safedpa.bus import (
     LatentMessage,
     Message,
     ModelMessage,
+    NominalMessage,
     Outputs,
     Stale,
     StateMessage,
     SurroundingsMessage,
     Topic,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.bus.service.model_versions import ModelVersions
 from safedpa.bus.service.sandbox import AbstractJobHandle
@@ -55,7 +55,7 @@ _WIDTHS = 1e3
 
 @final
 class SafetyFilterNode(AbstractNode):
-    """Filters the wishes for each robot. With ``settings.enabled`` false it hands wishes on and says so.
+    """Filters the requests each robot. With ``settings.enabled`` false it hands nominal actions on and says so.
 
     A new model comes with its own margin, and the watch over the margin begins anew. A latent of another model than the
     filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
@@ -63,12 +63,12 @@ class SafetyFilterNode(AbstractNode):
     """
 
     name = "safety_filter"
-    inputs = (LATENT, WISH)
+    inputs = (LATENT, NOMINAL)
     outputs = (ACTION, VERDICT, TAKEOVER)
     listens = (MODEL,)
     senses = (SURROUNDINGS,)
     share = 0.5
-    # As the policy: a wish does not wait for news of a load. The watch over the margin sees what that costs.
+    # As the policy: a nominal action does not wait for news of a load. The watch over the margin sees what that costs.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
 
     def __init__(
@@ -138,10 +138,10 @@ class SafetyFilterNode(AbstractNode):
             seen = inputs[SURROUNDINGS]
             assert isinstance(seen, SurroundingsMessage | Stale)
             memory.see(state, seen)
-        wish = inputs[WISH]
+        nominal = inputs[NOMINAL]
         latent, stale = memory.usable_latent(state, inputs)
-        absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
-        holds = bool(absent and not memory.scene.stands)
+        absent = f"the nominal action ({nominal.sentence})" if isinstance(nominal, Stale) else ""
+        holds = bool(absent and not memory.scene.stationary_for)
         if absent and not holds:
             stale.append(absent)
         stale.extend(state_too_old(state))
@@ -157,16 +157,18 @@ class SafetyFilterNode(AbstractNode):
         }
         ordered = memory.ordered = self.orders.reason(robot)
         if ordered:
-            verdict = memory.filter.stop(ordered, state.values, latent, stands=memory.scene.stands, **known)
+            verdict = memory.filter.stop(
+                ordered, state.values, latent, stationary_for=memory.scene.stationary_for, **known
+            )
         elif state.sources and memory.scene.yields_to and not stale:
             verdict = memory.filter.stop(
-                memory.scene.yields_to, state.values, latent, stands=memory.scene.stands, **known
+                memory.scene.yields_to, state.values, latent, stationary_for=memory.scene.stationary_for, **known
             )
         elif holds:
             verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
-            wished = wish.values if isinstance(wish, WishMessage) else None
-            verdict = memory.filter.decide(state.values, wished, latent, **known, searched=memory.searched)
+            nominal_values = nominal.values if isinstance(nominal, NominalMessage) else None
+            verdict = memory.filter.decide(state.values, nominal_values, latent, **known, searched=memory.searched)
             verdict = memory.out_of_the_layer(state, verdict, latent)
             verdict = memory.out_of_dead_band(
                 state,
@@ -302,22 +304,26 @@ def _rehearse(memory: RobotSession, decided: LastDecision, barriers: AbstractBar
 def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: RobotSession | None = None
 ) -> VerdictMessage:
-    standstill = memory.standstill(verdict) if memory else ""
+    stationary_reason = memory.stationary_reason(verdict) if memory else ""
     remarks = [memory.margin.remark] if memory and memory.margin.remark else []
     if memory and memory.until_action > state.until_action:
         remarks.append(memory.delay.remark)
     if memory and state.sources and memory.scene.remark:
         remarks.append(memory.scene.remark)
-    stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
+    stationary_for = (
+        f" The robot has stood for {memory.standing.seconds:.1f} s. {stationary_reason}."
+        if memory and stationary_reason
+        else ""
+    )
     return VerdictMessage(
         epoch=state.epoch,
         tick=state.tick,
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=" ".join([verdict.sentence, *remarks]) + stands,
+        sentence=" ".join([verdict.sentence, *remarks]) + stationary_for,
         action=tuple(verdict.action.tolist()),
-        wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
+        nominal=() if verdict.nominal is None else tuple(verdict.nominal.tolist()),
         slack=verdict.slack,
         active=verdict.active,
         h_now=verdict.h_now,
@@ -330,6 +336,6 @@ def _report(
         promised=memory.margin.promised if memory else -1.0,
         model=memory.held.fingerprint if memory else "",
         ordered=memory.ordered if memory else "",
-        stands=memory.standing.seconds if memory else 0.0,
-        standstill=standstill,
+        stationary_for=memory.standing.seconds if memory else 0.0,
+        stationary_reason=stationary_reason,
     )

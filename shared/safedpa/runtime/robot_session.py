@@ -111,7 +111,7 @@ class RobotSession:
     """Epoch, and the sources that were named in it."""
     way_out: DeadlockEscape = field(init=False)
     _resting: list[float] = field(init=False)
-    """(actions,) the wish of who wishes nothing."""
+    """(actions,) the nominal action of who requests nothing."""
     searched: HeldSolution = field(default_factory=HeldSolution)
     """What the last whole search for the least unsafe action found, for periods too short to search in each."""
     rehearsed: bool = False
@@ -148,7 +148,7 @@ class RobotSession:
     @property
     def speeds(self) -> tuple[int, ...]:
         """Which entries of the state are a speed that braking takes away; none of a robot that has no stand."""
-        if not self.scene.stands:
+        if not self.scene.stationary_for:
             return ()
         return tuple(index for index, variable in enumerate(self.model.system.state) if variable.unit == "m/s")
 
@@ -174,8 +174,8 @@ class RobotSession:
             self.barriers = lost
         elif isinstance(seen, Stale):
             self.barriers = f"surroundings ({seen.sentence})"
-        elif seen.amiss:
-            self.barriers = f"surroundings ({'; '.join(seen.amiss)})"
+        elif seen.problems:
+            self.barriers = f"surroundings ({'; '.join(seen.problems)})"
         elif len(seen.ages) != len(state.sources):
             self.barriers = f"surroundings (got the ages of {len(seen.ages)} sources, wanted {len(state.sources)})"
         elif (seen.epoch, seen.tick) != (state.epoch, state.tick):
@@ -223,7 +223,9 @@ class RobotSession:
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
         last = None if self.decision is None else self.decision.state
         same = last is not None and _same_scene(last, state)
-        late = self.trail.foretold(self.until_action) if self.pending and state.applied_by == "filter" else None
+        late = (
+            self.trail.delayed_prediction(self.until_action) if self.pending and state.applied_by == "filter" else None
+        )
         self.margin.observe(state.values, barriers, same_scene=same, late=late)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
@@ -321,21 +323,23 @@ class RobotSession:
         return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
 
     def watch_standing(self, state: StateMessage, predicted: Rows) -> None:
-        """Keeps what the model promises under the wish, and under the action that went out."""
+        """Keeps what the model promises under the nominal action, and under the action that went out."""
         assert self.decision is not None
         _, latent, verdict = self.decision
-        wish, wished = verdict.wish, predicted[:1]
-        if verdict.status is Status.stopped or (wish is not None and not predicted):
+        nominal, nominal_next = verdict.nominal, predicted[:1]
+        if verdict.status is Status.stopped or (nominal is not None and not predicted):
             self.standing.interrupted()
             return
-        if wish is None:  # nothing is promised in this tick
+        if nominal is None:  # nothing is promised in this tick
             return
         if verdict.status not in (Status.passed, Status.disabled):
-            wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
-        if not wished or wish.tolist() == self._resting:
+            nominal_next = self._next(
+                state, np.clip(nominal, self.filter.settings.low, self.filter.settings.high), latent
+            )
+        if not nominal_next or nominal.tolist() == self._resting:
             self.standing.interrupted()
         else:
-            self.standing.promise(state.values, wished[0], predicted[0])
+            self.standing.promise(state.values, nominal_next[0], predicted[0])
 
     def out_of_dead_band(
         self, state: StateMessage, verdict: Verdict, latent: FloatArray | None, rest: Callable[[], Verdict]
@@ -353,7 +357,7 @@ class RobotSession:
         if resting.status is not Status.passed:
             return verdict
         said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
-        return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
+        return replace(resting, status=Status.corrected, nominal=verdict.nominal, active=verdict.active, reason=said)
 
     def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: FloatArray | None) -> Verdict:
         """Where no action keeps every condition: what leads out of the margin's layer (``DeadlockEscape``).
@@ -363,7 +367,7 @@ class RobotSession:
         """
         barriers, known = self.barriers, None if latent is None else tuple(latent.tolist())
         prediction, values = self.filter.tools.prediction, tuple(state.values)
-        wanted = verdict.wish is not None and self.way_out.wanted(verdict.status)
+        wanted = verdict.nominal is not None and self.way_out.wanted(verdict.status)
         wanted = wanted and not state.sources  # a manoeuvre of seconds is judged among what stands still
         begin = None if isinstance(barriers, str) or not wanted else prediction.begin(values, known, self.pending)
         if isinstance(barriers, str) or not wanted or not (begin is None or begin.at_once):
@@ -419,7 +423,7 @@ class RobotSession:
             return settings.resting_action
         return np.clip(action, settings.low, settings.high)
 
-    def standstill(self, verdict: Verdict) -> str:
+    def stationary_reason(self, verdict: Verdict) -> str:
         """Why it stands, once it has stood for long; empty before."""
         eta = self.filter.settings.eta
         return self.standing.reason(verdict.status.value, verdict.active, eta * verdict.h_now < verdict.margin)
@@ -431,7 +435,7 @@ class RobotSession:
         state, latent = decided.state, self.model.latent
         verdict = self.filter.decide(
             state.values,
-            decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,
+            decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.nominal,
             latent,
             memory=self.pending,
             barriers=barriers,

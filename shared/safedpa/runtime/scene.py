@@ -41,7 +41,7 @@ which the other robots of the fleet would get no action."""
 class AbstractScene(ABC):
     """The barriers around one robot."""
 
-    stands: bool = True
+    stationary_for: bool = True
     """Whether the backup action brings the robot to rest."""
     quick: bool = False
     """Whether its h is cheap enough to be asked at hundreds of states in a tick."""
@@ -95,7 +95,7 @@ class DeclaredScene(AbstractScene):
     def __init__(self, robot: AbstractRobot, model: AbstractDynamics, settings: FilterSettings) -> None:
         self._robot, self._model, self._settings = robot, model, settings
         self._latent: FloatArray | None = None
-        self.stands = robot.stands
+        self.stationary_for = robot.stationary_for
         self.backup = self._backup
 
     def around(

@@ -60,7 +60,7 @@ class FilterContext:
     backup: Backup | None
     resting_action: Action
     state_range: Plausible | None
-    wish_range: Plausible
+    nominal_range: Plausible
     latent_range: Plausible | None
     clock: Callable[[], float]
 
@@ -72,7 +72,7 @@ class FilterInput:
     def __init__(
         self,
         state: Any,
-        wish: Any,
+        nominal: Any,
         latent: Any,
         memory: Any,
         barriers: Sequence[AbstractBarrier],
@@ -81,7 +81,7 @@ class FilterInput:
         time: Any = None,
         searched: Any = None,
     ) -> None:
-        self.state, self.wish, self.latent, self.memory = state, wish, latent, memory
+        self.state, self.nominal, self.latent, self.memory = state, nominal, latent, memory
         self.barriers, self.epsilon, self.stale, self.time = barriers, epsilon, stale, time
         self.searched = searched if isinstance(searched, HeldSolution) else HeldSolution()
 
@@ -98,7 +98,7 @@ class Decision:
         self._state = self._checked("state", request.state, tools.state_range)
         if stale is None or "state" in stale:
             self._state = None
-        self._wish = self._checked("wish", request.wish, tools.wish_range)
+        self._nominal = self._checked("nominal", request.nominal, tools.nominal_range)
         wanted = tools.latent_range
         self._needs_latent = wanted is not None and len(wanted.names) > 0
         given = self._needs_latent or request.latent is not None
@@ -125,11 +125,11 @@ class Decision:
         """The verdict; raises DecisionError, or whatever a user's function raises, when there is none."""
         if self._problems:
             raise DecisionError("; ".join(self._problems))
-        assert self._wish is not None
+        assert self._nominal is not None
         conditions = self._posed()
-        clipped = self._within(self._wish)
-        unclipped = clipped == self._wish
-        asked = conditions.outcome(self._wish if unclipped else clipped)  # bit for bit, -0.0 as well
+        clipped = self._within(self._nominal)
+        unclipped = clipped == self._nominal
+        asked = conditions.outcome(self._nominal if unclipped else clipped)  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if conditions.least_now < 0.0:
@@ -137,14 +137,16 @@ class Decision:
         if asked.kept:
             if unclipped:
                 return self._verdict(Status.passed, asked, "", "not needed")
-            return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
-        return self._correct(conditions, self._wish, asked)
+            return self._verdict(
+                Status.corrected, asked, "The nominal action lay outside the actuator limits.", "not needed"
+            )
+        return self._correct(conditions, self._nominal, asked)
 
     def fallback(self, reason: str, solver: str) -> Verdict:
         """The backup action, and of what it leads to whatever can still be computed; raises nothing."""
         action, status = self._backup_action(), Status.fallback
-        if self._wish is not None and not self._tools.settings.enabled:
-            action, status = self._within(self._wish), Status.disabled
+        if self._nominal is not None and not self._tools.settings.enabled:
+            action, status = self._within(self._nominal), Status.disabled
         return self._unchecked(status, action, f"Reason: {reason}.", solver)
 
     def stopped(self, reason: str) -> Verdict:
@@ -186,11 +188,11 @@ class Decision:
         )
         return self._conditions
 
-    def _correct(self, conditions: Constraints, wish: Action, asked: ActionCandidate) -> Verdict:
+    def _correct(self, conditions: Constraints, nominal: Action, asked: ActionCandidate) -> Verdict:
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
-        found, solver = search(conditions, program, wish, asked, rounds)
+        found, solver = search(conditions, program, nominal, asked, rounds)
         if found.kept:
-            return self._kept(conditions, wish, found, "", solver)
+            return self._kept(conditions, nominal, found, "", solver)
         searched = self._request.searched
         held = searched.still(conditions, program.sides, self._seconds)
         if held is not None and not held.kept:
@@ -198,44 +200,46 @@ class Decision:
             return self._verdict(Status.relaxed, held, said, solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
-        other, solver = self._restart_from(conditions, wish, asked, [backup, *spread])
+        other, solver = self._restart_from(conditions, nominal, asked, [backup, *spread])
         if other.kept:
-            return self._kept(conditions, wish, other, "Found from another start than the wish.", solver)
+            return self._kept(conditions, nominal, other, "Found from another start than the nominal action.", solver)
         nearby = self._coordinate_search(conditions, [backup, found, other, *spread])
         if nearby.kept:
-            other, solver = self._restart_from(conditions, wish, asked, [nearby])
-            return self._kept(conditions, wish, other, "Found beside the least broken of many actions.", solver)
+            other, solver = self._restart_from(conditions, nominal, asked, [nearby])
+            return self._kept(conditions, nominal, other, "Found beside the least broken of many actions.", solver)
         best, said = self._least_unsafe(conditions, backup, [asked, found, other, nearby, *spread])
         if best.kept:
-            other, solver = self._restart_from(conditions, wish, asked, [best])
-            return self._kept(conditions, wish, other, "Found among the least unsafe actions.", solver)
+            other, solver = self._restart_from(conditions, nominal, asked, [best])
+            return self._kept(conditions, nominal, other, "Found among the least unsafe actions.", solver)
         searched.note(best, self._seconds, said)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
-    def _kept(self, conditions: Constraints, wish: Action, found: ActionCandidate, reason: str, solver: str) -> Verdict:
+    def _kept(
+        self, conditions: Constraints, nominal: Action, found: ActionCandidate, reason: str, solver: str
+    ) -> Verdict:
         """Corrected to what was found, with no entry that might be a step nearer by itself; once posed from there."""
         program = self._tools.program
-        back = backtrack_towards(conditions, program.sides, wish, found)
+        back = backtrack_towards(conditions, program.sides, nominal, found)
         if back is not found:
-            again, _ = search(conditions, program, wish, back, 1)
-            nearer = again.kept and program.distance(again.action, wish) < program.distance(back.action, wish)
+            again, _ = search(conditions, program, nominal, back, 1)
+            nearer = again.kept and program.distance(again.action, nominal) < program.distance(back.action, nominal)
             found = again if nearer else back
         return self._verdict(Status.corrected, found, reason, solver)
 
     def _restart_from(
-        self, conditions: Constraints, wish: Action, asked: ActionCandidate, known: Sequence[ActionCandidate]
+        self, conditions: Constraints, nominal: Action, asked: ActionCandidate, known: Sequence[ActionCandidate]
     ) -> tuple[ActionCandidate, str]:
-        """The best outcome found from the kept ones of ``known`` that are nearest to the wish, or the least broken."""
+        """The best outcome found from the kept ones of ``known`` that are nearest to the nominal action, or the least broken."""
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
-        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, wish))
+        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, nominal))
         if not kept:
-            return search(conditions, program, wish, max(known, key=conditions.tightest), rounds)
+            return search(conditions, program, nominal, max(known, key=conditions.tightest), rounds)
         best, status = kept[0], "not needed"
         for start in kept[:_STARTS]:
             nearer = line_search(conditions, asked, start)
-            found, solver = search(conditions, program, wish, nearer, rounds)
+            found, solver = search(conditions, program, nominal, nearer, rounds)
             for one in (nearer, found):
-                if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
+                if one.kept and program.distance(one.action, nominal) < program.distance(best.action, nominal):
                     best, status = one, solver
         return best, status
 
@@ -273,12 +277,15 @@ class Decision:
         self, conditions: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
     ) -> tuple[ActionCandidate, str]:
         """The least unsafe outcome, and what is to be said of barriers that no action moves."""
-        assert self._wish is not None
+        assert self._nominal is not None
         tools = self._tools
-        best, stuck = least_violation(conditions, tools.program, tools.highest, self._wish, backup, known)
+        best, stuck = least_violation(conditions, tools.program, tools.highest, self._nominal, backup, known)
         if not stuck:
             return best, ""
-        return best, f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the wish."
+        return (
+            best,
+            f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the nominal action.",
+        )
 
     def _worst(self, conditions: Constraints, best: ActionCandidate) -> str:
         """Which conditions cannot be kept, in words."""
@@ -338,7 +345,7 @@ class Decision:
                 "margin": self._margin,
                 "solver": solver,
                 "microseconds": 1e6 * (self._tools.clock() - self._start),
-                "wish": None if self._wish is None else np.array(self._wish),
+                "nominal": None if self._nominal is None else np.array(self._nominal),
                 "known": conditions is not None and h_next is not None,
             }
         )

@@ -1,8 +1,8 @@
-"""The safety filter: the nearest safe action to a wish, and a verdict about it, whatever comes in.
+"""The safety filter: the nearest safe action to a nominal action, and a verdict about it, whatever comes in.
 
 Each tick it looks for
 
-    min over a, s   (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s
+    min over a, s   (a - nominal)' W (a - nominal) + rho |s|^2 + rho1 sum s
     subject to      p_i'(f + g a) + q_i >= (1 - eta) h_i(x) + epsilon_i - s_i   for every barrier i
                     action_low <= a <= action_high,   s >= 0
 
@@ -93,7 +93,7 @@ class SafetyFilter:
         self._barriers = own or ()
         self._one_at_a_time = Lock()
         low, high = settings.low, settings.high
-        reach = settings.plausible_wish * (high - low)
+        reach = settings.plausible_nominal * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
         self.tools = FilterContext(
             settings=settings,
@@ -105,7 +105,7 @@ class SafetyFilter:
             backup=backup,
             resting_action=tuple(settings.resting_action.tolist()),
             state_range=state_range,
-            wish_range=Plausible(low - reach, high + reach, names),
+            nominal_range=Plausible(low - reach, high + reach, names),
             latent_range=latent_range,
             clock=clock if clock is time.perf_counter else FiniteClock(clock),
         )
@@ -146,7 +146,7 @@ class SafetyFilter:
     def decide(
         self,
         state: Any,
-        wish: Any,
+        nominal: Any,
         latent: Any = None,
         *,
         memory: Any = None,
@@ -156,28 +156,28 @@ class SafetyFilter:
         time: float | None = None,
         searched: HeldSolution | None = None,
     ) -> Verdict:
-        """The verdict for ``state`` (states,), ``wish`` (actions,), ``latent`` (latents,); raises nothing.
+        """The verdict for ``state`` (states,), ``nominal`` (actions,), ``latent`` (latents,); raises nothing.
 
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
         ``time`` [s] since the start of the run; a model that depends on it has the backup without. ``searched`` is what
         is remembered of this robot's last search for the least unsafe action; without, every tick searches wholly.
         """
-        request = self._request(state, wish, latent, memory, barriers, epsilon, stale, time, searched)
+        request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, searched)
         return self._answer(_decided, request)
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
-        """The verdict where nothing but the wish is missing, for a robot that has no stand; arguments as in ``decide``.
+        """The verdict where nothing but the nominal action is missing, for a robot that has no stand; arguments as in ``decide``.
 
-        The resting action stands in for the wish, and the filter changes it as it would any: state and latent are good,
-        so the barriers can be kept. The verdict has no wish and says why. With anything else amiss it is the fallback.
+        The resting action stands in for the nominal action, and the filter changes it as it would any: state and latent are good,
+        so the barriers can be kept. The verdict has no nominal action and says why. With anything else amiss it is the fallback.
         """
         verdict = self.decide(state, self.tools.resting_action, latent, **known)
         if verdict.status is Status.fallback:
-            return replace(verdict, wish=None)
+            return replace(verdict, nominal=None)
         status = Status.corrected if verdict.status is Status.passed else verdict.status
         said = f"{verdict.reason} {absent[:1].upper()}{absent[1:]}: the resting action stood in for it.".strip()
-        return replace(verdict, wish=None, status=status, reason=said)
+        return replace(verdict, nominal=None, status=status, reason=said)
 
     def stop(
         self,
@@ -189,20 +189,20 @@ class SafetyFilter:
         barriers: Sequence[AbstractBarrier] | None = None,
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
-        stands: bool = True,
+        stationary_for: bool = True,
         time: float | None = None,
     ) -> Verdict:
-        """The verdict while the robot is to stop for ``reason``, whatever is wished; other arguments as in ``decide``.
+        """The verdict while the robot is to stop for ``reason``, whatever action is requested; other arguments as in ``decide``.
 
         Where the backup action brings the robot to rest (``stands``) it is taken as it is: braking straight lowers no
         h, and a robot that was stopped must not be led anywhere. A robot that has no stand, such as a pendulum, would
-        leave its corridor: there the resting action is wished, and the filter changes it as it would any wish; the
+        leave its corridor: there the resting action is requested, and the filter changes it as it would any nominal action; the
         verdict is ``stopped`` where that keeps every condition, and says what else came out where it does not.
         """
-        if stands:
-            wish = self.tools.resting_action
-            request = self._request(state, wish, latent, memory, barriers, epsilon, stale, time)
-            return replace(self._answer(lambda decision: decision.stopped(reason), request), wish=None)
+        if stationary_for:
+            nominal = self.tools.resting_action
+            request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time)
+            return replace(self._answer(lambda decision: decision.stopped(reason), request), nominal=None)
         verdict = self.decide(
             state,
             self.tools.resting_action,
@@ -220,7 +220,7 @@ class SafetyFilter:
     def _request(
         self,
         state: Any,
-        wish: Any,
+        nominal: Any,
         latent: Any,
         memory: Any,
         barriers: Any,
@@ -231,7 +231,7 @@ class SafetyFilter:
     ) -> FilterInput:
         scene = self._barriers if barriers is None else barriers
         return FilterInput(
-            state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale, time, searched
+            state, nominal, latent, memory, scene, {} if epsilon is None else epsilon, stale, time, searched
         )
 
     def _answer(self, answer: Callable[[Decision], Verdict], request: FilterInput) -> Verdict:

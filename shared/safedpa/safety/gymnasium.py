@@ -32,7 +32,7 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
 
     Raises InputError unless the action space is a Box of floats (32 or 64 bits) with one axis, as many entries as the
     filter's actions, and the settings' bounds within its own: else the environment would not get what the verdict says.
-    A wider Box is fine: what a policy wishes beyond the settings' bounds is brought within them, and the verdict says
+    A wider Box is fine: what a policy requests beyond the settings' bounds is brought within them, and the verdict says
     so. An observation that is to be the state itself has to be a Box with one axis.
     """
 
@@ -127,7 +127,7 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
 
 @final
 class _Between:
-    """What lies between one observation with a wish and the action that the environment gets."""
+    """What lies between one observation with a nominal action and the action that the environment gets."""
 
     def __init__(
         self, safety_filter: SafetyFilter, read: tuple[_Reader, _Reader, _Reader], actions: Any, observations: Any

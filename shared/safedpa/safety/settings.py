@@ -21,11 +21,10 @@ __all__ = [
     "load_settings",
     "parse_settings",
     "save_settings",
-    "without_former_keys",
     "write_settings",
 ]
 
-FORMAT = 1
+FORMAT = 2
 MARGINS = ("conformal", "drive", "theorem")
 """Names of margins in a calibration."""
 _BOUNDS = ("action_low", "action_high")
@@ -69,8 +68,8 @@ class FilterSettings:
     """(actions,) what is done when nothing can be computed; empty: 0 within the bounds."""
     relinearisations: int = 3
     """How often the program is posed anew about its solution where the model is not affine in the action."""
-    plausible_wish: float = 10.0
-    """A wish that lies further outside the bounds than this many ranges is not believed."""
+    plausible_nominal: float = 10.0
+    """A nominal action that lies further outside the bounds than this many ranges is not believed."""
     barriers: Mapping[str, float] = field(default_factory=dict)
     """What the robot's barriers take, by name (``AbstractRobot.barrier_settings``); what is left out has its default.
     In a file they are keys beside the others."""
@@ -85,7 +84,7 @@ class FilterSettings:
             raise InputError(f"enabled: got {self.enabled!r}, wanted true or false")
         self._check_actions()
         object.__setattr__(self, "barriers", _barriers(self.system, self.barriers))
-        _number("plausible_wish", self.plausible_wish, 0.0, math.inf, open_low=True)
+        _number("plausible_nominal", self.plausible_nominal, 0.0, math.inf, open_low=True)
         _number("eta", self.eta, 0.0, 1.0, open_low=True)
         if isinstance(self.relinearisations, bool) or not isinstance(self.relinearisations, int):
             raise InputError(f"relinearisations: got {self.relinearisations!r}, wanted a whole number")
@@ -102,7 +101,7 @@ class FilterSettings:
                 f"the {DEFAULT_ROBOT}"
             )
         for name in missing:
-            own = robot_named(DEFAULT_ROBOT).wish_range
+            own = robot_named(DEFAULT_ROBOT).nominal_range
             object.__setattr__(self, name, tuple(pair[_BOUNDS.index(name)] for pair in own))
             object.__setattr__(self, "system", DEFAULT_ROBOT)
 
@@ -159,9 +158,6 @@ class FilterSettings:
         return np.asarray(np.minimum(np.maximum(wanted, self.low), self.high))
 
 
-_GONE = ("slack_tolerance", "slack_quadratic", "slack_linear")
-"""Keys of former files: what they said in the unit of h is now told by each barrier's own scale."""
-
 _ONCE_IN_EVERY_FILE = (
     "braking_deceleration",
     "braking_gain",
@@ -190,12 +186,10 @@ def parse_settings(text: str) -> FilterSettings:
     table = parse_toml(text)
     known = [item.name for item in fields(FilterSettings) if item.name != "barriers"]
     if table.pop("format", FORMAT) != FORMAT:
-        raise InputError(f"format: wanted {FORMAT}; this program reads no other")
+        raise InputError(f"format: wanted {FORMAT}; convert an earlier file with 'safedpa migrate'")
     own = {item.name for item in _declared(_system_of(table))}
     barriers = {key: table.pop(key) for key in list(table) if key in own and key not in known}
     for key in list(table):
-        if key in _GONE:
-            raise InputError(f"{key}: no setting any more, tolerances follow from each barrier's scale; leave it out")
         if key in known:
             continue
         if key not in _ONCE_IN_EVERY_FILE:
@@ -234,21 +228,6 @@ def _barriers(system: str, given: Any) -> dict[str, float]:
             if found[item.name] <= least:
                 raise InputError(f"{item.name}: got {found[item.name]}, wanted more than {item.above} {least}")
     return found
-
-
-def without_former_keys(text: str) -> tuple[str, list[str]]:
-    """A text that ``write_settings`` of an older program wrote, without keys that are settings no more, and those keys.
-
-    For recordings, which nobody can write anew; a file that a person keeps is refused by ``parse_settings`` instead.
-    """
-    kept, gone = [], []
-    for line in text.splitlines(keepends=True):
-        key = line.partition("=")[0].strip()
-        if key in _GONE:
-            gone.append(key)
-        else:
-            kept.append(line)
-    return "".join(kept), gone
 
 
 def save_settings(settings: FilterSettings, path: str | Path) -> None:

@@ -31,13 +31,13 @@ class Status(Enum):
 
 
 _SENTENCES = {
-    Status.passed: "The wish keeps every barrier condition and is handed on unchanged.",
-    Status.corrected: "The wish was changed to the nearest action that keeps every barrier condition.",
+    Status.passed: "The nominal action keeps every barrier condition and is handed on unchanged.",
+    Status.corrected: "The nominal action was changed to the nearest action that keeps every barrier condition.",
     Status.relaxed: "No action was found that keeps every barrier condition; the least unsafe one is taken.",
     Status.violated: "Unsafe now: some h is below 0; the action that raises the least h most is taken.",
     Status.fallback: "No decision could be computed; the backup action is taken.",
-    Status.disabled: "The filter is switched off; the wish is handed on within the actuator limits.",
-    Status.stopped: "The robot is to stop; no wish is handed on.",
+    Status.disabled: "The filter is switched off; the nominal action is handed on within the actuator limits.",
+    Status.stopped: "The robot is to stop; no nominal action is handed on.",
 }
 
 
@@ -66,7 +66,7 @@ class Verdict:
     """What the QP solver said: ``solved``, ``not needed`` or why there is no solution."""
     microseconds: float
     """Time that the decision took."""
-    wish: NDArray[np.float64] | None
+    nominal: NDArray[np.float64] | None
     """(actions,) what was asked for; None when it was missing or unusable."""
     known: bool
     """False when h_now and h_next could not be computed, or were not because the filter is switched off."""
@@ -88,7 +88,7 @@ class Verdict:
 
     @property
     def intervened(self) -> bool:
-        """Whether the action may differ from the wish because of safety."""
+        """Whether the action may differ from the nominal action because of safety."""
         return self.status in (Status.corrected, Status.relaxed, Status.violated, Status.fallback)
 
     def as_dict(self) -> dict[str, Any]:
@@ -104,7 +104,7 @@ class Verdict:
             "margin": self.margin,
             "solver": self.solver,
             "microseconds": self.microseconds,
-            "wish": None if self.wish is None else self.wish.tolist(),
+            "nominal": None if self.nominal is None else self.nominal.tolist(),
             "known": self.known,
         }
 
@@ -124,6 +124,6 @@ def resting_verdict(action: NDArray[np.float64], reason: str) -> Verdict:
         margin=0.0,
         solver="not run",
         microseconds=0.0,
-        wish=None,
+        nominal=None,
         known=False,
     )

@@ -84,26 +84,26 @@ def program_alone(problem: FilterProblem, model: PhysicsModel) -> Asked:
     """The first program of each of the decisions: the closed form where there is one, else PIQP."""
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     solve, posed = one.tools.program.solve, []
-    for state, wish, latent in problem.requests(model):
-        plain = tuple(wish.tolist())
+    for state, nominal, latent in problem.requests(model):
+        plain = tuple(nominal.tolist())
         A, b = first_program(one, barriers, tuple(state.tolist()), plain, tuple(latent.tolist()), {})
         posed.append((A, b, plain))
     return lambda rows: solve(rows[0], rows[1], rows[2]), posed
 
 
 def each_part_once(problem: FilterProblem, model: PhysicsModel) -> Asked:
-    """Inputs, conditions, wish, slopes, one program, what its action comes to, verdict: without a search, a check of
-    other actions or a way back towards the wish, so that many of these actions are not the best, nor all of them safe.
+    """Inputs, conditions, nominal action, slopes, one program, what its action comes to, verdict: without a search, a check of
+    other actions or a way back towards the nominal action, so that many of these actions are not the best, nor all of them safe.
     """
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     tools = one.tools
 
     def through(request: FilterInput) -> Any:
         decision = Decision(tools, request)
-        conditions, wish = decision._posed(), tuple(request.wish)
-        about = conditions.outcome(wish)
-        A, b = conditions.linearised(about).at(about.residual, wish, 0.0)
-        came = conditions.outcome(tuple(tools.program.solve(A, b, wish).action))
+        conditions, nominal = decision._posed(), tuple(request.nominal)
+        about = conditions.outcome(nominal)
+        A, b = conditions.linearised(about).at(about.residual, nominal, 0.0)
+        came = conditions.outcome(tuple(tools.program.solve(A, b, nominal).action))
         return decision._verdict(Status.corrected, came, "", "solved")
 
     return through, [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
@@ -113,15 +113,15 @@ def first_program(
     one: SafetyFilter,
     barriers: Any,
     state: tuple[float, ...],
-    wish: tuple[float, ...],
+    nominal: tuple[float, ...],
     latent: tuple[float, ...],
     epsilon: Mapping[str, float],
 ) -> tuple[list[list[float]], list[float]]:
-    """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the wish, as a decision poses them."""
+    """A (rows, actions) and b (rows,) of A a >= b: the conditions tangent about the nominal action, as a decision poses them."""
     tools = one.tools
     stack = tools.stacks.of(barriers, len(state))
     margins, _ = tools.margins.of(stack, dict(epsilon))
     sides = tools.program.sides
     conditions = Constraints(stack, tools.prediction, state, latent, None, tools.settings.eta, margins, sides)
-    about = conditions.outcome(wish)
-    return conditions.linearised(about).at(about.residual, wish, 0.0)
+    about = conditions.outcome(nominal)
+    return conditions.linearised(about).at(about.residual, nominal, 0.0)

@@ -1,4 +1,4 @@
-"""The scenes in which decisions are timed: states where the filter has to change the wish, the same for everyone."""
+"""The scenes in which decisions are timed: states where the filter has to change the nominal action, the same for everyone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FIELD: Final = (-20.0, 20.0, -20.0, 20.0)
 _STATES: Final = 64
 _TICKS: Final = 30
 """Of each drive."""
-_WISH: Final = (2.0, 0.0)
+_NOMINAL: Final = (2.0, 0.0)
 """Straight on at full speed."""
 _PENALTY: Final = 1e4
 """Price of a metre of slack, for peers that have slack."""
@@ -62,8 +62,8 @@ class FilterProblem:
         return found
 
     def requests(self, model: PhysicsModel, *, every: bool = False) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """State, wish and latent of each decision; of ``every`` state of the drives, or of those with a program."""
-        return [(state, np.array(_WISH), model.latent) for state in (self.passed_by if every else self.states)]
+        """State, nominal action and latent of each decision; of ``every`` state of the drives, or of those with a program."""
+        return [(state, np.array(_NOMINAL), model.latent) for state in (self.passed_by if every else self.states)]
 
     def question(self, calls: int, seconds: float, backend: str) -> dict[str, Any]:
         """What a peer is told."""
@@ -71,7 +71,7 @@ class FilterProblem:
         return {
             "obstacles": self.obstacles.tolist(),
             "states": self.states.tolist(),
-            "wishes": [list(_WISH)] * len(self.states),
+            "nominal_actions": [list(_NOMINAL)] * len(self.states),
             "footprint": list(_FOOTPRINT),
             "clearance": settings.barrier("clearance"),
             "braking": [settings.barrier("braking_deceleration"), settings.barrier("braking_gain")],
@@ -114,7 +114,7 @@ def car_message(
 def problem_with(count: int) -> FilterProblem:
     """The scene of ``count`` obstacles: one stands in the way, the others further off all around; always the same.
 
-    Cars drive at it from all sides, wishing for full speed ahead, under the filter with the networks. Kept are states
+    Cars drive at it from all sides, requesting full speed ahead, under the filter with the networks. Kept are states
     of these drives in which the filter has to solve its program, with the networks and with the physics.
     """
     random = np.random.default_rng([5, count])
@@ -127,18 +127,19 @@ def problem_with(count: int) -> FilterProblem:
     filters = [SafetyFilter.for_model(model, settings) for model in models]
     nowhere = np.zeros((0, 4))
     problem = FilterProblem(obstacles, nowhere, settings, nowhere)
-    barriers, wish = problem.barriers(), np.array(_WISH)
+    barriers, nominal = problem.barriers(), np.array(_NOMINAL)
     kept: list[FloatArray] = []
     every: list[FloatArray] = []
     state, tick = _towards(obstacles[0], random), 0
     while len(kept) < _STATES:
         verdicts = [
-            one.decide(state, wish, model.latent, barriers=barriers) for one, model in zip(filters, models, strict=True)
+            one.decide(state, nominal, model.latent, barriers=barriers)
+            for one, model in zip(filters, models, strict=True)
         ]
         every.append(state)
         if all(verdict.status is Status.corrected and verdict.solver == "solved" for verdict in verdicts):
             kept.append(state)
-        moved, _ = models[0].advance(state, verdicts[0].action, models[0].initial_memory(wish), models[0].latent)
+        moved, _ = models[0].advance(state, verdicts[0].action, models[0].initial_memory(nominal), models[0].latent)
         tick += 1
         state = np.asarray(moved, dtype=np.float64)
         if tick == _TICKS:

@@ -31,7 +31,7 @@ def messages(tick: int) -> list[tuple[str, bytes, bool]]:
         ("state", msgpack.packb(state), False),
         ("state", struct.pack(">Id", tick, float("nan")), False),
         ("latent", bytes(60_000), False),
-        ("wish", msgpack.packb({**state, "values": (float("nan"), 0.0), "controller": "flood"}), False),
+        ("nominal", msgpack.packb({**state, "values": (float("nan"), 0.0), "controller": "flood"}), False),
     )
     chosen = kinds[tick % len(kinds)]
     return [chosen, ("model", bytes(20_000), True)] if tick % 10 == 0 else [chosen]

@@ -23,7 +23,7 @@ from safedpa_services.supervisor.child import Child
 
 __all__ = ["bare_chain", "bare_times", "latency_benchmark", "real_loop"]
 
-_HOPS = ("state", "latent", "wish", "action")
+_HOPS = ("state", "latent", "nominal", "action")
 _PAYLOAD = bytes(600)
 """As large as a state message with six obstacles."""
 _START_SECONDS = 20.0

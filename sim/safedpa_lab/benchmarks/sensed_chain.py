@@ -9,8 +9,8 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
     ACTION,
     LATENT,
+    NOMINAL,
     SURROUNDINGS,
-    WISH,
     ActionMessage,
     ScanMessage,
     SurroundingsMessage,
@@ -56,7 +56,7 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
             perception.hear(_NAME, decode(ScanMessage, data))
         inputs: dict[Any, Any] = {LATENT: adaptation.step(_NAME, state, {})[LATENT]}
         inputs[SURROUNDINGS] = decode(SurroundingsMessage, encode(perception.step(_NAME, state, {})[SURROUNDINGS]))
-        inputs[WISH] = policy.step(_NAME, state, inputs)[WISH]
+        inputs[NOMINAL] = policy.step(_NAME, state, inputs)[NOMINAL]
         action = safety.step(_NAME, state, inputs)[ACTION]
         heard = encode(action)
         elapsed, spent = time.perf_counter() - began, time.process_time() - used

@@ -15,7 +15,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings
 from safedpa_lab.experiments.car_scenes import PASSAGE, car_scene
-from safedpa_lab.experiments.changed_wishes import ChangedWishes
+from safedpa_lab.experiments.changed_nominal import ChangedNominal
 from safedpa_sim.closed_loop import Robot
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
@@ -134,8 +134,8 @@ class NoisyRobot:
 
 
 @final
-class QuickerPolicyNode(ChangedWishes):
-    """A policy whose wishes to drive forwards are so many times as fast, or as slow."""
+class QuickerPolicyNode(ChangedNominal):
+    """A policy whose nominal actions to drive forwards are so many times as fast, or as slow."""
 
     def __init__(self, policy: AbstractNode, factor: float) -> None:
         super().__init__(policy)

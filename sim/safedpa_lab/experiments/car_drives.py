@@ -25,7 +25,7 @@ from safedpa.safety.defaults import settings_named
 from safedpa.safety.settings import FilterSettings
 from safedpa_lab.experiments.car_methods import METHODS, nodes_of
 from safedpa_lab.experiments.car_scenes import car_scene
-from safedpa_lab.experiments.changed_wishes import ChangedWishes
+from safedpa_lab.experiments.changed_nominal import ChangedNominal
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.core import CarRobot
@@ -42,9 +42,9 @@ _GOALS = 5.0
 _HELD = (0.4, 1.5)
 """s; shortest and longest time that an exploration is held."""
 _OWN = 0.35
-"""Share of the explorations that replace the wish by any action within the bounds."""
+"""Share of the explorations that replace the nominal action by any action within the bounds."""
 _OFFSETS = ((-0.9, 0.6), (-0.25, 0.25))
-"""m/s and rad by which the others change the wish."""
+"""m/s and rad by which the others change the nominal action."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class DriveOrder:
     settings: FilterSettings = field(default_factory=lambda: settings_named("car"))
     events: tuple[tuple[int, str], ...] = ()
     exploring: bool = True
-    """Whether the wishes are changed at random."""
+    """Whether the nominal actions are changed at random."""
 
 
 def recorded_drive(order: DriveOrder) -> Drive:
@@ -112,8 +112,8 @@ def open_scene(seed: int, load: str) -> Scene:
 
 
 @final
-class ExploringPolicyNode(ChangedWishes):
-    """A policy whose wishes are changed at random, piecewise constant, so that a drive shows more of the dynamics."""
+class ExploringPolicyNode(ChangedNominal):
+    """A policy whose nominal actions are changed at random, piecewise constant, so that a drive shows more of the dynamics."""
 
     def __init__(self, policy: AbstractNode, seed: int) -> None:
         super().__init__(policy)
@@ -125,9 +125,9 @@ class ExploringPolicyNode(ChangedWishes):
     def changed(self, values: tuple[float, ...], state: StateMessage) -> tuple[float, ...]:  # noqa: D102
         if state.robot_time >= self._ends:
             self._explore(state.robot_time)
-        wish = self._change if self._replace else np.array(values) + self._change
+        nominal = self._change if self._replace else np.array(values) + self._change
         low, high = _bounds()
-        return tuple(np.clip(wish, low, high).tolist())
+        return tuple(np.clip(nominal, low, high).tolist())
 
     def _explore(self, now: float) -> None:
         self._ends = now + self._draw.uniform(*_HELD)

@@ -49,7 +49,7 @@ class Outcome:
     """What touched what, when and how fast; empty when nothing did."""
     collisions: int
     changed: int
-    """Ticks in which the filter did not hand the wish on."""
+    """Ticks in which the filter did not hand the nominal action on."""
     least_h: float
     """Smallest barrier value that was measured [m]; without a filter as well."""
     statuses: dict[str, int]

@@ -31,7 +31,7 @@ Adaptation, ICRA 2024. It counts a success whatever happened on the way, and has
 
 
 def cell_of(method: Method, load: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """One cell: shares with intervals, time to the goal, how often the filter changed the wish, what was touched."""
+    """One cell: shares with intervals, time to the goal, how often the filter changed the nominal action, what was touched."""
     ticks = sum(item.ticks for item in outcomes)
     statuses: Counter[str] = Counter()
     for item in outcomes:

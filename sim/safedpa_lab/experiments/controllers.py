@@ -35,9 +35,9 @@ class _Drive:
     collisions: int
     ticks: int
     changed: int
-    """Wishes that the filter did not pass on."""
+    """Nominal actions that the filter did not pass on."""
     milliseconds: tuple[float, ...]
-    """Of one core's time that the controller took for each wish, whatever else the machine was doing."""
+    """Of one core's time that the controller took for each nominal action, whatever else the machine was doing."""
 
 
 def controllers_experiment(

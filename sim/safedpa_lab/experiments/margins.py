@@ -185,7 +185,7 @@ def _with_the_rest(
     if shipped is None or not shipped.theorem:
         return replace(margin, covered=covered)
     known = {key: value for key, value in shipped.covered.items() if key.startswith("theorem.")}
-    bound = {key: value for key, value in shipped.constants.items() if "ceiling." not in key}
+    bound = {key: value for key, value in shipped.constants.items() if "clip." not in key}
     constants = bound | margin.constants
     return replace(margin, theorem=shipped.theorem, constants=constants, covered=covered | known)
 

@@ -22,7 +22,7 @@ from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, wilson_interval
 from safedpa_lab.point.driven import driven as drive
 from safedpa_lab.point.margin import COVERAGE
-from safedpa_lab.point.relinearised_drives import FilteredDriver, model_of, windy, wish_of
+from safedpa_lab.point.relinearised_drives import FilteredDriver, model_of, nominal_policy_of, windy
 from safedpa_lab.point.relinearised_filter import RelinearisedFilter
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 from safedpa_sim.point.task import EPISODE_STEPS
@@ -32,11 +32,11 @@ __all__ = ["FILTERS", "PLACES", "Relinearised", "Row", "point_relinearised", "ro
 Tell = Callable[[int, int], None]
 
 PLACES: Final = (("clean", "policy"), ("stock", "disturbed"))
-"""Thrust and wish. A disturbance of the clean thrust would tell little: it is affine all over its range; the policy
+"""Thrust and nominal action. A disturbance of the clean thrust would tell little: it is affine all over its range; the policy
 alone with the stock one was left out for time alone."""
 FILTERS: Final = {
-    "affine": ("affine", "wish"),
-    "wish": ("free", "wish"),
+    "affine": ("affine", "nominal"),
+    "nominal": ("free", "nominal"),
     "own": ("free", "own"),
     "truth": ("truth", "own"),
 }
@@ -48,11 +48,11 @@ _FIRST_GUESS: Final = 0.002
 @final
 @dataclass(frozen=True)
 class Row:
-    """One filter with one thrust and one kind of wish; plain values, so that it can be kept in a file."""
+    """One filter with one thrust and one kind of nominal action; plain values, so that it can be kept in a file."""
 
     thrust: str
     filter: str
-    wish: str
+    nominal: str
     models: str
     directions: int
     episodes: int
@@ -92,7 +92,7 @@ class Relinearised:
         """Place by place, filter by filter."""
         plain = str(self.models), self.directions, self.episodes, self.steps, self.drives, self.drive_steps
         seeds = seeds_for("evaluation", 1, self.seed)[0], seeds_for("calibration", 1, self.seed)[0]
-        return [Row(thrust, name, wish, *plain, *seeds) for thrust, wish in PLACES for name in FILTERS]
+        return [Row(thrust, name, nominal, *plain, *seeds) for thrust, nominal in PLACES for name in FILTERS]
 
 
 def point_relinearised(asked: Relinearised, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
@@ -147,21 +147,28 @@ def _driver(row: Row, towards: FloatArray, seed: int, epsilon: float) -> Filtere
     kind, about = FILTERS[row.filter]
     models = Path(row.models)
     task = windy(row.thrust, towards, LARGEST_FORCE, seed)
-    wish = wish_of(row.wish, row.thrust, task, models, seed)
-    return FilteredDriver(task, model_of(kind, row.thrust, task, models), RelinearisedFilter(epsilon, about), wish)
+    nominal = nominal_policy_of(row.nominal, row.thrust, task, models, seed)
+    return FilteredDriver(task, model_of(kind, row.thrust, task, models), RelinearisedFilter(epsilon, about), nominal)
 
 
 def _against(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each relinearised filter against the affine one: exact McNemar over episodes, Holm over all lines; goals less."""
-    by = {(row["thrust"], row["wish"], row["filter"]): row for row in rows}
+    by = {(row["thrust"], row["nominal"], row["filter"]): row for row in rows}
     found = []
-    for (thrust, wish, name), row in by.items():
+    for (thrust, nominal, name), row in by.items():
         if name != "affine":
-            affine = by[thrust, wish, "affine"]
+            affine = by[thrust, nominal, "affine"]
             pair = [np.array([flag == "1" for flag in one["safe_each"]]) for one in (row, affine)]
             more, fewer, p = mcnemar_exact(*pair)
             goals = np.array(row["goals_each"], dtype=np.float64) - np.array(affine["goals_each"], dtype=np.float64)
-            told = {"thrust": thrust, "wish": wish, "filter": name, "only_it": more, "only_affine": fewer, "mcnemar": p}
+            told = {
+                "thrust": thrust,
+                "nominal": nominal,
+                "filter": name,
+                "only_it": more,
+                "only_affine": fewer,
+                "mcnemar": p,
+            }
             found.append({**told, "goals_less": mean_interval(goals)})
     for line, p in zip(found, holm([line["mcnemar"] for line in found]), strict=True):
         line["holm"] = p

@@ -12,7 +12,7 @@ __all__ = ["against_table", "car_table", "models_table", "relinearised_markdown"
 
 _TITLES: Final = {
     "affine": "affine networks",
-    "wish": "free networks about the wish",
+    "nominal": "free networks about the nominal action",
     "own": "free networks about the filter's own action",
     "truth": "the body itself about the filter's own action",
 }
@@ -49,12 +49,12 @@ def models_table(result: Mapping[str, Any]) -> str:
 
 
 def rows_table(result: Mapping[str, Any]) -> str:
-    """Each filter with its own margin, by thrust and wish."""
+    """Each filter with its own margin, by thrust and nominal action."""
     lines = [
         f"{result['directions']} directions x {result['episodes']} episodes of {result['steps']} steps, evaluation "
         f"seed {result['evaluation_seed']}; margins of {100 * result['coverage']:g} % over {result['drives']} drives "
         f"of {result['drive_steps']} steps, calibration seed {result['calibration_seed']}; {result['date']}.\n",
-        "| thrust | wish | filter, told z = mu(e) | error, median / 99 %, mm | margin, mm | episodes without cost, % "
+        "| thrust | nominal action | filter, told z = mu(e) | error, median / 99 %, mm | margin, mm | episodes without cost, % "
         "| goals | corrected, % | us a decision |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -62,7 +62,7 @@ def rows_table(result: Mapping[str, Any]) -> str:
         low, high = row["safe_interval"]
         told = " / ".join(_millimetres(row[name]) for name in ("median_error", "error_99"))
         lines.append(
-            f"| {row['thrust']} | {row['wish']} | {_TITLES[row['filter']]} | {told} | {_millimetres(row['epsilon'])} "
+            f"| {row['thrust']} | {row['nominal']} | {_TITLES[row['filter']]} | {told} | {_millimetres(row['epsilon'])} "
             f"| {100 * row['safe'] / row['count']:.1f} ({100 * low:.1f} to {100 * high:.1f}) | {row['goals'][0]:.1f} "
             f"| {100 * row['corrected']:.1f} | {row['microseconds']:.0f} |"
         )
@@ -71,11 +71,14 @@ def rows_table(result: Mapping[str, Any]) -> str:
 
 def against_table(result: Mapping[str, Any]) -> str:
     """Episodes that only one of the two drove without cost."""
-    lines = ["| thrust | wish | against the affine networks | safe | p | goals more |", "|---|---|---|---|---|---|"]
+    lines = [
+        "| thrust | nominal action | against the affine networks | safe | p | goals more |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in result["against"]:
         mean, low, high = row["goals_less"]
         lines.append(
-            f"| {row['thrust']} | {row['wish']} | {_TITLES[row['filter']]} | +{row['only_it']} -{row['only_affine']} "
+            f"| {row['thrust']} | {row['nominal']} | {_TITLES[row['filter']]} | +{row['only_it']} -{row['only_affine']} "
             f"| {row['holm']:.1g} | {mean:.1f} ({low:.1f} to {high:.1f}) |"
         )
     return "\n".join(lines)

@@ -1,6 +1,6 @@
 """The whole story on a third robot: logs, compare, diagnose, add; and is the point robot safer for it?
 
-A force pushes and the slides drag, and no model knows. The filter keeps robots out of hazards under wishes at random,
+A force pushes and the slides drag, and no model knows. The filter keeps robots out of hazards under nominal actions at random,
 with the shipped model, with the one that diagnosis made of it, and with the truth.
 """
 
@@ -29,7 +29,7 @@ Tell = Callable[[int, int], None]
 _HORIZON: Final = 0.5
 """s; over which predictions are compared."""
 _HELD: Final = 50
-"""Periods for which a wish is held."""
+"""Periods for which a nominal action is held."""
 
 
 @final
@@ -75,7 +75,7 @@ def point_story(story: PointStory, tell: Tell = lambda _done, _all: None) -> dic
 
 
 def _row(hidden: HiddenPoint, model: PhysicsModel | None, story: PointStory) -> dict[str, Any]:
-    """One episode of each robot; the same layouts and wishes for every model, nothing: the truth."""
+    """One episode of each robot; the same layouts and requests every model, nothing: the truth."""
     task, random = PointTask(story.robots, story.seed), np.random.default_rng([story.seed, 53])
     hide(hidden, task.simulation)
     shield = Shield(story.robots, SimulatedPointModel(task.simulation) if model is None else ModelBelief(model), None)
@@ -83,8 +83,8 @@ def _row(hidden: HiddenPoint, model: PhysicsModel | None, story: PointStory) -> 
     steps = round(story.seconds / 0.02)
     for step in range(steps):
         if step % _HELD == 0:
-            wish = random.uniform((0.0, -0.5), (1.0, 0.5), (story.robots, 2))
-        chosen = shield.act(task, wish)
+            nominal = random.uniform((0.0, -0.5), (1.0, 0.5), (story.robots, 2))
+        chosen = shield.act(task, nominal)
         cost += task.advance(chosen.action).cost
         room = np.minimum(room, task.hazard_distance())
         corrected += float(chosen.corrected.mean()) / steps

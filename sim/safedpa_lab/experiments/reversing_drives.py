@@ -1,6 +1,6 @@
 """Does what the car tows stay free while an adversary reverses it at the nearest obstacle? Random scenes, every load.
 
-The adversary wishes for full reverse in every tick, with the wheels turned so that the rear end comes nearer to the
+The adversary requests full reverse in every tick, with the wheels turned so that the rear end comes nearer to the
 nearest obstacle or wall; half of the drives begin with some seconds forwards to the goal, and some go forwards again
 for a moment now and then, so that the load is folded up before it is pushed. Everything else is the shipped loop.
 """
@@ -16,7 +16,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.robots.car.controllers.goal_seeker import GoalSeeker
 from safedpa.runtime.node import SafetyFilterNode
@@ -68,7 +68,7 @@ class ReversingNode(AbstractNode):
     seed: int
     name: ClassVar[str] = "policy"
     inputs: ClassVar[tuple[Any, ...]] = ()
-    outputs: ClassVar[tuple[Any, ...]] = (WISH,)
+    outputs: ClassVar[tuple[Any, ...]] = (NOMINAL,)
     share: ClassVar[float] = 0.2
     lingers: ClassVar[bool] = False
     _seeker: GoalSeeker = field(default_factory=GoalSeeker)
@@ -87,8 +87,12 @@ class ReversingNode(AbstractNode):
             self._forward_until = now + float(self._draw.uniform(0.2, 1.5))
             self._next_change = self._forward_until + float(self._draw.uniform(0.3, 3.0))
         forward = now < self._forward_until
-        values = self._seeker.wish(now, state.values, state.goal) if forward else (_REVERSE, _towards_nearest(state))
-        message = WishMessage(
+        values = (
+            self._seeker.nominal_action(now, state.values, state.goal)
+            if forward
+            else (_REVERSE, _towards_nearest(state))
+        )
+        message = NominalMessage(
             epoch=state.epoch,
             tick=state.tick,
             robot_time=now,
@@ -96,7 +100,7 @@ class ReversingNode(AbstractNode):
             values=values,
             controller=f"adversary:{self.style}",
         )
-        return {WISH: message}
+        return {NOMINAL: message}
 
 
 def run_reversing_drive(reversing: ReversingDrive) -> ReversingOutcome:

@@ -99,11 +99,13 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
     robot = CarRobot(scene, senses=SimulatedSensors((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
-    way, microseconds, wished, kept = 0.0, [], 0.0, 0.0
+    way, microseconds, nominal_way, kept = 0.0, [], 0.0, 0.0
     for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
-        if tick.verdict.wish:
-            wished += abs(tick.verdict.wish[0])
-            kept += min(max(tick.verdict.action[0] * np.sign(tick.verdict.wish[0]), 0.0), abs(tick.verdict.wish[0]))
+        if tick.verdict.nominal:
+            nominal_way += abs(tick.verdict.nominal[0])
+            kept += min(
+                max(tick.verdict.action[0] * np.sign(tick.verdict.nominal[0]), 0.0), abs(tick.verdict.nominal[0])
+            )
         way += abs(tick.state.values[3]) * _PERIOD
         microseconds.append(tick.verdict.microseconds)
     moving = [hit for hit in robot.collisions if hit.speed >= STANDS]
@@ -115,7 +117,7 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
         "stepped_out": any(isinstance(person, StepsOut) and person.stepped for person in people),
         "goals": robot.goals_reached,
         "way": way,
-        "kept": kept / max(wished, 1e-9),
+        "kept": kept / max(nominal_way, 1e-9),
         "microseconds": float(np.median(microseconds)),
         "trajectory": robot.trajectory_hash,
     }
@@ -190,7 +192,7 @@ def row_of(
         "drives_in_which_somebody_stepped_out": sum(one["stepped_out"] for one in drives),
         "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * len(drives)),
         "goals_beside_perfect_knowledge": ratio_interval(goals, others) if others.sum() > 0.0 else None,
-        "share_of_the_wished_speed": float(np.mean([one["kept"] for one in drives])),
+        "share_of_nominal_speed": float(np.mean([one["kept"] for one in drives])),
         "metres_a_minute": 60.0 * sum(one["way"] for one in drives) / (seconds * len(drives)),
         "median_microseconds": float(np.median([one["microseconds"] for one in drives])),
     }

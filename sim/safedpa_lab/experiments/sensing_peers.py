@@ -1,6 +1,6 @@
 """What others put between a policy and a car that has a laser: brakes that look at the scan alone.
 
-From their documentation, with its default parameters; each hands the wish on, slowed down. None knows the model of the
+From their documentation, with its default parameters; each hands the nominal action on, slowed down. None knows the model of the
 car, what moves, or what it does not see.
 """
 
@@ -15,18 +15,18 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.bus import (
     ACTION,
+    NOMINAL,
     SCAN,
     VERDICT,
-    WISH,
     AbstractNode,
     ActionMessage,
     Inputs,
     Message,
+    NominalMessage,
     Outputs,
     ScanMessage,
     StateMessage,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.perception.odometry import OdometryBuffer
 from safedpa.perception.scan import ScanRays
@@ -39,10 +39,10 @@ _WHEELBASE = 0.32
 
 
 class _Brake(AbstractNode):
-    """The newest scan's points in the car's frame, moved by its own way since; then a share of the wished speed."""
+    """The newest scan's points in the car's frame, moved by its own way since; then a share of the nominal speed."""
 
     name = "safety_filter"
-    inputs = (WISH,)
+    inputs = (NOMINAL,)
     outputs = (ACTION, VERDICT)
     listens = (SCAN,)
     share = 0.5
@@ -57,10 +57,10 @@ class _Brake(AbstractNode):
         self._scan = message
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        wish = inputs[WISH]
+        nominal = inputs[NOMINAL]
         x, y, yaw = state.values[:3]
         self._odometry.add(state.robot_time, (x, y, yaw))
-        values = wish.values if isinstance(wish, WishMessage) else (0.0, 0.0)
+        values = nominal.values if isinstance(nominal, NominalMessage) else (0.0, 0.0)
         points = self._points(state)
         share = 0.0 if points is None else self.share_of(points, state, values)
         action = (share * values[0], values[1])
@@ -71,8 +71,8 @@ class _Brake(AbstractNode):
         return {ACTION: sent, VERDICT: _verdict(state, status, action, values)}
 
     @abstractmethod
-    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:
-        """The share of the wished speed that is let through, 0 to 1, of ``points`` (n, 2) [m] in the car's frame."""
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:
+        """The share of the nominal speed that is let through, 0 to 1, of ``points`` (n, 2) [m] in the car's frame."""
 
     def _points(self, state: StateMessage) -> FloatArray | None:
         """None without a scan that can be placed: then it stops, as a source that times out does."""
@@ -89,10 +89,10 @@ class _Brake(AbstractNode):
 
 @final
 class NoFilter(_Brake):
-    """Hands every wish on."""
+    """Hands every nominal action on."""
 
-    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
-        del points, state, wish
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
+        del points, state, nominal
         return 1.0
 
 
@@ -100,7 +100,7 @@ class NoFilter(_Brake):
 class CollisionMonitor(_Brake):
     """nav2's collision monitor, one polygon of the action ``approach`` around the footprint.
 
-    The footprint is moved with the wished speed and turning rate in steps of ``simulation_time_step`` 0.1 s; t is the
+    The footprint is moved with the nominal speed and turning rate in steps of ``simulation_time_step`` 0.1 s; t is the
     first time at which ``min_points`` 6 points lie within it. Both are scaled by t / ``time_before_collision`` where
     that is below 1. Defaults of nav2_bringup's ``nav2_params.yaml``: 1.2 s; ``patience`` tunes it.
     Source: Nav2 documentation, Collision Monitor (docs.nav2.org), and its node's ``processApproach``.
@@ -110,9 +110,9 @@ class CollisionMonitor(_Brake):
         super().__init__()
         self._patience, self._least = patience, min_points
 
-    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
         rear, front, radius = state.footprint
-        speed, turning = wish[0], wish[0] * tan(wish[1]) / _WHEELBASE
+        speed, turning = nominal[0], nominal[0] * tan(nominal[1]) / _WHEELBASE
         for step in range(round(self._patience / 0.1) + 1):
             seconds = 0.1 * step
             angle = turning * seconds
@@ -140,7 +140,7 @@ class TimeToCollision(_Brake):
         super().__init__()
         self._least = least
 
-    def share_of(self, points: FloatArray, state: StateMessage, wish: tuple[float, ...]) -> float:  # noqa: D102
+    def share_of(self, points: FloatArray, state: StateMessage, nominal: tuple[float, ...]) -> float:  # noqa: D102
         rear, front, radius = state.footprint
         length = np.hypot(points[:, 0], points[:, 1])
         ahead = points[:, 0] / np.maximum(length, 1e-9)
@@ -151,11 +151,11 @@ class TimeToCollision(_Brake):
         with np.errstate(divide="ignore", invalid="ignore"):
             seconds = np.where((closing > 0.0) & beside, left / closing, inf)
         least = float(seconds.min()) if len(seconds) else inf
-        same_way = wish[0] * state.values[3] > 0.0
+        same_way = nominal[0] * state.values[3] > 0.0
         return 0.0 if isfinite(least) and least < self._least and same_way else 1.0
 
 
-def _verdict(state: StateMessage, status: str, action: tuple[float, ...], wish: tuple[float, ...]) -> VerdictMessage:
+def _verdict(state: StateMessage, status: str, action: tuple[float, ...], nominal: tuple[float, ...]) -> VerdictMessage:
     return VerdictMessage(
         epoch=state.epoch,
         tick=state.tick,
@@ -164,7 +164,7 @@ def _verdict(state: StateMessage, status: str, action: tuple[float, ...], wish: 
         status=status,
         sentence="",
         action=action,
-        wish=wish,
+        nominal=nominal,
         slack=0.0,
         active=(),
         h_now=0.0,

@@ -151,7 +151,7 @@ class Scores:
         """Compares what was told and predicted at a tick with what is there after it."""
         state, told, came = tick.state, self._told, self._robot.state_message()
         self._way.follow(state)
-        if told is not None and told.tick == state.tick and not told.amiss and told.ages[0] >= 0.0:
+        if told is not None and told.tick == state.tick and not told.problems and told.ages[0] >= 0.0:
             self._look(state, told.ages[0])
             if tick.verdict.predicted and came.applied_by == "filter" and abs(came.values[3]) >= STANDS:
                 self._score(state, told, tick.verdict.predicted[0], came)

@@ -36,7 +36,7 @@ _UNFILTERED = 4
 
 @dataclass(frozen=True)
 class WheelsDrive:
-    """One drive: its world, its scene, who wishes, with the filter or without."""
+    """One drive: its world, its scene, who requests, with the filter or without."""
 
     world: str
     seed: int

@@ -30,7 +30,7 @@ def drive_towing(load: str, random: np.random.Generator, rows: int, period: floa
 
 
 def turning_share(load: str, speed: float, steer: float, wheelbase: float = 0.32) -> tuple[float, float]:
-    """The speed [m/s] of a steady curve at a wished speed [m/s] and a steer [rad], and yaw rate * wheelbase / (speed *
+    """The speed [m/s] of a steady curve at a nominal speed [m/s] and a steer [rad], and yaw rate * wheelbase / (speed *
     tan(steer)) there with the load, over the same without it at the same speed.
 
     Without a load the share is 1 / (1 + K speed^2), whose K is measured beside it.

@@ -31,11 +31,13 @@ def balanced(method: Method, folder: Path, epsilon: float, episodes: Episodes, t
     """Episodes of one method, every torque drawn uniformly over the bounds; the same draws for every method."""
     difficulty, random = episodes.difficulty, episodes.random(22)
 
-    def wish(state: FloatArray, _latent: FloatArray) -> FloatArray:
+    def nominal_action(state: FloatArray, _latent: FloatArray) -> FloatArray:
         return random.uniform(-difficulty.torque, difficulty.torque, (len(state), 1))
 
     closed, sensed = closed_of(method, folder, epsilon, difficulty), sensors_of(episodes)
-    return swung(closed, wish, episodes.upright_starts(), episodes.winds(), difficulty.balancing, ticks, sensed)
+    return swung(
+        closed, nominal_action, episodes.upright_starts(), episodes.winds(), difficulty.balancing, ticks, sensed
+    )
 
 
 def balanced_account(swings: Swung, episodes: Episodes) -> dict[str, Any]:

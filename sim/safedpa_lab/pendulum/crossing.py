@@ -14,7 +14,7 @@ from safedpa.robots.pendulum.perception import observe_pendulum
 from safedpa_lab.pendulum.balancing import sensors_of
 from safedpa_lab.pendulum.difficulty import Difficulty, Episodes
 from safedpa_lab.pendulum.methods import Method, closed_of, model_named
-from safedpa_lab.pendulum.rollouts import Swung, Wish, swung
+from safedpa_lab.pendulum.rollouts import NominalPolicy, Swung, swung
 from safedpa_sim.pendulum.policy_task import EPISODE_TICKS
 from safedpa_sim.pendulum.task import HAZARD, HELD_TICKS, TORQUE, UPRIGHT, is_upright
 
@@ -28,11 +28,11 @@ def crossed(method: Method, folder: Path, epsilon: float, episodes: Episodes) ->
     """Episodes of one method, from just beneath the hazard, moving towards it; the same starts and winds for all."""
     difficulty, winds = episodes.difficulty, episodes.winds()
     closed, sensed = closed_of(method, folder, epsilon, difficulty), sensors_of(episodes)
-    wish, edges = _wish(method, folder, winds), difficulty.long_way_round
-    return swung(closed, wish, episodes.starts_beneath(), winds, edges, EPISODE_TICKS, sensed)
+    nominal, edges = _nominal_action(method, folder, winds), difficulty.long_way_round
+    return swung(closed, nominal, episodes.starts_beneath(), winds, edges, EPISODE_TICKS, sensed)
 
 
-def _wish(method: Method, folder: Path, winds: FloatArray) -> Wish:
+def _nominal_action(method: Method, folder: Path, winds: FloatArray) -> NominalPolicy:
     if method.policy == "goal_seeker":
         return _seeking
     base = model_named(method.policy, folder).base
@@ -41,12 +41,12 @@ def _wish(method: Method, folder: Path, winds: FloatArray) -> Wish:
     sees = base.weights.description.latents
     told = base.networks.encode(winds) if method.told else None
 
-    def wish(state: FloatArray, latent: FloatArray) -> FloatArray:
+    def nominal_action(state: FloatArray, latent: FloatArray) -> FloatArray:
         known = latent if told is None else told
         seen = observe_pendulum(state, np.full(len(state), UPRIGHT), known[:, :sees])
         return np.asarray(policy.act(seen), dtype=np.float64)
 
-    return wish
+    return nominal_action
 
 
 def _seeking(state: FloatArray, _latent: FloatArray) -> FloatArray:

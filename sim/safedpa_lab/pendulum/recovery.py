@@ -38,13 +38,15 @@ def swung_all_around(folder: Path, episodes: Episodes) -> Swung:
     start[:, 0] = random.uniform(-np.pi, np.pi, len(start))
     kept: dict[str, Any] = {"age": 0}
 
-    def wish(state: FloatArray, _latent: FloatArray) -> FloatArray:
+    def nominal_action(state: FloatArray, _latent: FloatArray) -> FloatArray:
         if kept["age"] % _HELD == 0:
             kept["torque"] = random.uniform(-TORQUE, TORQUE, (len(state), 1))
         kept["age"] += 1
         return np.array(kept["torque"])
 
-    return swung(Closed(adapts=model_named("learned", folder)), wish, start, episodes.winds(), BALANCING, _TICKS)
+    return swung(
+        Closed(adapts=model_named("learned", folder)), nominal_action, start, episodes.winds(), BALANCING, _TICKS
+    )
 
 
 def fitted_wind(states: FloatArray, torques: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Many pendulums in the closed loop at a time: adaptation, wish, filter, motor, one after the other in every period."""
+"""Many pendulums in the closed loop at a time: adaptation, nominal action, filter, motor, one after the other in every period."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from safedpa_sim.pendulum.task import TORQUE, corridor, simulated_pendulum
 
 __all__ = ["Closed", "Swung", "believed_wind", "blown", "physics_in_any_wind", "swung"]
 
-Wish = Callable[[FloatArray, FloatArray], FloatArray]
+NominalPolicy = Callable[[FloatArray, FloatArray], FloatArray]
 """Torques (n, 1) [N m] for states (n, 2) and latents (n, latents)."""
 _FAILED = tuple(STATUSES.index(status) for status in (Status.relaxed, Status.violated, Status.fallback))
 _PASSED = STATUSES.index(Status.passed)
@@ -28,10 +28,10 @@ _PASSED = STATUSES.index(Status.passed)
 @final
 @dataclass(frozen=True)
 class Closed:
-    """What stands between a wish and the motor."""
+    """What stands between a nominal action and the motor."""
 
     settings: FilterSettings | None = None
-    """None: nothing, the wish is clipped to the torque's bounds."""
+    """None: nothing, the nominal action is clipped to the torque's bounds."""
     model: PhysicsModel | None = None
     """Of the filter."""
     adapts: PhysicsModel | None = None
@@ -56,7 +56,7 @@ class Swung:
     latents: FloatArray
     """(ticks, n, latents)."""
     corrected: FloatArray
-    """(n,) share of the ticks in which the filter changed the wish."""
+    """(n,) share of the ticks in which the filter changed the nominal action."""
     relaxed: FloatArray
     """(n,) share in which no torque kept the corridor by its model, or none was known."""
 
@@ -76,7 +76,7 @@ def blown(state: FloatArray, torque: FloatArray, wind: FloatArray) -> FloatArray
 
 def swung(
     closed: Closed,
-    wish: Wish,
+    nominal: NominalPolicy,
     start: FloatArray,
     wind: FloatArray,
     edges: tuple[float, float],
@@ -97,10 +97,10 @@ def swung(
     states, looks, torques, latents = [state], [seen], [], []
     changed, failed = np.zeros(count), np.zeros(count)
     for _ in range(ticks):
-        wished = wish(seen, latent)
-        torque = np.clip(wished, -closed.torque, closed.torque)
+        nominal_values = nominal(seen, latent)
+        torque = np.clip(nominal_values, -closed.torque, closed.torque)
         if filters is not None:
-            verdicts = filters.decide(seen, wished, _known(closed, latent, wind), barriers=barriers)
+            verdicts = filters.decide(seen, nominal_values, _known(closed, latent, wind), barriers=barriers)
             torque = verdicts.action
             changed += verdicts.status != _PASSED
             failed += np.isin(verdicts.status, _FAILED)

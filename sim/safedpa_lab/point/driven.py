@@ -20,7 +20,7 @@ class Driver(Protocol):
     """A method at the wheel of all robots of a task."""
 
     corrected: BoolArray
-    """(robots,): where the last action is not what was wished."""
+    """(robots,): where the last action is not the nominal action."""
     relaxed: BoolArray
     """(robots,): where not every condition could be kept."""
 

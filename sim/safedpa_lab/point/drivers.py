@@ -31,7 +31,7 @@ from safedpa_sim.point.way import RoutePlanner
 
 __all__ = ["ShieldedDriver", "Wheel", "digest_of", "driver_of", "penalised", "training_seeds", "with_weights"]
 
-Wish = Callable[[FloatArray], NDArray[np.floating[Any]]]
+NominalPolicy = Callable[[FloatArray], NDArray[np.floating[Any]]]
 
 
 @final
@@ -49,15 +49,15 @@ class Wheel:
 
 @final
 class ShieldedDriver:
-    """A wish, of the latents as they are, through the filter."""
+    """A nominal action, of the latents as they are, through the filter."""
 
-    def __init__(self, task: PointTask, shield: Shield, wish: Wish) -> None:
-        self.task, self.shield, self._wish = task, shield, wish
+    def __init__(self, task: PointTask, shield: Shield, nominal: NominalPolicy) -> None:
+        self.task, self.shield, self._nominal = task, shield, nominal
         self.corrected = self.relaxed = np.zeros(task.count, bool)
 
     def act(self) -> FloatArray:  # noqa: D102
-        wish = self._wish(self.shield.see(self.task))
-        found = self.shield.act(self.task, wish)
+        nominal = self._nominal(self.shield.see(self.task))
+        found = self.shield.act(self.task, nominal)
         self.corrected, self.relaxed = found.corrected, found.relaxed
         return found.action
 
@@ -73,18 +73,18 @@ def driver_of(method: Method, task: PointTask, wheel: Wheel) -> Driver:
         inputs = inputs_of(policy.inputs, task, wheel.models)
         if not method.filter:
             return PolicyDriver(task, policy, inputs)
-        wish: Wish = lambda _: policy.act(inputs.see())  # noqa: E731
+        nominal: NominalPolicy = lambda _: policy.act(inputs.see())  # noqa: E731
     elif method.policy == SEEKER:
-        wish = _seeking(task, LearnedBelief(weights_named("learned", wheel.models)))
+        nominal = _seeking(task, LearnedBelief(weights_named("learned", wheel.models)))
     else:
-        wish = _learned(task, method.policy, wheel.models)
+        nominal = _learned(task, method.policy, wheel.models)
     if not method.filter:
-        return ShieldedDriver(task, shield_of("none", task, adapts=adapts, folder=wheel.models), wish)
+        return ShieldedDriver(task, shield_of("none", task, adapts=adapts, folder=wheel.models), nominal)
     if method.filter not in wheel.margins:
         raise InputError(f"{method.name}: got no margin for the filter '{method.filter}', wanted one of every filter")
     epsilon = wheel.margins[method.filter]
     shield = shield_of(method.filter, task, epsilon=epsilon, adapts=adapts, folder=wheel.models)
-    return ShieldedDriver(task, shield, wish)
+    return ShieldedDriver(task, shield, nominal)
 
 
 def training_seeds(method: Method, baselines: Path) -> tuple[int | None, ...]:
@@ -128,23 +128,23 @@ def _seed(method: Method, wheel: Wheel) -> int:
     return next(iter(seeds_of(method.baseline, wheel.baselines)), 0)
 
 
-def _learned(task: PointTask, name: str, models: Path) -> Wish:
+def _learned(task: PointTask, name: str, models: Path) -> NominalPolicy:
     from safedpa_sim.point.latent_policy import LatentPolicy
 
     learned, ways = LatentPolicy(weights_named(name, models)), RoutePlanner(task.count)
 
-    def wish(latent: FloatArray) -> FloatArray:
+    def nominal_action(latent: FloatArray) -> FloatArray:
         place, layout = task.simulation.pose[:2].T, task.layout
         turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
         return learned.act(policy_seen(task, latent, turn))
 
-    return wish
+    return nominal_action
 
 
-def _seeking(task: PointTask, belief: AbstractPointModel) -> Wish:
+def _seeking(task: PointTask, belief: AbstractPointModel) -> NominalPolicy:
     """The robot's own goal seeker, in the wind that the latent stands for."""
 
-    def wish(latent: FloatArray) -> FloatArray:
+    def nominal_action(latent: FloatArray) -> FloatArray:
         state, layout = centre_state(task.simulation), task.layout
         believed = belief.believed(state, latent)
         hazards = around_hazards(layout.hazards, believed.motion).hazards
@@ -156,4 +156,4 @@ def _seeking(task: PointTask, belief: AbstractPointModel) -> Wish:
             )
         return to_task_action(np.clip(found / believed.scale, -1.0, 1.0))
 
-    return wish
+    return nominal_action

@@ -24,7 +24,7 @@ __all__ = ["Moments", "drawn_moments"]
 
 
 _HELD: Final = 25
-"""Periods for which a wish is held: drawn anew in each period it would lead nowhere."""
+"""Periods for which a nominal action is held: drawn anew in each period it would lead nowhere."""
 _NEAR: Final = 0.1
 """m of h below which a moment counts as near a hazard."""
 
@@ -63,7 +63,7 @@ class Moments:
 def drawn_moments(
     weights: Weights, *, robots: int, steps: int, seed: int, force: float, direction: float | None = None
 ) -> Moments:
-    """Every tenth period of drives under wishes at random, where 0 < h < 0.1 m and the history is full.
+    """Every tenth period of drives under nominal actions at random, where 0 < h < 0.1 m and the history is full.
 
     The filter knows the wind, of ``force`` [N] towards ``direction`` [rad] or all around, and keeps the robots near
     hazards without entering them; phi of ``weights`` looks on.
@@ -76,10 +76,10 @@ def drawn_moments(
     shield, parts = Shield(robots, SimulatedPointModel(simulation), None), []
     for step in range(steps):
         if step % _HELD == 0:
-            wish = random.uniform(-1.0, 1.0, (robots, 2))
+            nominal = random.uniform(-1.0, 1.0, (robots, 2))
         state, rate = centre_state(simulation), simulation.velocity[2].copy()
         latent = adaptation.see(state).copy()
-        chosen = shield.act(task, wish)
+        chosen = shield.act(task, nominal)
         action = from_task_action(chosen.action)
         adaptation.acted(action * ACTION_SCALE)
         task.advance(chosen.action)

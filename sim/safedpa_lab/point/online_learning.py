@@ -2,7 +2,7 @@
 
     a = F(w, x, z),   w ~ N(pi(o), sigma)
 
-PPO learns on the wish w: its ratio is that of w, and the filter F belongs to the world. The latents z of policy and
+PPO learns on the nominal action w: its ratio is that of w, and the filter F belongs to the world. The latents z of policy and
 filter are those of what was carried out, a. Reward: what is gained along the shortest way, as in every training with
 these inputs; nothing is taken off for a step in a hazard. Nobody is told the wind.
 """
@@ -48,7 +48,7 @@ class Start:
     inputs: str
     key: str = ""
     deviation: float = -0.5
-    """log of the wishes' deviation at the start."""
+    """log of the nominal actions' deviation at the start."""
 
 
 STARTS: Final = {

@@ -24,13 +24,22 @@ from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.way import RoutePlanner
 
-__all__ = ["NETWORKS", "WISHES", "FilteredDriver", "affine_weights", "free_model", "model_of", "windy", "wish_of"]
+__all__ = [
+    "NETWORKS",
+    "NOMINAL_KINDS",
+    "FilteredDriver",
+    "affine_weights",
+    "free_model",
+    "model_of",
+    "nominal_policy_of",
+    "windy",
+]
 
-Wish = Callable[[], FloatArray]
+NominalPolicy = Callable[[], FloatArray]
 
 NETWORKS: Final = ("affine_stock", "free_clean", "free_stock")
 """Files of networks that are trained for this alone; the affine ones of the clean thrust ship as ``point_learned``."""
-WISHES: Final = ("policy", "disturbed")
+NOMINAL_KINDS: Final = ("policy", "disturbed")
 """SafeDPA's policy; every other half second an action drawn at random over the whole range in its place."""
 _SHIPPED: Final = Path(__file__).parent / "free_networks"
 _HELD: Final = 25
@@ -80,10 +89,10 @@ def windy(thrust: str, towards: FloatArray, force: float, seed: int) -> PointTas
     return task
 
 
-def wish_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) -> Wish:
-    """Wishes (robots, 2) in [-1, 1] over the range of commands, one of ``WISHES``.
+def nominal_policy_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) -> NominalPolicy:
+    """Nominal actions (robots, 2) in [-1, 1] over the range of commands, one of ``NOMINAL_KINDS``.
 
-    The policy was trained with the clean thrust. Of the stock one it wishes the command that pushes alike, a twentieth
+    The policy was trained with the clean thrust. Of the stock one it requests the command that pushes alike, a twentieth
     of the clean one's: the map is one to one up to the full push, and every command beyond it pushes no harder. A
     disturbance knows nothing of that: 95 of 100 stock ones saturate.
     """
@@ -95,7 +104,7 @@ def wish_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) ->
     alike = ACTION_SCALE / COMMANDS[thrust]
     random, drawn, period = np.random.default_rng([seed, 71]), np.zeros((task.count, 2)), 0
 
-    def wish() -> FloatArray:
+    def nominal_action() -> FloatArray:
         nonlocal drawn, period
         place, layout = task.simulation.pose[:2].T, task.layout
         turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
@@ -106,18 +115,18 @@ def wish_of(name: str, thrust: str, task: PointTask, folder: Path, seed: int) ->
         period += 1
         return drawn.copy() if disturbed else own
 
-    return wish
+    return nominal_action
 
 
 @final
 @dataclass
 class FilteredDriver:
-    """A wish through a filter, with the errors of what it predicts: a driver as ``safedpa_lab.point.driven`` has it."""
+    """A nominal action through a filter, with the errors of what it predicts: a driver as ``safedpa_lab.point.driven`` has it."""
 
     task: PointTask
     model: ActionModel
     filter: RelinearisedFilter
-    wish: Wish
+    nominal: NominalPolicy
 
     def __post_init__(self) -> None:
         self.corrected = self.relaxed = np.zeros(self.task.count, bool)
@@ -128,9 +137,9 @@ class FilteredDriver:
 
     def act(self) -> FloatArray:
         """Actions (robots, 2) of the task."""
-        wish, state, hazards = self.wish(), centre_state(self.task.simulation), self.task.layout.hazards
+        nominal, state, hazards = self.nominal(), centre_state(self.task.simulation), self.task.layout.hazards
         began = process_time()
-        found = self.filter.decide(state, wish, hazards, self.model)
+        found = self.filter.decide(state, nominal, hazards, self.model)
         self.seconds += process_time() - began
         near = (self._room > 0.0) & (self._room < _NEAR)
         self._errors.append(np.where(near, self._predicted - found.room, np.nan))

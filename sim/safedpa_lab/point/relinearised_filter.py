@@ -1,6 +1,6 @@
 """The point robots' filter on a model that is not affine in the action: taken as affine about one action, or anew.
 
-About the wish what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
+About the nominal action what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
 own action: decide, take the model anew about what was decided, decide again; then the error goes where the action
 settles.
 """
@@ -22,10 +22,10 @@ from safedpa_sim.point.filtering import ETA, FilteredActions, PointFilter, aroun
 __all__ = ["ABOUT", "Decided", "RelinearisedFilter"]
 
 
-ABOUT: Final = ("middle", "wish", "own")
-"""What the model is linearised about: no action, the wish, what was decided."""
+ABOUT: Final = ("middle", "nominal", "own")
+"""What the model is linearised about: no action, the nominal action, what was decided."""
 _AGAIN: Final = 2
-"""Decisions after the first, of those whose wish does not pass."""
+"""Decisions after the first, of those whose nominal action does not pass."""
 _TOLERANCE: Final = 1e-6
 """m; of what is kept by the model itself."""
 _SETTLED: Final = 1e-3
@@ -57,33 +57,33 @@ class RelinearisedFilter:
             raise InputError(f"linearised about '{about}': {did_you_mean(about, ABOUT)}")
         self._filter, self._epsilon, self._about = PointFilter(epsilon), epsilon, about
 
-    def decide(self, state: FloatArray, wish: FloatArray, hazards: FloatArray, model: ActionModel) -> Decided:
-        """Safe actions for states (robots, 5), which the model sees, and wishes (robots, 2) among hazards."""
+    def decide(self, state: FloatArray, nominal: FloatArray, hazards: FloatArray, model: ActionModel) -> Decided:
+        """Safe actions for states (robots, 5), which the model sees, and nominal actions (robots, 2) among hazards."""
         model.see(state)
         everybody = np.arange(len(state))
-        believed = model.about(np.zeros_like(wish) if self._about == "middle" else wish, everybody)
+        believed = model.about(np.zeros_like(nominal) if self._about == "middle" else nominal, everybody)
         if self._about == "own":
-            found = self._settled(state, wish, hazards, model, believed)
+            found = self._settled(state, nominal, hazards, model, believed)
             following = model.following(found.action, everybody)
         else:
-            found = self._filter.decide(state, wish, hazards, believed)
+            found = self._filter.decide(state, nominal, hazards, believed)
             following = believed.next_state(found.action)
         around = around_hazards(hazards, believed.motion)
         predicted, room = (around.values(one).min(axis=1) for one in (following, state))
         return Decided(found.action, found.corrected, found.relaxed, predicted, room)
 
     def _settled(
-        self, state: FloatArray, wish: FloatArray, hazards: FloatArray, model: ActionModel, believed: PointPrediction
+        self, state: FloatArray, nominal: FloatArray, hazards: FloatArray, model: ActionModel, believed: PointPrediction
     ) -> FilteredActions:
-        """A wish that passes by the model itself passes; others are decided about no action, then about what was
+        """A nominal action that passes by the model itself passes; others are decided about no action, then about what was
         decided.
 
-        About no action first: about a saturated wish the thrust has no slope, so that no correction is found. What
+        About no action first: about a saturated nominal action the thrust has no slope, so that no correction is found. What
         could not be solved, or falls short by the model itself, replaces only what is worse.
         """
-        action, relaxed = wish.copy(), np.zeros(len(wish), bool)
-        everybody = np.arange(len(wish))
-        short = self._kept(wish, everybody, state, hazards, model, believed) < -_TOLERANCE
+        action, relaxed = nominal.copy(), np.zeros(len(nominal), bool)
+        everybody = np.arange(len(nominal))
+        short = self._kept(nominal, everybody, state, hazards, model, believed) < -_TOLERANCE
         outside = minimum_barrier(state, hazards, believed.motion) < 0.0
         which = np.flatnonzero(short | outside)
         kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
@@ -92,14 +92,14 @@ class RelinearisedFilter:
             if not len(which):
                 break
             near = model.about(about, which)
-            new = self._filter.decide(state[which], wish[which], hazards[which], near)
+            new = self._filter.decide(state[which], nominal[which], hazards[which], near)
             now = self._kept(new.action, which, state, hazards, model, near)
             good = ~new.relaxed & (now >= -_TOLERANCE)
             better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
             action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
             moves = np.abs(action[which] - about).max(axis=1) > _SETTLED
             which, kept, about = which[moves], np.where(better, now, kept)[moves], action[which[moves]]
-        return FilteredActions(action, np.any(action != wish, axis=1), relaxed)
+        return FilteredActions(action, np.any(action != nominal, axis=1), relaxed)
 
     def _kept(
         self,

@@ -39,8 +39,8 @@ class Shelter:
         task = self._task
         state = centre_state(task.simulation)
         believed = self._belief.believed(state, np.zeros((task.count, 0)))
-        wish = from_task_action(np.asarray(chosen, dtype=np.float64))
-        return to_task_action(self._filter.decide(state, wish, task.layout.hazards, believed).action)
+        nominal = from_task_action(np.asarray(chosen, dtype=np.float64))
+        return to_task_action(self._filter.decide(state, nominal, task.layout.hazards, believed).action)
 
     def restart(self, which: NDArray[np.intp]) -> None:
         """New episodes as the task draws them; nothing is remembered here."""

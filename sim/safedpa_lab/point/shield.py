@@ -65,7 +65,7 @@ class Adaptation(Protocol):
 class Shield:
     """Each period ``see`` the robots, then ``act``; ``reset`` those that begin a new episode.
 
-    ``belief`` nothing: wishes pass as they are. ``adaptation`` nothing: latents of no entries.
+    ``belief`` nothing: nominal actions pass as they are. ``adaptation`` nothing: latents of no entries.
     """
 
     def __init__(
@@ -105,10 +105,10 @@ class Shield:
             self._believed = self._belief.believed(state, self.latent)
         return self._believed
 
-    def act(self, task: PointTask, wish: NDArray[np.floating]) -> FilteredActions:
-        """Safe actions of ``PointTask`` for wishes (robots, 2) of it, to be carried out at once."""
+    def act(self, task: PointTask, nominal: NDArray[np.floating]) -> FilteredActions:
+        """Safe actions of ``PointTask`` for nominal actions (robots, 2) of it, to be carried out at once."""
         self.see(task)
-        scaled = from_task_action(np.asarray(wish, dtype=np.float64))
+        scaled = from_task_action(np.asarray(nominal, dtype=np.float64))
         chosen = self._safe(task, scaled)
         self.acted(chosen.action)
         return FilteredActions(to_task_action(chosen.action), chosen.corrected, chosen.relaxed)
@@ -119,12 +119,12 @@ class Shield:
             self._adaptation.acted(action * ACTION_SCALE)
         self._state = self._believed = None
 
-    def _safe(self, task: PointTask, wish: FloatArray) -> FilteredActions:
+    def _safe(self, task: PointTask, nominal: FloatArray) -> FilteredActions:
         if self._belief is None:
-            unchanged = np.zeros(len(wish), bool)
-            return FilteredActions(wish, unchanged, unchanged)
+            unchanged = np.zeros(len(nominal), bool)
+            return FilteredActions(nominal, unchanged, unchanged)
         state = centre_state(task.simulation) if self._state is None else self._state
-        return self._filter.decide(state, wish, task.layout.hazards, self.believes(task))
+        return self._filter.decide(state, nominal, task.layout.hazards, self.believes(task))
 
 
 def shield_of(

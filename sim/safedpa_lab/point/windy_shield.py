@@ -27,7 +27,7 @@ class WindyShield:
         self._task, self._shield, self._force = task, shield, force
         self._random = np.random.default_rng([seed, 71])
         self.corrected = self.relaxed = np.zeros(task.count, bool)
-        """(robots,): where the last action is not what was wished; where not every condition could be kept."""
+        """(robots,): where the last action is not the nominal action; where not every condition could be kept."""
         self._blow(np.arange(task.count))
 
     def safe(self, chosen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

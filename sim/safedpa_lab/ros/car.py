@@ -26,7 +26,7 @@ from safedpa_lab.ros.foreign import DIAGNOSTICS, DRIVE, ODOMETRY, address, hash_
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["Car", "Told", "blind_wish"]
+__all__ = ["Car", "Told", "blind_policy"]
 
 _PERIOD = 0.02
 _DRIVER_PATIENCE = 0.25
@@ -151,11 +151,11 @@ class Car:
             twist=T["geometry_msgs/msg/TwistWithCovariance"](twist, zeros),
         )
 
-    def wish(self) -> None:
+    def nominal_action(self) -> None:
         """Straight to the goal, as fast as it goes; obstacles are nothing to it."""
         if self.policy is None:
             return
-        speed, steer = blind_wish(self.world.state, self.goal)
+        speed, steer = blind_policy(self.world.state, self.goal)
         drive = self.T["ackermann_msgs/msg/AckermannDrive"](steer, 0.0, speed, 0.0, 0.0)
         self.policy.publish(header=self.header(), drive=drive)
 
@@ -166,7 +166,7 @@ class Car:
         if not self.frozen and not (options.freeze_after and at > options.freeze_after):
             self.tell()
         if k % 2 == 0 and not (options.policy_ends and at > options.policy_ends):
-            self.wish()
+            self.nominal_action()
         late = time.monotonic() - self.told.commanded > _DRIVER_PATIENCE
         self.brakes += late
         speed, steer = (0.0, 0.0) if late else self.told.command
@@ -216,7 +216,7 @@ class Car:
         return found
 
 
-def blind_wish(state: tuple[float, float, float, float], goal: tuple[float, float]) -> tuple[float, float]:
+def blind_policy(state: tuple[float, float, float, float], goal: tuple[float, float]) -> tuple[float, float]:
     """Speed [m/s] and steering angle [rad] straight to the goal."""
     x, y, yaw, _ = state
     bearing = math.atan2(goal[1] - y, goal[0] - x) - yaw

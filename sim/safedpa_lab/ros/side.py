@@ -120,7 +120,7 @@ def robot_file(path: Path, endpoint: str, seed: int, tables: dict[str, dict[str,
     whole: dict[str, dict[str, Any]] = {
         "wire": {"endpoint": endpoint},
         "odometry": {"topic": "/odom"},
-        "wish": {"topic": "/drive_in"},
+        "nominal": {"topic": "/drive_in"},
         "command": {"topic": "/drive", "type": "ackermann_msgs/msg/AckermannDriveStamped"},
         "surroundings": {
             "field": list(scene.field),

@@ -82,17 +82,17 @@ def _kept_drives(
     environment, state = _winds(cars, count, generator), torch.zeros(count, 2)
     state[:, 0] = _FIRST * (2.0 * torch.rand(count, generator=generator) - 1.0)
     anew = torch.tensor(_DRAWN_ANEW)[torch.arange(count) % len(_DRAWN_ANEW)].unsqueeze(1)
-    wish, states, actions, environments = cars.draw_actions(count, generator), [state], [], []
+    nominal, states, actions, environments = cars.draw_actions(count, generator), [state], [], []
     shelter = CorridorShelter(count, BALANCING)
     with torch.no_grad():
         for _ in range(steps):
             drawn = torch.rand(count, 2, generator=generator)
-            wish = torch.where(drawn[:, :1] < anew, cars.draw_actions(count, generator), wish)
+            nominal = torch.where(drawn[:, :1] < anew, cars.draw_actions(count, generator), nominal)
 
             def after(torque: Tensor, state: Tensor = state, wind: Tensor = environment) -> Tensor:
                 return cars.advance(state, torque, wind)[0]
 
-            torque = shelter.decide(after, state, wish)
+            torque = shelter.decide(after, state, nominal)
             state = after(torque)
             states.append(state)
             actions.append(torque)

@@ -28,7 +28,7 @@ _PLAIN: Final = [STATUSES.index(status) for status in (Status.passed, Status.cor
 @final
 @dataclass(frozen=True)
 class FilteredActions:
-    """Actions (robots, 2) in [-1, 1], where they are not the wish, and where not every condition could be kept."""
+    """Actions (robots, 2) in [-1, 1], where they are not the nominal action, and where not every condition could be kept."""
 
     action: FloatArray
     corrected: BoolArray
@@ -45,9 +45,9 @@ class PointFilter:
         self._filter = BatchFilter(POINT, own)
 
     def decide(
-        self, state: FloatArray, wish: FloatArray, hazards: FloatArray, believed: PointPrediction
+        self, state: FloatArray, nominal: FloatArray, hazards: FloatArray, believed: PointPrediction
     ) -> FilteredActions:
-        """Safe actions for states (robots, 5) and wishes (robots, 2) among hazards (robots, m, 2)."""
+        """Safe actions for states (robots, 5) and nominal actions (robots, 2) among hazards (robots, m, 2)."""
         around = around_hazards(hazards, believed.motion)
 
         def stopping(robot: int) -> FloatArray:
@@ -57,8 +57,8 @@ class PointFilter:
             return np.array([thrust[0], turn[0]]) / believed.scale
 
         affine = believed.drift, believed.gain
-        found = self._filter.decide(state, wish, barriers=around, affine=affine, backup=stopping)
-        changed = np.any(found.action != wish, axis=1)
+        found = self._filter.decide(state, nominal, barriers=around, affine=affine, backup=stopping)
+        changed = np.any(found.action != nominal, axis=1)
         return FilteredActions(found.action, changed, ~np.isin(found.status, _PLAIN))
 
 

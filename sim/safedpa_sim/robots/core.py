@@ -10,7 +10,7 @@ from typing import Any, final
 
 from safedpa.bus.messages.messages import ScanMessage, StateMessage
 from safedpa.errors import InputError
-from safedpa.reversing import reversed_way
+from safedpa.reversing import distance_reversed
 from safedpa_sim.robots.actuators import ThrottleMotor
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
@@ -168,7 +168,7 @@ class CarRobot(SimulatedRobot):
             footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
             towed=self._taken[2],
-            reversed_way=self._way,
+            distance_reversed=self._way,
             sources=() if self._senses is None else self._senses.names,
         )
 
@@ -214,7 +214,7 @@ class CarRobot(SimulatedRobot):
                 yield self.world.time
                 self.world.advance(felt_drive, felt_steer, piece)
         if self._taken[2]:
-            self._way = reversed_way(self._way, before, self.world.state, self._taken[2][1])
+            self._way = distance_reversed(self._way, before, self.world.state, self._taken[2][1])
         x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
             self.goals_reached += 1

@@ -121,7 +121,7 @@ class SimulatedRobot(ABC):
         load_pose: Numbers = (),
         corridor: Numbers = (),
         towed: Numbers = (),
-        reversed_way: float = -1.0,
+        distance_reversed: float = -1.0,
         sources: tuple[str, ...] = (),
     ) -> StateMessage:
         """The message of this tick, with these surroundings."""
@@ -145,7 +145,7 @@ class SimulatedRobot(ABC):
             corridor=corridor,
             until_action=self._until_action,
             towed=towed,
-            reversed_way=reversed_way,
+            distance_reversed=distance_reversed,
             sources=sources,
         )
 

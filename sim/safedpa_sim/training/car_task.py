@@ -98,15 +98,20 @@ class CarShelter:
         self._filter = BatchFilter(model, settings_named("car").with_barriers(clearance=0.0))
 
     def decide(
-        self, state: Float32Array, wish: Float32Array, environment: Float32Array, scene: ScenePool, kept: Float32Array
+        self,
+        state: Float32Array,
+        nominal: Float32Array,
+        environment: Float32Array,
+        scene: ScenePool,
+        kept: Float32Array,
     ) -> Float32Array:
-        """Safe actions (cars, 2) for states (cars, 4), wishes (cars, 2), environments (cars, entries) and scenes."""
+        """Safe actions (cars, 2) for states (cars, 4), nominal actions (cars, 2), environments (cars, entries) and scenes."""
         settings, footprint = self._filter.settings, scene.footprint.astype(np.float64)
         footprint[:, 0] += _BEHIND * (footprint[:, 2] > _OWN_RADIUS)
         barriers = barriers_of_cars(settings, scene.obstacles, footprint, scene.field)
         room = settings.eta * kept
         margins = {"obstacle": room, "field": room, "speed": 0.0}
-        found = self._filter.decide(state, wish, environment, barriers=barriers, epsilon=margins)
+        found = self._filter.decide(state, nominal, environment, barriers=barriers, epsilon=margins)
         return found.action.astype(np.float32)
 
 
@@ -232,10 +237,10 @@ class DrivingTask:
     def advance(self, chosen: Float32Array) -> PeriodResult:
         """One period under ``chosen`` (count, 2), each entry in [-1, 1] over the range of commands."""
         before = self.applied.copy()
-        wish = self._middle + self._scale * np.clip(chosen, -1.0, 1.0)
+        nominal = self._middle + self._scale * np.clip(chosen, -1.0, 1.0)
         if self.sheltered:
-            wish = self._shelter.decide(self.state, wish, self.environment, self.scene, self._kept)
-        self.applied = wish.astype(np.float32)
+            nominal = self._shelter.decide(self.state, nominal, self.environment, self.scene, self._kept)
+        self.applied = nominal.astype(np.float32)
         self._move()
         room = self._meet_solids()
         contact = room <= 0.0

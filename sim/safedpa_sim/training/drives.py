@@ -110,16 +110,16 @@ _SPEED = 3
 
 @final
 class RandomDriver:
-    """Actions that glide, each car at a pace of its own, towards wishes that are drawn anew now and then.
+    """Actions that glide, each car at a pace of its own, towards nominal actions that are drawn anew now and then.
 
-    a[t+1] = a[t] + pace (wish - a[t]); each entry of the wish changes with probability ``change`` in a period. The pace
+    a[t+1] = a[t] + pace (nominal action - a[t]); each entry of the nominal action changes with probability ``change`` in a period. The pace
     is 1 (steps) for a third of the cars, and between 0.05 and 1, mostly slow, for the others.
     """
 
     def __init__(self, cars: BatchedCars, count: int, generator: torch.Generator, change: float = 0.04) -> None:
         self._cars, self._count, self._generator, self._change = cars, count, generator, change
-        self._wish = cars.draw_actions(count, generator)
-        self._action = self._wish.clone()
+        self._nominal = cars.draw_actions(count, generator)
+        self._action = self._nominal.clone()
         drawn = self._drawn(2)
         pace = 0.05 + 0.95 * drawn[:, :1].square()
         self._pace = torch.where(drawn[:, 1:] < 1.0 / 3.0, torch.ones_like(pace), pace)
@@ -127,8 +127,8 @@ class RandomDriver:
     def action(self) -> Tensor:
         """The next actions (count, actions)."""
         fresh = self._cars.draw_actions(self._count, self._generator)
-        self._wish = torch.where(self._drawn(fresh.shape[1]) < self._change, fresh, self._wish)
-        self._action = self._action + self._pace * (self._wish - self._action)
+        self._nominal = torch.where(self._drawn(fresh.shape[1]) < self._change, fresh, self._nominal)
+        self._action = self._action + self._pace * (self._nominal - self._action)
         return self._action
 
     def _drawn(self, columns: int) -> Tensor:

@@ -42,9 +42,9 @@ _STREAMS: Final = {"scales": 71, "training": 72, "held_out": 73, "latents": 74, 
 _CHUNK: Final = 32
 """Batches that are simulated at a time: the body's arrays are then long enough to be worth a call."""
 _HELD: Final = 0.04
-"""Probability per period that a random driver wishes something else."""
+"""Probability per period that a random driver changes its nominal action."""
 _BRAKING: Final = 8.0
-"""m/s2 of wish over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
+"""m/s2 of nominal action over m/s by which half of the drivers are too fast or too slow: they come to rest, and stand."""
 _SMALLER: Final = 2
 """Than the batch of phase 1a: there is more to learn, in more steps."""
 _FASTER: Final = 5.0
@@ -223,18 +223,18 @@ def _drives(
     along, across = ((float(low), float(high)) for low, high in cars.environment_ranges)
     simulation, nowhere = PointSimulation(count), np.ones((count, 2))
     simulation.pose[2] = random.uniform(0.0, 2.0 * np.pi, count)
-    wish, wind = random.uniform(-1.0, 1.0, (count, 2)), np.empty((2, count))
+    nominal, wind = random.uniform(-1.0, 1.0, (count, 2)), np.empty((2, count))
     wind[0], wind[1] = random.uniform(*along, count), random.uniform(*across, count)
     steered, control = np.arange(count) < count // 2, np.zeros((2, count))
     seen, done, winds = [without_goal(sensed(simulation, control, nowhere))], [], []
     for _ in range(phase.steps):
         anew = random.random(count) < _HELD
-        wish[anew] = random.uniform(-1.0, 1.0, (int(anew.sum()), 2)) * random.choice((0.0, 0.3, 1.0), (1, 2))
+        nominal[anew] = random.uniform(-1.0, 1.0, (int(anew.sum()), 2)) * random.choice((0.0, 0.3, 1.0), (1, 2))
         turned = random.random(count) < phase.change
         wind[:, turned] = random.uniform(*along, int(turned.sum())), random.uniform(*across, int(turned.sum()))
         simulation.force[:] = POINT_BODY.mass * wind
-        action = wish * limits
-        slow = POINT_BODY.mass * _BRAKING * (wish[:, 0] - seen[-1][:, 3])
+        action = nominal * limits
+        slow = POINT_BODY.mass * _BRAKING * (nominal[:, 0] - seen[-1][:, 3])
         action[steered, 0] = np.clip(slow, -limits[0], limits[0])[steered]
         control = controls_of(action)
         simulation.advance(control)

@@ -1,6 +1,6 @@
-"""Writes one message of every topic, as version 1 puts it on the wire: ``python tests/bus/samples/write_samples.py``.
+"""Writes one message of every topic, as version 2 puts it on the wire: ``python tests/bus/samples/write_samples.py``.
 
-Files that exist are never written again; a new version gets new files beside them.
+Files that exist are not overwritten; a new version gets new files.
 """
 
 from pathlib import Path
@@ -13,17 +13,17 @@ from safedpa.bus import (
     LatentMessage,
     Message,
     ModelMessage,
+    NominalMessage,
     ScanMessage,
     SetupMessage,
     StateMessage,
     SurroundingsMessage,
     TakeoverMessage,
     VerdictMessage,
-    WishMessage,
     encode,
 )
 
-VERSION = 1
+VERSION = 2
 
 _STAMP = {"version": VERSION, "epoch": 8731, "tick": 412, "robot_time": 20.6, "publish_time": 1795000000.25}
 
@@ -60,17 +60,17 @@ SAMPLES: dict[str, Message] = {
         movers=((0.5, 1.5, 0.1, 1.2, -0.3, 1.5),),
         hidden=((2.5, 1.0, 0.25, 1.5),),
         ages=(0.1,),
-        amiss=("the source laser was silent for 0.6 s, wanted 0.5 s at most",),
+        problems=("the source laser was silent for 0.6 s, wanted 0.5 s at most",),
     ),
     "latent": LatentMessage(**_STAMP, model="0123456789ab", values=(0.4,), deviations=(0.05,)),
-    "wish": WishMessage(**_STAMP, values=(1.6, 0.2), controller="goal_seeker:seek"),
+    "nominal": NominalMessage(**_STAMP, values=(1.6, 0.2), controller="goal_seeker:seek"),
     "action": ActionMessage(**_STAMP, values=(0.9, 0.3)),
     "verdict": VerdictMessage(
         **_STAMP,
         status="corrected",
-        sentence="the wish was changed to keep the distance to obstacle 0",
+        sentence="the nominal action was changed to keep the distance to obstacle 0",
         action=(0.9, 0.3),
-        wish=(1.6, 0.2),
+        nominal=(1.6, 0.2),
         slack=0.01,
         active=("obstacle_0", "field"),
         h_now=0.4,
@@ -146,7 +146,7 @@ SAMPLES: dict[str, Message] = {
         options='{"model": "car"}',
         fingerprint="0123456789ab",
         document="format = 1",
-        settings="format = 1",
+        settings="format = 2",
         margin='{"coverage": 0.99}',
         controller="",
     ),

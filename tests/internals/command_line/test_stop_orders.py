@@ -38,7 +38,7 @@ def test_a_robot_that_moves_or_obeys_the_policy_has_not_stopped(
     verdict = None
     if status is not None:
         verdict = VerdictMessage(
-            **STAMP, status=status, sentence="", action=(), wish=(), slack=0.0, active=(), h_now=0.6, h_next=0.6,
+            **STAMP, status=status, sentence="", action=(), nominal=(), slack=0.0, active=(), h_now=0.6, h_next=0.6,
             margin=0.02, solver="", microseconds=60.0,
         )  # fmt: skip
     robot = RobotOverview("r1", since=0.0, state=state, state_at=0.0, verdict=verdict)

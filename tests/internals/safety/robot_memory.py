@@ -5,7 +5,7 @@ from typing import Any
 
 from tests.safety.node_steps import CAR, SETTINGS, latent_at, stamp, state_at
 
-from safedpa.bus import LATENT, WISH, WishMessage
+from safedpa.bus import LATENT, NOMINAL, NominalMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.runtime.robot_session import LastDecision, RobotSession
@@ -18,8 +18,8 @@ def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float
     for tick in range(ticks):
         state = state_at(tick, applied=applied)
         latent = replace(latent_at(state), model=fingerprint(model), values=tuple(model.latent.tolist()))
-        wish = WishMessage(**stamp(state), values=action, controller="test")
-        outputs = node.step("r", state, {LATENT: latent, WISH: wish})
+        nominal = NominalMessage(**stamp(state), values=action, controller="test")
+        outputs = node.step("r", state, {LATENT: latent, NOMINAL: nominal})
         applied = next(iter(outputs.values())).values
         node.afterwards("r")
     return node._robots["r"]

@@ -39,7 +39,7 @@ class Problems:
         self.bend = bend * size * random.uniform(0.0, 1.0, (count, rows))
         now = random.uniform(0.0, 1.0, (count, rows)) * size
         self.level = now - np.einsum("nij,nj->ni", self.p, self.state)
-        self.wish = random.uniform(settings.low - 0.3, settings.high + 0.3, (count, actions))
+        self.nominal = random.uniform(settings.low - 0.3, settings.high + 0.3, (count, actions))
 
     def moved(self, robots: Any, state: Values, action: Values) -> Values:
         """x+ (..., 2)."""
@@ -136,23 +136,25 @@ class Watched:
         self.found.append(self._conditions.outcome(action))
         return self.found[-1]
 
-    def solve(self, A: Sequence[Any], b: Any, wish: Any) -> Solution:
+    def solve(self, A: Sequence[Any], b: Any, nominal: Any) -> Solution:
         """Remembers whether there is a closed form without slack."""
         _, rows = breakable(A, b, self.sides)
         weights = tuple(self._program.weights.tolist())
-        self.closed.append(not rows or closest(rows, wish, self.sides, weights) is not None)
-        return self._program.solve(A, b, wish)
+        self.closed.append(not rows or closest(rows, nominal, self.sides, weights) is not None)
+        return self._program.solve(A, b, nominal)
 
 
-def alone(conditions: Constraints, program: QuadraticProgram, wish: Any, rounds: int) -> tuple[ActionCandidate, bool]:
+def alone(
+    conditions: Constraints, program: QuadraticProgram, nominal: Any, rounds: int
+) -> tuple[ActionCandidate, bool]:
     """What one robot's search finds, and whether it is the first solution that keeps all, with all programs in closed
     form, after which nothing else was tried, and which is not brought back."""
-    asked = conditions.outcome(np.clip(wish, program.low, program.high).tolist())
+    asked = conditions.outcome(np.clip(nominal, program.low, program.high).tolist())
     watched = Watched(conditions, program)
-    found, _ = search(watched, watched, wish, asked, rounds)  # type: ignore[arg-type]
+    found, _ = search(watched, watched, nominal, asked, rounds)  # type: ignore[arg-type]
     plain = found.kept and all(watched.closed) and len(watched.closed) == len(watched.found)
     plain = plain and found is watched.found[-1] and not any(one.kept for one in watched.found[:-1])
-    return found, bool(plain and backtrack_towards(conditions, program.sides, wish, found) is found)
+    return found, bool(plain and backtrack_towards(conditions, program.sides, nominal, found) is found)
 
 
 def agreed(problems: Problems) -> int:
@@ -162,11 +164,11 @@ def agreed(problems: Problems) -> int:
     required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
     conditions = BatchConstraints(own, around, moving, required, scale, np.zeros(len(robots), dtype=bool))  # type: ignore[arg-type]
-    start = conditions.outcome(np.clip(problems.wish, own.low, own.high))
+    start = conditions.outcome(np.clip(problems.nominal, own.low, own.high))
     broken = np.flatnonzero(~conditions.kept(start))
-    found, certain = search_batch(conditions.only(broken), problems.wish[broken], start.only(broken))
+    found, certain = search_batch(conditions.only(broken), problems.nominal[broken], start.only(broken))
     for place, robot in enumerate(broken.tolist()):
-        wanted, plain = alone(ones[robot], program, problems.wish[robot].tolist(), own.relinearisations + 1)
+        wanted, plain = alone(ones[robot], program, problems.nominal[robot].tolist(), own.relinearisations + 1)
         assert certain[place] == plain, robot
         if plain:
             np.testing.assert_allclose(found.action[place], wanted.action, rtol=0.0, atol=1e-7)
@@ -192,20 +194,20 @@ def test_a_condition_that_no_action_changes_leaves_the_others_as_certain_as_they
 
 @pytest.mark.parametrize("settings", [TWO, ONE], ids=["two", "one"])
 def test_an_entry_is_brought_back_where_that_of_one_robot_is(settings: FilterSettings) -> None:
-    """Of any action that keeps all, wherever it was found, and a wish anywhere."""
+    """Of any action that keeps all, wherever it was found, and a nominal action anywhere."""
     random, count = np.random.default_rng(7), 600
     problems, robots = Problems(7, count, settings, 0.3, 1.5, 2), np.arange(count)
     ones, sides = [problems.one(robot) for robot in robots], problems.program().sides
     required, scale = np.array([one.required for one in ones]), np.array([one.scales for one in ones])
     around, moving = Rows(problems, robots), Moving(problems, robots)
     conditions = BatchConstraints(settings, around, moving, required, scale, np.zeros(count, dtype=bool))  # type: ignore[arg-type]
-    near = problems.wish + random.normal(0.0, 0.1, problems.wish.shape) * (settings.high - settings.low)
+    near = problems.nominal + random.normal(0.0, 0.1, problems.nominal.shape) * (settings.high - settings.low)
     found = conditions.outcome(np.clip(near, settings.low, settings.high))
     kept = np.flatnonzero(conditions.kept(found))
-    back = _backtracking(conditions.only(kept), problems.wish[kept], found.only(kept))
+    back = _backtracking(conditions.only(kept), problems.nominal[kept], found.only(kept))
     wanted = []
     for robot in kept.tolist():
         one = ones[robot].outcome(found.action[robot].tolist())
-        wanted.append(backtrack_towards(ones[robot], sides, problems.wish[robot].tolist(), one) is not one)
+        wanted.append(backtrack_towards(ones[robot], sides, problems.nominal[robot].tolist(), one) is not one)
     assert back.tolist() == wanted
     assert 20 < sum(wanted) < len(wanted) - 20

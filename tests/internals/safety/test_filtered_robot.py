@@ -76,11 +76,11 @@ def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
 ) -> None:
     memory = driven(LATE if pending else CAR)
     assert bool(memory.pending) is pending
-    foretold = object()
-    monkeypatch.setattr(CommandHistory, "foretold", lambda *_: foretold)
+    delayed_prediction = object()
+    monkeypatch.setattr(CommandHistory, "foretold", lambda *_: delayed_prediction)
     calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
     memory.watch_margin(state_at(1, applied=told(memory), applied_by=applied_by))
-    assert [call["late"] for call in calls] == [foretold if late else None]
+    assert [call["late"] for call in calls] == [delayed_prediction if late else None]
 
 
 @pytest.mark.parametrize("model", [CAR, LATE])
@@ -292,7 +292,9 @@ def test_the_last_resort_is_the_backup_of_the_scene_within_the_bounds(backup: An
 
 
 @pytest.mark.parametrize(("stands", "speeds"), [(True, (3,)), (False, ())])
-def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(stands: bool, speeds: tuple[int, ...]) -> None:
+def test_only_a_robot_that_can_stand_has_speeds_that_braking_takes_away(
+    stationary_for: bool, speeds: tuple[int, ...]
+) -> None:
     memory = driven()
-    memory.scene = SimpleNamespace(stands=stands)
+    memory.scene = SimpleNamespace(stationary_for=stationary_for)
     assert memory.speeds == speeds

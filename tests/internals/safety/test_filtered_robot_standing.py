@@ -25,36 +25,37 @@ from safedpa.safety.settings import FilterSettings
 
 # whether it stands
 @pytest.mark.parametrize("status", [Status.passed, Status.disabled, Status.corrected, Status.relaxed])
-def test_what_is_promised_under_the_wish_is_asked_of_the_model_where_the_wish_did_not_go_out(
+def test_what_is_promised_under_the_nominal_action_is_asked_of_the_model_where_the_nominal_action_did_not_go_out(
     monkeypatch: pytest.MonkeyPatch, status: Status
 ) -> None:
     memory, state = driven(), state_at(0)
     assert memory.decision is not None
-    verdict = verdict_of(memory, status=status, wish=np.array((9.0, 0.1)), action=np.array((0.2, 0.0)))
+    verdict = verdict_of(memory, status=status, nominal=np.array((9.0, 0.1)), action=np.array((0.2, 0.0)))
     memory.decision = memory.decision._replace(verdict=verdict)
     clipped = np.clip((9.0, 0.1), SETTINGS.low, SETTINGS.high)
     promises = list[Any]()
     memory.standing.promise = lambda *rows: promises.append(rows)
     path = ((0.3, 0.0, 0.0, 0.5), (0.6, 0.0, 0.0, 0.5))
     memory.watch_standing(state, path)
-    ((here, wished, expected),) = promises
+    ((here, nominal_next, expected),) = promises
     assert here == state.values
     assert expected == path[0]
     if status in (Status.passed, Status.disabled):
-        assert wished == path[0]
+        assert nominal_next == path[0]
     else:
-        assert wished == pytest.approx(CAR.held(np.array(here), clipped, (), CAR.latent, 1, period=0.05)[0][0])
+        assert nominal_next == pytest.approx(CAR.held(np.array(here), clipped, (), CAR.latent, 1, period=0.05)[0][0])
 
 
 @pytest.mark.parametrize(
-    ("wish", "known", "interrupted"), [((1.0, 0.0), True, False), ((1.0, 0.0), False, True), ((0.0, 0.0), True, True)]
+    ("nominal", "known", "interrupted"),
+    [((1.0, 0.0), True, False), ((1.0, 0.0), False, True), ((0.0, 0.0), True, True)],
 )
-def test_a_robot_without_a_wish_or_without_a_prediction_is_not_standing_in_vain(
-    wish: tuple[float, float], known: bool, interrupted: bool
+def test_a_robot_without_a_nominal_action_or_without_a_prediction_is_not_standing_in_vain(
+    nominal: tuple[float, float], known: bool, interrupted: bool
 ) -> None:
     memory = driven()
     assert memory.decision is not None
-    verdict = verdict_of(memory, status=Status.corrected, wish=np.array(wish))
+    verdict = verdict_of(memory, status=Status.corrected, nominal=np.array(nominal))
     memory.decision = memory.decision._replace(verdict=verdict)
     said = list[str]()
     memory.standing.promise = lambda *_: said.append("promise")
@@ -81,7 +82,7 @@ def test_a_correction_that_moves_nothing_is_given_up_for_a_rest_that_is_safe(
     found = memory.out_of_dead_band(state_at(1), verdict, CAR.latent, lambda: resting)
     if given_up:
         assert (found.status, found.action.tolist()) == (Status.corrected, [0.0, 0.0])
-        assert found.wish is verdict.wish
+        assert found.nominal is verdict.nominal
         assert "dead band" in found.reason
     else:
         assert found is verdict
@@ -106,7 +107,7 @@ def test_a_correction_that_leads_further_than_what_failed_is_tried(failed: float
 def test_a_margin_binds_where_less_is_left_than_it_asks_for(h_now: float, binds: bool) -> None:
     memory, said = driven(), list[Any]()
     memory.standing.reason = lambda *known: said.append(known) or "why"
-    assert memory.standstill(verdict_of(memory, h_now=h_now, margin=SETTINGS.eta)) == "why"
+    assert memory.stationary_reason(verdict_of(memory, h_now=h_now, margin=SETTINGS.eta)) == "why"
     assert [known[2] for known in said] == [binds]
 
 
@@ -214,26 +215,26 @@ def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("status", "barriers", "decided"),
     [
-        (Status.passed, True, "wish"), (Status.corrected, True, "wish"), (Status.stopped, True, "action"),
+        (Status.passed, True, "nominal"), (Status.corrected, True, "nominal"), (Status.stopped, True, "action"),
         (Status.fallback, True, ""), (Status.passed, False, ""),
     ],
 )  # fmt: skip
-def test_another_model_is_tried_with_the_wish_or_with_the_action_of_a_stop(
+def test_another_model_is_tried_with_the_nominal_action_or_with_the_action_of_a_stop(
     monkeypatch: pytest.MonkeyPatch, status: Status, barriers: bool, decided: str
 ) -> None:
     memory, asked_with = driven(), list[Any]()
     assert memory.decision is not None
-    verdict = verdict_of(memory, status=status, wish=np.array((1.0, 0.1)), action=np.array((0.2, 0.0)))
+    verdict = verdict_of(memory, status=status, nominal=np.array((1.0, 0.1)), action=np.array((0.2, 0.0)))
 
-    def decide(_self: Any, _state: Any, wish: Any, *_: Any, **__: Any) -> Verdict:
-        asked_with.append(wish)
+    def decide(_self: Any, _state: Any, nominal: Any, *_: Any, **__: Any) -> Verdict:
+        asked_with.append(nominal)
         return verdict_of(memory, status=Status.passed)
 
     monkeypatch.setattr(type(memory.filter), "decide", decide)
     around = memory.barriers if barriers else "surroundings (none has arrived)"
     memory.try_out(memory.decision._replace(verdict=verdict), around)
-    wanted = {"wish": [(1.0, 0.1)], "action": [(0.2, 0.0)], "": []}[decided]
-    assert [tuple(wish.tolist()) for wish in asked_with] == wanted
+    wanted = {"nominal": [(1.0, 0.1)], "action": [(0.2, 0.0)], "": []}[decided]
+    assert [tuple(nominal.tolist()) for nominal in asked_with] == wanted
 
 
 @pytest.mark.parametrize(
@@ -296,7 +297,7 @@ def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: py
         return DeadTime(1, 1)
 
     monkeypatch.setattr(trail._actuators, "reach", reach)
-    assert trail.foretold(0.0) is not None
+    assert trail.delayed_prediction(0.0) is not None
     assert asked == [(*LATENT[:-1], 7.0)]
 
 

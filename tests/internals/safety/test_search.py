@@ -1,4 +1,4 @@
-"""The search's decisions one by one, and its ways back towards the wish, with scripted outcomes."""
+"""The search's decisions one by one, and its ways back towards the nominal action, with scripted outcomes."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ class Scripted:
         self.tangents += 1
         return Slopes()
 
-    def solve(self, A: list[list[float]], b: list[float], wish: tuple[float, ...]) -> Solution:
+    def solve(self, A: list[list[float]], b: list[float], nominal: tuple[float, ...]) -> Solution:
         self.solved += 1
         self.limits.append(b[0])
         return Solution([self.actions[self.solved - 1]], [0.0], True, "solved")
@@ -48,12 +48,12 @@ class Scripted:
     def tightest(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
-    def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
-        return abs(action[0] - wish[0])
+    def distance(self, action: tuple[float, ...], nominal: tuple[float, ...]) -> float:
+        return abs(action[0] - nominal[0])
 
-    def run(self, start: ActionCandidate, rounds: int = 4, wish: float = 9.0) -> ActionCandidate:
+    def run(self, start: ActionCandidate, rounds: int = 4, nominal: float = 9.0) -> ActionCandidate:
         this: Any = self
-        return _posed(this, this, (wish,), start, rounds)[0]
+        return _posed(this, this, (nominal,), start, rounds)[0]
 
 
 @pytest.mark.parametrize("residual", [(0.0,), (0.05,), (0.0, 1000.0), (0.05, 0.06)])
@@ -159,10 +159,10 @@ def test_rounds_are_limited_and_any_first_solution_replaces_the_start_but_the_le
 
 def test_kept_beats_broken_and_near_beats_far() -> None:
     scripted: Any = Scripted()
-    wish = (0.0,)
+    nominal = (0.0,)
 
     def better(one: ActionCandidate, other: ActionCandidate) -> ActionCandidate:
-        return _better(scripted, scripted, wish, one, other)
+        return _better(scripted, scripted, nominal, one, other)
 
     near, far, broken, worse, unsafe = (
         outcome(1.0, 0.0),
@@ -221,7 +221,7 @@ def test_a_solver_that_gives_up_leaves_what_was_found_before() -> None:
     assert (found.action, found.kept, word) == ((0.0,), False, "max iter reached")
     scripted: Any = Scripted((-5.0,))
     first = scripted.solve
-    scripted.solve = lambda A, b, wish: first(A, b, wish) if scripted.solved == 0 else GIVEN_UP
+    scripted.solve = lambda A, b, nominal: first(A, b, nominal) if scripted.solved == 0 else GIVEN_UP
     assert scripted.run(outcome(0.0, -10.0)).action == (1.0,)
     assert (scripted.solved, scripted.tangents) == (1, 2)
 
@@ -246,10 +246,10 @@ class Line:
     def tightest(self, found: ActionCandidate) -> float:
         return min(found.residual)
 
-    def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
-        return abs(action[0] - wish[0])
+    def distance(self, action: tuple[float, ...], nominal: tuple[float, ...]) -> float:
+        return abs(action[0] - nominal[0])
 
-    def solve(self, A: Any, b: Any, wish: Any) -> Solution:
+    def solve(self, A: Any, b: Any, nominal: Any) -> Solution:
         self.asked += 1
         return solution(self.proposed.pop(0) if len(self.proposed) > 1 else self.proposed[0])
 
@@ -306,11 +306,11 @@ def test_what_binds_is_not_looked_at_again_and_a_residual_broken_by_rounding_end
 
 @pytest.mark.parametrize("saturated", [True, False])
 def test_where_an_actuator_saturates_what_binds_and_is_far_is_looked_at_again(saturated: bool) -> None:
-    """The slope there is a chord's: that the condition binds says nothing about the actions nearer to the wish."""
+    """The slope there is a chord's: that the condition binds says nothing about the actions nearer to the nominal action."""
     line: Any = Line(3.0, 3.0)
     line.saturated = saturated
     line.outcome = lambda action: outcome(action[0], 0.0 if action[0] >= 1.0 else -1.0)
-    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
     search(line, line, (1.0,), outcome(0.0, -3.0), 4)
     assert line.asked == (1 + AGAIN if saturated else 1)
 
@@ -327,17 +327,17 @@ def test_what_is_needlessly_far_is_brought_nearer_and_of_both_programs_the_neare
     assert line.asked == 4 + AGAIN
 
 
-def test_the_way_to_a_wish_beyond_the_bounds_ends_at_the_bound() -> None:
+def test_the_way_to_a_nominal_action_beyond_the_bounds_ends_at_the_bound() -> None:
     line: Any = Line(-5.0, 8.0)
     found, _ = search(line, line, (-100.0,), outcome(0.0, -3.0), 4)
     assert found.action == (0.0,)
 
 
 @pytest.mark.parametrize(("proposed", "again"), [(1.0, True), (0.89, False)])
-def test_what_is_doubtful_and_far_from_the_wish_is_brought_nearer(proposed: float, again: bool) -> None:
+def test_what_is_doubtful_and_far_from_the_nominal_action_is_brought_nearer(proposed: float, again: bool) -> None:
     """Kept by 0.03, between doubtful and needless: looked at again where it is more than a tenth of the range away."""
     line: Any = Line(0.0, proposed)
-    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
     line.outcome = lambda action: outcome(
         action[0], 0.03 if action[0] == proposed else -1.0 if action[0] < 0.5 else 0.025
     )
@@ -370,7 +370,7 @@ def test_what_leads_from_a_kept_action_to_a_broken_one_ends_the_rounds_and_is_no
 def test_a_long_last_step_from_a_broken_action_is_gone_back() -> None:
     """From 3 to 8 at once, though all from 3.5 on is kept."""
     line: Any = Line(3.5, 3.0, 8.0)
-    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
     line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] > 3.5 else -0.01)
     found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert line.tried[2] == pytest.approx(8.0 - 0.9 * 2.5)
@@ -382,7 +382,7 @@ def test_a_long_last_step_from_a_broken_action_is_gone_back() -> None:
 def test_a_short_last_step_is_left(last: float) -> None:
     """A tenth of the range, which is 9."""
     line: Any = Line(3.3, 3.0 if last == 3.4 else 4.0, last)
-    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
     line.outcome = lambda action: (
         line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] == last else -1.0)
     )
@@ -392,9 +392,9 @@ def test_a_short_last_step_is_left(last: float) -> None:
 
 
 def test_the_first_step_is_left_however_long_and_without_finite_predictions_the_way_is_halved() -> None:
-    """The start is where the wish was: the program has the way from there."""
+    """The start is where the nominal action was: the program has the way from there."""
     line: Any = Line(3.5, 8.0)
-    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.distance = lambda action, nominal: ((action[0] - nominal[0]) / 9.0) ** 2
     line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01)
     found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, line.tried) == ((8.0,), [8.0])

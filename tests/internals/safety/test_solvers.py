@@ -83,20 +83,20 @@ numbers = st.integers(-200, 200).map(lambda number: number / 100)
 """Slopes of 1e-7 are beyond what PIQP can tell."""
 
 
-def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
+def by_solver(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, nominal: np.ndarray) -> Solution:
     """The solution of PIQP, which one or two actions are asked for only where nothing else is certain."""
-    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], wish.tolist(), len(b))
+    return program._by_solver(breakable(A.tolist(), b.tolist(), program.sides)[1], nominal.tolist(), len(b))
 
 
 def test_a_workspace_forgets_the_problem_before() -> None:
-    """Sizes share workspaces: neither rows nor the wish of an earlier problem may linger."""
+    """Sizes share workspaces: neither rows nor the nominal action of an earlier problem may linger."""
     random = np.random.default_rng(2)
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
-        A, wish = random.normal(size=(rows, 2)), random.normal(size=2)
+        A, nominal = random.normal(size=(rows, 2)), random.normal(size=2)
         b = A @ random.uniform(-1, 1, 2) + 0.2
         fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
-        one, other = (by_solver(each, A, b, wish).action for each in (program, fresh))
+        one, other = (by_solver(each, A, b, nominal).action for each in (program, fresh))
         np.testing.assert_allclose(one, other, atol=1e-7)
 
 
@@ -128,26 +128,26 @@ def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one_and_two_are_n
 @settings(max_examples=300, deadline=None)
 @given(
     conditions=st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=10),
-    wish=st.tuples(numbers, numbers),
+    nominal=st.tuples(numbers, numbers),
     weights=st.tuples(st.floats(0.1, 3.0), st.floats(0.1, 3.0)),
 )
 def test_what_it_gives_is_what_piqp_gives(
-    conditions: list[tuple[float, float, float]], wish: tuple[float, float], weights: tuple[float, float]
+    conditions: list[tuple[float, float, float]], nominal: tuple[float, float], weights: tuple[float, float]
 ) -> None:
     program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights))
     table = np.array(conditions)
-    quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), wish)
+    quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), nominal)
     finite, rows = breakable(table[:, :2].tolist(), table[:, 2].tolist(), program.sides)
     assert finite
-    closed = closest(rows, wish, program.sides, program.weights.tolist()) if rows else None
+    closed = closest(rows, nominal, program.sides, program.weights.tolist()) if rows else None
     if closed is None:
         return  # no row can be broken, or slack is needed
-    certain = program._by_solver(rows, wish, len(table))
+    certain = program._by_solver(rows, nominal, len(table))
     np.testing.assert_array_equal(quick.action, closed)
     assert max(quick.slack) == 0.0
     if certain.solved and max(certain.slack) < 1e-9:
         np.testing.assert_allclose(closed, certain.action, atol=2e-5)  # its gap of 1e-11 leaves a square root
-        assert program.distance(closed, wish) <= program.distance(certain.action, wish) + 1e-9
+        assert program.distance(closed, nominal) <= program.distance(certain.action, nominal) + 1e-9
     kept = [index for _, _, index, _ in rows]
     assert (table[kept, :2] @ closed >= table[kept, 2] - 1e-10).all()
     assert (np.array(closed) >= program.low - 1e-11).all()
@@ -162,15 +162,15 @@ def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: in
         high = low + random.uniform(0.5, 5.0, actions)
         program = QuadraticProgram(low, high, random.uniform(0.3, 3.0, actions))
         A = random.normal(size=(int(random.integers(2, 8)), actions))
-        b, wish = A @ random.uniform(low, high) + random.normal(0.2, 0.5, len(A)), random.uniform(low, high)
+        b, nominal = A @ random.uniform(low, high) + random.normal(0.2, 0.5, len(A)), random.uniform(low, high)
         _, rows = breakable(A.tolist(), b.tolist(), program.sides)
         slack = [0.0] * len(b)
         weights = program.weights.tolist()
-        action = minimum_violation(rows, wish.tolist(), program.sides, weights, slack) if rows else None
+        action = minimum_violation(rows, nominal.tolist(), program.sides, weights, slack) if rows else None
         if action is None:
             continue
         told += 1
-        by_solver = program._by_solver(rows, wish.tolist(), len(b))
+        by_solver = program._by_solver(rows, nominal.tolist(), len(b))
         reach = np.abs(A) @ program.range
         np.testing.assert_allclose(action, by_solver.action, atol=2e-5)
         np.testing.assert_allclose(slack / reach, np.array(by_solver.slack) / reach, atol=1e-6)

@@ -15,7 +15,7 @@ def plane(*state: float, **changes: Any) -> LinearProblem:
     """x+ = x + a and h = x in two dimensions, a within [-1, 1], eta 0.5: the conditions are a >= -x / 2."""
     usual: dict[str, Any] = {
         "shape": "plane", "state": np.array(state), "f": np.array(state), "g": np.eye(2), "P": np.eye(2),
-        "q": np.zeros(2), "low": -np.ones(2), "high": np.ones(2), "wish": np.zeros(2), "weights": np.ones(2),
+        "q": np.zeros(2), "low": -np.ones(2), "high": np.ones(2), "nominal": np.zeros(2), "weights": np.ones(2),
         "eta": 0.5, "epsilon": np.zeros(2), "gradient": True,
     }  # fmt: skip
     return LinearProblem(

@@ -41,8 +41,8 @@ def planted_by(patch):
     def planted(change):
         original = SafetyFilter.decide
 
-        def decide(self, state, wish, *others, **known):
-            return change(original(self, state, wish, *others, **known), wish)
+        def decide(self, state, nominal, *others, **known):
+            return change(original(self, state, nominal, *others, **known), nominal)
 
         patch.setattr(SafetyFilter, "decide", decide)
 
@@ -51,7 +51,7 @@ def planted_by(patch):
 
 @pytest.fixture
 def plant(monkeypatch):
-    """Changes every verdict on its way out: ``plant(lambda verdict, wish: ...)``."""
+    """Changes every verdict on its way out: ``plant(lambda verdict, nominal action: ...)``."""
     return planted_by(monkeypatch)
 
 
@@ -69,16 +69,16 @@ def frozen(action):
     return taken
 
 
-def passes_everything(verdict, wish):
+def passes_everything(verdict, nominal):
     """What a filter that is switched off and lies about it would say."""
-    return replace(verdict, action=frozen(np.asarray(wish, dtype=np.float64)), status=Status.passed)
+    return replace(verdict, action=frozen(np.asarray(nominal, dtype=np.float64)), status=Status.passed)
 
 
 @pytest.mark.long
 def test_the_programs_notice_a_filter_that_goes_not_all_the_way(clean, plant):
-    def a_little_less(verdict, wish):
+    def a_little_less(verdict, nominal):
         """A correction that goes only 99.9 % of the way, as a tolerance would allow it."""
-        moved = verdict.action + 1e-3 * (np.asarray(wish) - verdict.action)
+        moved = verdict.action + 1e-3 * (np.asarray(nominal) - verdict.action)
         return replace(verdict, action=frozen(moved)) if verdict.status is Status.corrected else verdict
 
     before = clean["passed or corrected, condition broken"].measured
@@ -87,7 +87,7 @@ def test_the_programs_notice_a_filter_that_goes_not_all_the_way(clean, plant):
     assert after > before + 50
 
 
-def test_the_programs_notice_actions_that_are_swapped_for_the_wish(all_passed):
+def test_the_programs_notice_actions_that_are_swapped_for_the_nominal_action(all_passed):
     counted = {row.what: row for row in all_passed.rows}
     assert counted["passed or corrected, condition broken"].measured > 200
     assert counted["passed or corrected, predicted h < 0"].measured > 100
@@ -97,7 +97,7 @@ def test_the_programs_notice_actions_that_are_swapped_for_the_wish(all_passed):
 
 @pytest.mark.long
 def test_the_programs_notice_corrections_that_go_too_far(clean, plant):
-    def middle(verdict, wish):
+    def middle(verdict, nominal):
         if verdict.status is not Status.passed:
             return verdict
         return replace(verdict, status=Status.corrected, action=frozen(0.999 * verdict.action))
@@ -108,10 +108,10 @@ def test_the_programs_notice_corrections_that_go_too_far(clean, plant):
 
 
 def test_the_programs_notice_an_infeasible_answer_that_is_not_the_least_unsafe(plant):
-    def other_end(verdict, wish):
+    def other_end(verdict, nominal):
         if verdict.status in (Status.passed, Status.corrected):
             return verdict
-        return replace(verdict, status=Status.relaxed, action=frozen(-verdict.action + 2.0 * np.asarray(wish)))
+        return replace(verdict, status=Status.relaxed, action=frozen(-verdict.action + 2.0 * np.asarray(nominal)))
 
     plant(other_end)
     found = measured(Programs())
@@ -137,11 +137,11 @@ def test_the_drive_at_scale_one_stops_before_the_wall_and_a_deaf_filter_does_not
 
 @pytest.mark.long
 def test_other_units_of_a_filter_with_an_absolute_tolerance_are_noticed(plant):
-    """Planted: the wish is believed whenever h is small, as an absolute tolerance would have it."""
+    """Planted: the nominal action is believed whenever h is small, as an absolute tolerance would have it."""
 
-    def absolute(verdict, wish):
+    def absolute(verdict, nominal):
         if verdict.status is Status.corrected and abs(verdict.h_now) < 1e-4:
-            return passes_everything(verdict, wish)
+            return passes_everything(verdict, nominal)
         return verdict
 
     plant(absolute)
@@ -168,8 +168,8 @@ def test_odd_scenes_have_their_stated_oddity():
 
 @pytest.mark.long
 def test_the_systems_crash_behind_a_filter_that_passes_everything(plant):
-    def deaf(verdict, wish):
-        action = np.where(np.isfinite(wish), wish, 0.0)
+    def deaf(verdict, nominal):
+        action = np.where(np.isfinite(nominal), nominal, 0.0)
         return replace(verdict, action=frozen(action), status=Status.passed)
 
     plant(deaf)
@@ -181,15 +181,15 @@ def test_the_systems_crash_behind_a_filter_that_passes_everything(plant):
 
 
 def test_bad_inputs_are_counted(plant):
-    def believes(verdict, wish):
+    def believes(verdict, nominal):
         return replace(verdict, status=Status.passed)
 
     plant(believes)
     found = measured(BadInputs())
-    count = found["an unsafe wish passed"].of
+    count = found["an unsafe nominal action passed"].of
     assert count is not None
     assert count > 120
-    assert found["an unsafe wish passed"].measured > 100
+    assert found["an unsafe nominal action passed"].measured > 100
     assert found["bad values believed"].measured > 90
 
 
@@ -225,13 +225,13 @@ def test_a_figure_held_if_it_is_within_its_limits():
     assert Row("", 0.0, least=2).asked == "at least 2"
 
 
-def bent(h, wish=1.0, actions=1, eta=0.5, epsilon=0.0, units=(1.0, 1.0)):
+def bent(h, nominal=1.0, actions=1, eta=0.5, epsilon=0.0, units=(1.0, 1.0)):
     """At the origin; the first action moves x, the second y, each by itself."""
 
     def moved(a):
         return np.pad(a, ((0, 0), (0, 2 - a.shape[1])))
 
-    return BentProblem("by hand", np.zeros(2), moved, h, actions, np.full(actions, wish), eta, epsilon, units)
+    return BentProblem("by hand", np.zeros(2), moved, h, actions, np.full(actions, nominal), eta, epsilon, units)
 
 
 def wall(x):
@@ -289,15 +289,15 @@ def test_a_number_always_draws_the_same_problem():
         one, other = bent_problem(3, number), bent_problem(3, number)
         grid = np.random.default_rng(number).uniform(-0.7, 0.7, (20, one.actions))
         np.testing.assert_array_equal(one.h(one.moved(grid)), other.h(other.moved(grid)))
-        np.testing.assert_array_equal(one.wish, other.wish)
+        np.testing.assert_array_equal(one.nominal, other.nominal)
 
 
 def test_bent_problems_notice_a_filter_that_passes_everything(monkeypatch):
     original = SafetyFilter.decide
 
-    def deaf(self, state, wish, **known):
-        verdict = original(self, state, wish, **known)
-        return replace(verdict, action=np.clip(wish, self.settings.low, self.settings.high), status=Status.passed)
+    def deaf(self, state, nominal, **known):
+        verdict = original(self, state, nominal, **known)
+        return replace(verdict, action=np.clip(nominal, self.settings.low, self.settings.high), status=Status.passed)
 
     before = measured(Bends())
     monkeypatch.setattr(SafetyFilter, "decide", deaf)
@@ -332,7 +332,7 @@ def test_a_filter_that_prefers_the_first_barrier_is_noticed(monkeypatch):
     """Planted: all barriers but the first are forgotten."""
 
     def decide(self):
-        return self.filter().decide(self.state, wish=self.wish, barriers=self.barriers()[:1])
+        return self.filter().decide(self.state, nominal=self.nominal, barriers=self.barriers()[:1])
 
     assert measured(Mirrors(), 2)["barriers in another order: other answers"].held
     monkeypatch.setattr(LinearProblem, "decide", decide)
@@ -344,8 +344,8 @@ def test_a_filter_that_prefers_the_first_barrier_is_noticed(monkeypatch):
 def test_a_filter_that_remembers_the_last_action_is_noticed(monkeypatch):
     original = SafetyFilter.decide
 
-    def decide(self, state, wish, *others, **known):
-        verdict = original(self, state, wish, *others, **known)
+    def decide(self, state, nominal, *others, **known):
+        verdict = original(self, state, nominal, *others, **known)
         last = getattr(self, "planted", verdict.action)
         self.planted = verdict.action
         if verdict.status is not Status.corrected or np.shape(last) != np.shape(verdict.action):
@@ -361,8 +361,8 @@ def test_a_filter_that_remembers_the_last_action_is_noticed(monkeypatch):
 def test_a_filter_that_prefers_positive_actions_is_noticed(monkeypatch):
     original = SafetyFilter.decide
 
-    def decide(self, state, wish, *others, **known):
-        verdict = original(self, state, wish, *others, **known)
+    def decide(self, state, nominal, *others, **known):
+        verdict = original(self, state, nominal, *others, **known)
         moved = verdict.action + 1e-4 * (self.settings.high - verdict.action)
         return replace(verdict, action=moved) if verdict.status is Status.corrected else verdict
 
@@ -399,7 +399,7 @@ def test_a_peer_that_is_not_installed_is_named_as_missing(monkeypatch):
 
 
 def test_silent_and_announced_unsafe_actions_are_counted_apart(scripted):
-    scripted("print(json.dumps([{'action': p['wish'], 'said': 'beware' if i % 2 else ''} "
+    scripted("print(json.dumps([{'action': p['nominal'], 'said': 'beware' if i % 2 else ''} "
              "for i, p in enumerate(problems)]))")  # fmt: skip
     found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))
     unsaid = found["planted, at scale 1: unsafe action, and not a word"].measured
@@ -430,7 +430,7 @@ def test_a_failing_peer_is_reported(scripted):
 def test_own_answers_are_judged_like_the_others(plant):
     what = "safedpa, at scale 1: unsafe action, and not a word"
     assert rows(Peers().work((OWN, 3, 20)))[what].measured == 0
-    plant(lambda verdict, wish: replace(verdict, action=frozen(np.clip(wish, -1.0, 1.0)), status=Status.passed))
+    plant(lambda verdict, nominal: replace(verdict, action=frozen(np.clip(nominal, -1.0, 1.0)), status=Status.passed))
     after = rows(Peers().work((OWN, 3, 20)))[what]
     assert (after.measured > 10, after.held) == (True, False)
 

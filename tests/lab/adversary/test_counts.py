@@ -40,7 +40,7 @@ def test_linear_problems_are_counted_by_fault() -> None:
     found = Programs().told([[(1, number, item) for number, item in enumerate(items)]])
     assert figures(found.rows) == {
         "answers corrected": (7, None), "answers fallback": (2, None), "answers raised ValueError": (2, None),
-        "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the wish": (4, 11),
+        "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the nominal action": (4, 11),
         "passed or corrected, condition broken": (2, 7), "largest break, in scales": (1.0, 7),
         "passed or corrected, predicted h < 0": (6, 7), "h < 0 now, and not told (or told wrongly)": (4, 11),
         "no decision computed": (2, 11), "corrected further than needed": (2, 3),
@@ -64,7 +64,7 @@ def test_bad_inputs_are_counted_by_treatment() -> None:
     ]  # fmt: skip
     found = BadInputs().told([*treated[:4], (4, 5, 600), *treated[4:]])
     assert figures(found.rows) == {
-        "decisions that raised": (1, 9), "actions out of bounds": (2, 9), "an unsafe wish passed": (3, 9),
+        "decisions that raised": (1, 9), "actions out of bounds": (2, 9), "an unsafe nominal action passed": (3, 9),
         "bad values believed": (1, 9), "refused when the filter was built": (2, 9),
         "two threads: answers with the other's barriers": (4, 600), "two threads: answers refused": (5, 600),
     }  # fmt: skip
@@ -151,7 +151,7 @@ def test_reflections_are_counted_and_the_three_furthest_of_a_mirror_are_reported
     counts = figures(found.rows)
     assert (counts[f"{one}: other answers"], counts[f"{one}: furthest apart"]) == ((4, 5), (0.4, 5))
     assert (counts[f"{other}: other answers"], counts[f"{other}: furthest apart"]) == ((1, 2), (9.0, 2))
-    assert (counts["its own answer wished: other answers"], len(counts)) == ((0, 0), 2 * len(MIRRORS) + 4)
+    assert (counts["its own answer requested: other answers"], len(counts)) == ((0, 0), 2 * len(MIRRORS) + 4)
     assert [(case["fault"], case["number"], case["count"]) for case in found.worst] == [
         (one, 4, 4), (one, 3, 4), (one, 2, 4), (other, 9, 1),
     ]  # fmt: skip

@@ -22,10 +22,10 @@ from safedpa_lab.experiments.adversary.standing import Standing
 @pytest.mark.parametrize(
     "problem",
     [
-        plane(0.5, f=[0.75], g=[[1.0]], P=[[1.0]], q=[0.0], low=[-1.0], high=[2.0], wish=[0.25], weights=[1.0],
+        plane(0.5, f=[0.75], g=[[1.0]], P=[[1.0]], q=[0.0], low=[-1.0], high=[2.0], nominal=[0.25], weights=[1.0],
               epsilon=[0.0]),
         plane(0.5, -0.25, f=[0.25, -0.5], g=[[1.0, 0.5], [-0.25, 2.0]], low=[-1.0, 0.0], high=[2.0, 0.5],
-              P=[[1.0, 0.0], [0.0, 1.0], [-1.0, 2.0]], q=[0.1, 0.2, 0.3], epsilon=[0.0] * 3, wish=(0.75, 0.125),
+              P=[[1.0, 0.0], [0.0, 1.0], [-1.0, 2.0]], q=[0.1, 0.2, 0.3], epsilon=[0.0] * 3, nominal=(0.75, 0.125),
               weights=(1.0, 3.0)),
     ],
     ids=["one action", "two actions that both move both states"],
@@ -34,7 +34,7 @@ def test_another_form_of_a_problem_has_the_same_h_for_the_same_actions(name: str
     """A row that was added is 1 whatever is done."""
     random = np.random.default_rng(3)
     other, back = MIRRORS[name](problem, random)
-    np.testing.assert_allclose(back(other.wish), problem.wish, atol=1e-9)
+    np.testing.assert_allclose(back(other.nominal), problem.nominal, atol=1e-9)
     for share in random.uniform(0.0, 1.0, (4, len(other.low))):
         action = other.low + share * (other.high - other.low)
         assert (back(action) >= problem.low - 1e-9).all()
@@ -103,9 +103,9 @@ def test_drives_that_look_for_standstills_alternate_between_no_delay_and_six_mil
     assert len({(one.load, one.seed) for one in pieces}) == len(pieces)
 
 
-def one_dimension(now: float, drift: float, epsilon: float = 0.0, wish: float = 1.0) -> LinearProblem:
+def one_dimension(now: float, drift: float, epsilon: float = 0.0, nominal: float = 1.0) -> LinearProblem:
     """h = x, x+ = now + drift - a, a in 0 to 1, eta 0.5: kept by a <= now / 2 + drift - epsilon."""
-    return plane(now, f=[now + drift], g=[[-1.0]], P=[[1.0]], q=[0.0], low=[0.0], high=[1.0], wish=[wish],
+    return plane(now, f=[now + drift], g=[[-1.0]], P=[[1.0]], q=[0.0], low=[0.0], high=[1.0], nominal=[nominal],
                  weights=[1.0], epsilon=[epsilon])  # fmt: skip
 
 
@@ -142,15 +142,15 @@ def by_quadprog(problem: LinearProblem) -> float | None:
     width = problem.high - problem.low
     slope = (problem.P @ problem.g) * width / judge.scale[:, None]
     limit = (judge.required - problem.heights(problem.after(problem.low))) / judge.scale
-    wish = (problem.wish - problem.low) / width
+    nominal = (problem.nominal - problem.low) / width
     rows = np.vstack([slope, np.eye(actions), -np.eye(actions)])
     limits = np.concatenate([limit, np.zeros(actions), -np.ones(actions)])
     hessian = np.diag(2.0 * problem.weights)
     try:
-        found = quadprog.solve_qp(hessian, hessian @ wish, rows.T.copy(), limits)[0]
+        found = quadprog.solve_qp(hessian, hessian @ nominal, rows.T.copy(), limits)[0]
     except ValueError:
         return None
-    return float(np.sqrt((problem.weights / problem.weights.max() * (found - wish) ** 2).sum()))
+    return float(np.sqrt((problem.weights / problem.weights.max() * (found - nominal) ** 2).sum()))
 
 
 @pytest.mark.parametrize("first", range(0, 1100, 275))

@@ -108,7 +108,7 @@ def test_the_best_least_h_is_that_of_the_rows_that_actions_move(way: float, low:
 @pytest.mark.parametrize(("state", "found"), [((-1.0, 0.5), False), ((1.0, 0.5), True), ((0.5, -0.5), True)])
 def test_there_is_no_nearest_action_if_an_unmovable_row_is_broken(state: Numbers, found: bool) -> None:
     """The first row stays as it is: below 0 it would have to rise by half."""
-    nearest = LinearJudge(plane(*state, wish=(0.0, -1.0), g=np.diag([0.0, 1.0]))).nearest()
+    nearest = LinearJudge(plane(*state, nominal=(0.0, -1.0), g=np.diag([0.0, 1.0]))).nearest()
     assert (nearest is not None) is found
     if nearest is not None:
         np.testing.assert_allclose(nearest.action, [0.0, -0.5 * state[1]], atol=1e-9)
@@ -116,11 +116,11 @@ def test_there_is_no_nearest_action_if_an_unmovable_row_is_broken(state: Numbers
 
 @given(st.tuples(*[st.floats(0.5, 9.0)] * 2), st.tuples(*[st.floats(2.0, 8.0)] * 2))
 def test_the_nearest_action_gives_way_where_it_costs_least(weights: Numbers, ranges: Numbers) -> None:
-    """a_1 + a_2 >= 0 with -0.5 and -0.5 wished: by Lagrange each gives way in proportion to range^2 / weight."""
+    """a_1 + a_2 >= 0 with -0.5 and -0.5 requested: by Lagrange each gives way in proportion to range^2 / weight."""
     half, soft = 0.5 * np.array(ranges), np.array(ranges) ** 2 / np.array(weights)
     judge = LinearJudge(
         plane(
-            0.0, 0.0, wish=(-0.5, -0.5), weights=weights, P=np.ones((1, 2)), q=[0.0], epsilon=[0.0],
+            0.0, 0.0, nominal=(-0.5, -0.5), weights=weights, P=np.ones((1, 2)), q=[0.0], epsilon=[0.0],
             low=-half, high=half,
         )
     )  # fmt: skip
@@ -132,7 +132,7 @@ def test_the_nearest_action_gives_way_where_it_costs_least(weights: Numbers, ran
 
 
 def tallied(
-    patch: pytest.MonkeyPatch, status: str, action: float, wish: Any = (0.9,), lift: float = 0.5, actions: int = 1
+    patch: pytest.MonkeyPatch, status: str, action: float, nominal: Any = (0.9,), lift: float = 0.5, actions: int = 1
 ) -> systems.Tally:
     """Of one period of a system whose state becomes its action; after it h is lift + a_1 and lift - a_1, now 0.5."""
 
@@ -146,7 +146,7 @@ def tallied(
         backup=lambda _: np.zeros(actions),
     )  # fmt: skip
     patch.setattr(systems, "SYSTEMS", (lambda: system,))
-    patch.setattr(systems, "WISHES", {"own": lambda *_: lambda _state: np.array(wish)})
+    patch.setattr(systems, "NOMINAL_POLICIES", {"own": lambda *_: lambda _state: np.array(nominal)})
     answer_with(patch, status, [action] * actions)
     return systems.Systems().work((1, 0, 0, 1))[1]
 
@@ -178,14 +178,14 @@ def test_nothing_is_missed_where_no_action_keeps_the_conditions(status, unkept, 
 
 
 @pytest.mark.parametrize("status", ["corrected", "relaxed"])
-@pytest.mark.parametrize("wish", [(np.nan, np.nan), (0.5, np.nan)])
-def test_no_distance_is_measured_from_a_wish_that_is_not_finite(status, wish, monkeypatch) -> None:
-    found = tallied(monkeypatch, status, 0.0, wish, actions=2)
+@pytest.mark.parametrize("nominal", [(np.nan, np.nan), (0.5, np.nan)])
+def test_no_distance_is_measured_from_a_nominal_action_that_is_not_finite(status, nominal, monkeypatch) -> None:
+    found = tallied(monkeypatch, status, 0.0, nominal, actions=2)
     assert (found.excess, found.unkept, found.missed, found.needless) == ([], 0, 0, 0)
 
 
 def test_distances_in_a_plane_add_their_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wished (0, 0.6), answered (0.25, 0.25): nearest of the grid is the wish itself; ranges are 2."""
+    """Requested (0, 0.6), answered (0.25, 0.25): nearest of the grid is the nominal action itself; ranges are 2."""
     (far,) = tallied(monkeypatch, "corrected", 0.25, (0.0, 0.6), actions=2).excess
     assert far == pytest.approx(0.5 * np.hypot(0.25, 0.35), abs=1e-9)
 
@@ -289,8 +289,8 @@ def test_wrong_and_refused_answers_of_two_threads_are_added_up(monkeypatch: pyte
     ]
     left: dict[int, Any] = {}
 
-    def decide(_self: Any, _state: Any, *, wish: Any, barriers: Any) -> Any:
-        del wish
+    def decide(_self: Any, _state: Any, *, nominal: Any, barriers: Any) -> Any:
+        del nominal
         if id(barriers) not in left:
             left[id(barriers)] = iter(lives[len(left)])
         found = next(left[id(barriers)])

@@ -53,24 +53,24 @@ def test_the_networks_alone_compute_what_the_model_knows(eight: FilterProblem) -
         assert call(known) == pytest.approx(model.base.known_at(*known))
 
 
-def test_the_program_alone_satisfies_the_rows_that_the_wish_breaks(eight: FilterProblem) -> None:
+def test_the_program_alone_satisfies_the_rows_that_the_nominal_action_breaks(eight: FilterProblem) -> None:
     model = load_model("car_learned")
     solve, posed = program_alone(eight, model)
-    for A, b, wish in posed:
-        solution = solve((A, b, wish))
+    for A, b, nominal in posed:
+        solution = solve((A, b, nominal))
         assert solution.status == "solved"
-        assert (np.array(A) @ wish < np.array(b)).any()
+        assert (np.array(A) @ nominal < np.array(b)).any()
         assert (np.array(A) @ np.array(solution.action) >= np.array(b) - 1e-9).all()
 
 
 def test_each_part_once_is_a_decision_without_its_search(eight: FilterProblem) -> None:
-    """About where the tangent at the wish leads: of the right wish, with an answer, not always where a search ends."""
+    """About where the tangent at the nominal action leads: of the right nominal action, with an answer, not always where a search ends."""
     for name in MODELS:
         call, asked = each_part_once(eight, model := load_model(name))
         verdicts = [call(request) for request in asked]
         one = SafetyFilter.for_model(model, eight.settings)
         ended = [one.decide(*request, barriers=eight.barriers()) for request in eight.requests(model)]
-        assert [verdict.wish.tolist() for verdict in verdicts] == [verdict.wish.tolist() for verdict in ended]
+        assert [verdict.nominal.tolist() for verdict in verdicts] == [verdict.nominal.tolist() for verdict in ended]
         assert {verdict.solver for verdict in verdicts} == {"solved"}
         apart = [np.abs(mine.action - other.action).max() for mine, other in zip(verdicts, ended, strict=True)]
         assert max(apart) > 1e-3
@@ -263,7 +263,7 @@ def test_no_action_frees_the_wedged_car() -> None:
 
 
 def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
-    answer = compared(peers_problem(eight, calls=30), lambda state, wish: wish, version="1")
+    answer = compared(peers_problem(eight, calls=30), lambda state, nominal: nominal, version="1")
     assert (answer["calls"], answer["version"]) == (30, "1")
     assert answer["actions"] == [[2.0, 0.0]] * len(eight.states)
 
@@ -271,18 +271,18 @@ def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
 @pytest.mark.parametrize(
     ("action", "words"),
     [
-        ((2.0, 0.0), "the unsafe wish"),
+        ((2.0, 0.0), "the unsafe nominal action"),
         ((9.0, 0.0), "beyond the limits"),
         ((0.0, 0.0), "within the limits"),
         ((float("nan"), 0.0), "(nan, 0) and says nothing"),
     ],
 )
 def test_what_a_peer_does_without_a_solution_is_reported(action: tuple[float, float], words: str) -> None:
-    assert words in compared(peers_problem(wedged()), lambda state, wish: np.array(action))["says"]
+    assert words in compared(peers_problem(wedged()), lambda state, nominal: np.array(action))["says"]
 
 
 def test_a_peer_that_raises_is_quoted() -> None:
-    def decide(state: object, wish: object) -> np.ndarray:
+    def decide(state: object, nominal: object) -> np.ndarray:
         raise ArithmeticError
 
     assert compared(peers_problem(wedged()), decide)["says"] == "raises ArithmeticError"

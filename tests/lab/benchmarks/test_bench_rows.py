@@ -50,7 +50,7 @@ def test_parts_are_of_the_decisions_that_are_timed_as_a_whole(name: str) -> None
         assert isinstance(each["an outcome"], ActionCandidate)
         assert not each["an outcome"].kept
         assert each["the search"].__class__ is tuple
-        assert each["back towards the wish"].kept
+        assert each["back towards the nominal action"].kept
         assert each["the verdict"].h_now == whole.h_now
         assert each["the program"].solved
     assert ("the networks, within the conditions" in found) == (name == "car_learned")

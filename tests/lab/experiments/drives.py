@@ -25,13 +25,13 @@ def robot(touched: int = 0, goals: int = 0, **more: Any) -> Any:
 
 
 def tick(status: str = "passed", h: float = 1.0, **values: Any) -> Any:
-    """One period; ``x``, ``speed``, ``wish`` and ``action`` as they are given."""
+    """One period; ``x``, ``speed``, ``nominal`` and ``action`` as they are given."""
     x, speed, number = values.get("x", 0.0), values.get("speed", 0.0), values.get("number", 0)
     place = values.get("place", (x, 0.0))
     state = SimpleNamespace(robot_time=values.get("period", 0.05) * number, tick=number, values=(*place, 0.0, speed))
     verdict = SimpleNamespace(
-        status=status, h_now=h, microseconds=100.0, predicted=(), wish=values.get("wish", ()),
-        action=values.get("action", (0.0, 0.0)), standstill="",
+        status=status, h_now=h, microseconds=100.0, predicted=(), nominal=values.get("nominal", ()),
+        action=values.get("action", (0.0, 0.0)), stationary_reason="",
     )  # fmt: skip
     return SimpleNamespace(verdict=verdict, state=state)
 

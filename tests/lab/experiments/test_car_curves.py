@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from safedpa.bus import LATENT, WISH
+from safedpa.bus import LATENT, NOMINAL
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
@@ -109,12 +109,12 @@ def test_grip_and_speed_are_the_robot_s_and_the_filter_knows_the_speed() -> None
 
 def test_a_quicker_policy_wants_the_same_ways_faster_and_backs_off_as_before() -> None:
     model, state = load_model("car"), Conditions().robot(3000, LOAD).state_message()
-    wishes = []
+    nominal_actions = []
     for speed in (1.0, 1.5):
         (policy,) = Conditions(speed=speed).nodes([PolicyNode(model)])
-        wishes.append(policy.step("r1", state, {LATENT: None})[WISH].values)  # type: ignore[dict-item, union-attr]
-    assert wishes[1] == pytest.approx((1.5 * wishes[0][0], wishes[0][1]))
-    assert wishes[0][0] > 0.0
+        nominal_actions.append(policy.step("r1", state, {LATENT: None})[NOMINAL].values)  # type: ignore[dict-item, union-attr]
+    assert nominal_actions[1] == pytest.approx((1.5 * nominal_actions[0][0], nominal_actions[0][1]))
+    assert nominal_actions[0][0] > 0.0
 
 
 def test_noise_has_its_stated_size_and_is_the_same_for_every_method() -> None:

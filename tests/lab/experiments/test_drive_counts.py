@@ -60,7 +60,7 @@ def backwards(patch: Patch, own: Any) -> Counted:
     return found.collisions, None, found.statuses, found.least_h
 
 
-def against_a_hostile_wish(patch: Patch, own: Any) -> Counted:
+def against_a_hostile_policy(patch: Patch, own: Any) -> Counted:
     follow(patch, hostile, own)
     found = hostile.KINDS["forward"]("forward", "none", 1, 0.2)
     return found.collisions, None, found.statuses, found.least_h
@@ -98,7 +98,7 @@ def with_a_diagnosis(patch: Patch, own: Any) -> Counted:
 
 
 KINDS = [
-    on_wheels, backwards, against_a_hostile_wish, for_a_margin, of_the_safety_table, of_a_controller, with_a_diagnosis,
+    on_wheels, backwards, against_a_hostile_policy, for_a_margin, of_the_safety_table, of_a_controller, with_a_diagnosis,
 ]  # fmt: skip
 
 
@@ -237,7 +237,7 @@ def among_people(
 ) -> Any:
     """A drive with a laser; and the nodes that it was driven with."""
     nodes: list[Any] = []
-    story = story or [tick(speed=-0.8, wish=(1.0, 0.0), action=(0.5, 0.0))] * 4
+    story = story or [tick(speed=-0.8, nominal=(1.0, 0.0), action=(0.5, 0.0))] * 4
 
     def driven(_robot: Any, given: Any, periods: int) -> Iterator[Any]:
         assert periods == len(story)
@@ -274,7 +274,7 @@ def test_contacts_are_counted_by_whether_the_car_moved_and_drove_towards_them(
 
 
 @pytest.mark.parametrize(
-    ("wishes", "kept"),
+    ("nominal_actions", "kept"),
     [
         ([(1.0, 0.5), (-1.0, -0.5)], 0.5),
         ([(-2.0, -2.0), (2.0, 0.0)], 0.5),
@@ -284,8 +284,8 @@ def test_contacts_are_counted_by_whether_the_car_moved_and_drove_towards_them(
         ([(0.0, 0.0)], 0.0),
     ],
 )
-def test_the_kept_share_of_nominal_speeds_counts_either_direction(wishes, kept, monkeypatch) -> None:
-    story = [tick(wish=(wish, 0.0), action=(action, 0.0)) for wish, action in wishes]
+def test_the_kept_share_of_nominal_speeds_counts_either_direction(nominal_actions, kept, monkeypatch) -> None:
+    story = [tick(nominal=(nominal, 0.0), action=(action, 0.0)) for nominal, action in nominal_actions]
     assert among_people(monkeypatch, story=story)[0]["kept"] == pytest.approx(kept)
 
 
@@ -351,14 +351,14 @@ def test_a_monitor_brakes_for_as_many_points_as_make_a_thing(within: int) -> Non
 @pytest.mark.parametrize(
     ("apart", "share"), [(0.45, 0.0), (0.95, 5 / 12), (1.15, 7 / 12), (1.55, 11 / 12), (1.75, 1.0)]
 )
-def test_a_monitor_scales_the_wish_by_the_time_left_over_its_patience(apart: float, share: float) -> None:
+def test_a_monitor_scales_the_nominal_action_by_the_time_left_over_its_patience(apart: float, share: float) -> None:
     """The nose is 0.5 m ahead, and steps are 0.1 s: 0.45 m beyond it are touched after 0.5 s."""
     points = np.full((6, 2), (apart, 0.0))
     assert CollisionMonitor(1.2).share_of(points, at(1.0), (1.0, 0.0)) == pytest.approx(share)
 
 
 @pytest.mark.parametrize(
-    ("points", "speed", "wish", "share"),
+    ("points", "speed", "nominal", "share"),
     [
         ([[1.2, 0.0]], 1.0, 1.0, 0.0),  # 0.7 m beyond the nose
         ([[1.4, 0.0]], 1.0, 1.0, 1.0),  # 0.9 m
@@ -372,8 +372,8 @@ def test_a_monitor_scales_the_wish_by_the_time_left_over_its_patience(apart: flo
         ([[1.2, 0.0]], 0.0, 1.0, 1.0),
     ],
 )
-def test_the_brake_by_time_to_collision_stops_less_than_0_8_s_ahead(points, speed, wish, share) -> None:
-    assert TimeToCollision().share_of(np.array(points), at(speed), (wish, 0.0)) == share
+def test_the_brake_by_time_to_collision_stops_less_than_0_8_s_ahead(points, speed, nominal, share) -> None:
+    assert TimeToCollision().share_of(np.array(points), at(speed), (nominal, 0.0)) == share
 
 
 def test_the_error_before_and_after_a_change_of_the_model_is_a_mean(monkeypatch: Patch) -> None:

@@ -268,7 +268,7 @@ def test_drives_among_people_are_compared_with_those_with_perfect_knowledge() ->
         "which": ["seed 1, load none: a person", "seed 1, load none: a wall", "seed 3, load none: a person"],
         "of_them_it_did_not_drive_towards": 2, "touched_while_it_stood": 3, "drives_in_which_somebody_stepped_out": 2,
         "goals_beside_perfect_knowledge": ratio_interval(np.array([2.0, 0.0, 2.0]), np.array([2.0, 1.0, 3.0])),
-        "goals_a_minute": pytest.approx(60.0 * 4 / 90.0), "share_of_the_wished_speed": pytest.approx(0.6),
+        "goals_a_minute": pytest.approx(60.0 * 4 / 90.0), "share_of_nominal_speed": pytest.approx(0.6),
         "metres_a_minute": pytest.approx(40.0), "median_microseconds": 100.0,
     }  # fmt: skip
     for nothing in ([], [sensed(1, goals=0)] * 3):

@@ -1,11 +1,11 @@
-"""Small versions of drives in reverse, of long drives, of late commands, and of changed wishes."""
+"""Small versions of drives in reverse, of long drives, of late commands, and of changed nominal actions."""
 
 import dataclasses
 import itertools
 
 import pytest
 
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.prediction.delay_estimator import DelayEstimator
@@ -126,7 +126,7 @@ STATE = StateMessage(
 
 
 class Says(AbstractNode):
-    """Always the same wish."""
+    """Always the same nominal action."""
 
     name, inputs, outputs = PolicyNode.name, PolicyNode.inputs, PolicyNode.outputs
 
@@ -136,26 +136,26 @@ class Says(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         del robot, inputs
-        wish = WishMessage(
+        nominal = NominalMessage(
             epoch=1, tick=state.tick, robot_time=0.0, publish_time=0.0, values=self.values, controller="test"
         )
-        return {WISH: wish}
+        return {NOMINAL: nominal}
 
     def forget(self, robot: str) -> None:
         self.forgotten.append(robot)
 
 
-def wished(node: AbstractNode, state: StateMessage = STATE) -> tuple[float, ...]:
-    wish = node.step("car", state, {})[WISH]
-    assert isinstance(wish, WishMessage)
-    return wish.values
+def nominal_values(node: AbstractNode, state: StateMessage = STATE) -> tuple[float, ...]:
+    nominal = node.step("car", state, {})[NOMINAL]
+    assert isinstance(nominal, NominalMessage)
+    return nominal.values
 
 
 @pytest.mark.parametrize(
     ("values", "wanted"), [((0.5, 0.2), (1.0, 0.2)), ((-0.5, 0.2), (-0.5, 0.2)), ((0.0, -0.1), (0.0, -0.1))]
 )
 def test_only_driving_forwards_is_quicker(values: tuple[float, ...], wanted: tuple[float, ...]) -> None:
-    assert wished(QuickerPolicyNode(Says(*values), 2.0)) == wanted
+    assert nominal_values(QuickerPolicyNode(Says(*values), 2.0)) == wanted
 
 
 def test_a_quicker_policy_takes_the_place_of_its_policy_and_forgets_with_it() -> None:
@@ -169,7 +169,7 @@ def test_a_quicker_policy_takes_the_place_of_its_policy_and_forgets_with_it() ->
 def test_an_explored_action_lasts_for_its_time_and_stays_within_the_bounds() -> None:
     node, told = ExploringPolicyNode(Says(0.6, 0.1), 4), list[tuple[float, ...]]()
     for tick in range(200):
-        told.append(wished(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))
+        told.append(nominal_values(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))
     starts = [0, *(tick for tick in range(1, 200) if told[tick] != told[tick - 1])]
     held = [0.05 * (end - start) for start, end in itertools.pairwise(starts)]
     assert len(held) > 5

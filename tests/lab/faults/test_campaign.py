@@ -50,7 +50,7 @@ def evidence(periods: list[TracedPeriod], fallbacks: tuple[int, ...] = ()) -> Ev
 
 def verdict(tick: int) -> VerdictMessage:
     return VerdictMessage(
-        epoch=5, tick=tick, robot_time=0.0, publish_time=0.0, status="fallback", sentence="", action=(), wish=(),
+        epoch=5, tick=tick, robot_time=0.0, publish_time=0.0, status="fallback", sentence="", action=(), nominal=(),
         slack=0.0, active=(), h_now=0.0, h_next=0.0, margin=0.0, solver="", microseconds=0.0,
     )  # fmt: skip
 

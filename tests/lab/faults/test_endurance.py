@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import STATE, VERDICT, WISH, ModelMessage, TakeoverMessage
+from safedpa.bus import NOMINAL, STATE, VERDICT, ModelMessage, TakeoverMessage
 from safedpa.errors import InputError
 from safedpa_lab.commands.experiments.faults import command
 from safedpa_lab.faults import recorded
@@ -231,11 +231,11 @@ def test_all_messages_are_counted_and_stamps_are_those_of_one_robot(monkeypatch:
     def message(tick: int, epoch: int = 1) -> Any:
         return SimpleNamespace(epoch=epoch, tick=tick)
 
-    state, verdict, wish = STATE.name, VERDICT.name, WISH.name
+    state, verdict, nominal = STATE.name, VERDICT.name, NOMINAL.name
     files = {
         "a": [(f"f/v/r1/{state}/x", message(1)), (f"f/v/r1/{verdict}/x", message(1)),
               (f"f/v/r2/{state}/x", message(7))],
-        "b": [(f"f/v/r1/{state}/x", message(2)), (f"f/v/r1/{wish}/x", message(2)),
+        "b": [(f"f/v/r1/{state}/x", message(2)), (f"f/v/r1/{nominal}/x", message(2)),
               (f"f/v/r1/{state}/x", message(1, 2)), (f"f/v/r1/{verdict}/x", message(1))],
     }  # fmt: skip
     monkeypatch.setattr(

@@ -56,7 +56,7 @@ class Fleet:
         self.bus.publish(STATE, "r1", replace(state, tick=tick, applied_by="filter"))
         self.bus.publish(LATENT, "r1", LatentMessage(**stamp, model=model, values=(), deviations=()))
         verdict = VerdictMessage(
-            **stamp, status=status, sentence="", action=(), wish=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
+            **stamp, status=status, sentence="", action=(), nominal=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
             margin=0.0, solver="", microseconds=0.0, model=model if by is None else by,
         )  # fmt: skip
         self.bus.publish(VERDICT, "r1", verdict)

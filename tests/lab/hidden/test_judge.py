@@ -109,7 +109,7 @@ def test_a_steering_gain_is_part_of_a_load_where_it_is_the_load_s(gain, wrong):
 @pytest.mark.parametrize("load", TURNS_LESS)
 def test_a_load_turns_less_by_one_share_at_every_speed(load):
     """Understeering would grow with the square of the speed."""
-    found = [turning_share(load, wished, steer) for wished in (1.0, 1.5, 2.0) for steer in (0.1, 0.2)]
+    found = [turning_share(load, nominal_speed, steer) for nominal_speed in (1.0, 1.5, 2.0) for steer in (0.1, 0.2)]
     speeds, shares = zip(*found, strict=True)
     assert max(speeds) > 2.0 * min(speeds)
     assert shares == pytest.approx([TURNS_LESS[load]] * len(shares), abs=0.012)

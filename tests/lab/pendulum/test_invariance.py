@@ -48,7 +48,7 @@ def test_a_torque_is_always_left(edges: tuple[float, float]) -> None:
 @settings(max_examples=300, deadline=None)
 @given(share, share, st.floats(0.0, 2 * np.pi), st.sampled_from([BALANCING, LONG_WAY_ROUND]))
 def test_the_filter_that_knows_the_wind_keeps_every_state(angle, ahead, direction, edges) -> None:
-    """From anywhere in the set, whatever is wished: the next state is in the set, and the filter did not give way.
+    """From anywhere in the set, whatever action is requested: the next state is in the set, and the filter did not give way.
 
     A state on the edge may lie outside by its last digit; then the filter says so, and the next state is in the set.
     """
@@ -57,8 +57,8 @@ def test_the_filter_that_knows_the_wind_keeps_every_state(angle, ahead, directio
     item = SafetyFilter.for_model(physics_in_any_wind(), filter_settings(EPSILON), [corridor(edges)])
     h_now = corridor(edges).values(state).min()
     assert h_now > -1e-14
-    for wish in (-TORQUE, TORQUE):
-        verdict = item.decide(state, [wish], wind)
+    for nominal in (-TORQUE, TORQUE):
+        verdict = item.decide(state, [nominal], wind)
         assert verdict.status.value in (("passed", "corrected") if h_now >= 0.0 else ("violated",))
         following = blown(state[None], verdict.action[None], wind[None])[0]
         assert corridor(edges).values(following).min() >= -1e-4

@@ -186,10 +186,10 @@ def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
     ]
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 135.0), seed=3)
     ticks = list(drive(robot, nodes, 120, hear=heard.append))
-    said = {name: [one.message for one in heard if one.topic.name == name] for name in ("latent", "wish")}
+    said = {name: [one.message for one in heard if one.topic.name == name] for name in ("latent", "nominal")}
     rows = [
         np.array([message.values for message in messages])
-        for messages in ([tick.state for tick in ticks], said["wish"], said["latent"])
+        for messages in ([tick.state for tick in ticks], said["nominal"], said["latent"])
     ]
     barriers = CompiledBatchBarriers.of([[corridor(BALANCING)]] * len(ticks), 2)
     ours = BatchFilter(model, filter_settings(epsilon)).decide(*rows, barriers=barriers)
@@ -197,7 +197,7 @@ def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
     assert {tick.verdict.status for tick in ticks} == {"passed", "corrected"}
 
 
-def test_without_a_filter_the_wish_goes_through() -> None:
+def test_without_a_filter_the_nominal_action_goes_through() -> None:
     start, wind = np.zeros((1, 2)), np.array([[WIND, 0.0]])
     swings = swung(Closed(), lambda state, _: np.full((len(state), 1), 99.0), start, wind, BALANCING, 40)
     assert swings.states[-1, 0, 0] > BALANCING[1]

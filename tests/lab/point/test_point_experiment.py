@@ -78,12 +78,12 @@ def test_counts_of_an_episode_agree_with_the_task() -> None:
 
 
 @pytest.mark.long
-def test_the_filter_that_knows_the_wind_makes_a_reckless_wish_safe() -> None:
+def test_the_filter_that_knows_the_wind_makes_a_reckless_nominal_action_safe() -> None:
     costs = {}
     for name in ("oracle", "none"):
         task = windy_task(8, 1, FORCE, 2)
-        wish = partial(_observed, task)
-        driver = ShieldedDriver(task, shield_of(name, task, adapts=""), wish)
+        nominal = partial(_observed, task)
+        driver = ShieldedDriver(task, shield_of(name, task, adapts=""), nominal)
         found = driven(driver, task, 150)
         costs[name] = found.cost.sum()
         assert (found.corrected > 0.0) == (name == "oracle")

@@ -154,9 +154,9 @@ def test_a_robot_within_a_hazard_is_led_out_of_it() -> None:
     task = PointTask(12, 3)
     task.simulation.pose[:2] = task.layout.hazards[:, 0].T + 0.05
     shield = Shield(12, SimulatedPointModel(task.simulation), None)
-    wish = np.tile(np.array([0.2, 0.0]), (12, 1))
+    nominal = np.tile(np.array([0.2, 0.0]), (12, 1))
     for _ in range(100):
-        task.advance(shield.act(task, wish).action)
+        task.advance(shield.act(task, nominal).action)
     assert np.all(task.hazard_distance() > 0.0)
 
 
@@ -184,8 +184,8 @@ def test_safedpa_keeps_out_of_hazards_in_a_wind_that_fix_runs_into() -> None:
         cost = np.zeros(24)
         for step in range(120):
             if step % 50 == 0:
-                wish = random.uniform((0.0, -0.5), (1.0, 0.5), (24, 2))
-            cost += task.advance(shield.act(task, wish).action).cost
+                nominal = random.uniform((0.0, -0.5), (1.0, 0.5), (24, 2))
+            cost += task.advance(shield.act(task, nominal).action).cost
         unsafe[method] = int((cost > 0).sum())
     assert unsafe["safedpa"] <= 1
     assert unsafe["fix_315"] >= 5 + unsafe["safedpa"]
@@ -422,10 +422,10 @@ def test_what_is_believed_is_what_the_body_does_and_the_wind_that_blows() -> Non
     shield = shield_of("safedpa_17", task, epsilon=0.004)
     for step in range(80):
         if step % 10 == 0:
-            wish = random.uniform(-1.0, 1.0, (24, 2)) * (1.0, 0.3)
+            nominal = random.uniform(-1.0, 1.0, (24, 2)) * (1.0, 0.3)
         shield.see(task)
-        shield.acted(from_task_action(wish))
-        task.advance(wish)
+        shield.acted(from_task_action(nominal))
+        task.advance(nominal)
     believed = shield.believes(task)
     assert believed.drift.shape == (24, 5)
     assert believed.gain.shape == (24, 5, 2)

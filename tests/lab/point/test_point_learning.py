@@ -84,13 +84,13 @@ def test_what_is_counted_is_what_the_robots_did(short: None, monkeypatch: pytest
 
 
 @pytest.mark.long
-def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(short, monkeypatch) -> None:
-    wishes: list[NDArray[Any]] = []
+def test_the_same_seed_requests_the_same_until_the_filter_changes_something(short, monkeypatch) -> None:
+    nominal_actions: list[NDArray[Any]] = []
     changed: list[NDArray[Any]] = []
     safe = WindyShield.safe
 
     def watched(self: WindyShield, chosen: NDArray[Any]) -> NDArray[np.float64]:
-        wishes.append(chosen.copy())
+        nominal_actions.append(chosen.copy())
         action = safe(self, chosen)
         changed.append(self.corrected.copy())
         return action
@@ -98,13 +98,13 @@ def test_the_same_seed_wishes_the_same_until_the_filter_changes_something(short,
     monkeypatch.setattr(WindyShield, "safe", watched)
     found = []
     for epsilon in (MARGIN, None, None):
-        wishes, changed = [], []
+        nominal_actions, changed = [], []
         learned(replace(LEARNING, epsilon=epsilon))
-        found.append((np.array(wishes), np.array(changed)))
+        found.append((np.array(nominal_actions), np.array(changed)))
     (behind, corrected), (alone, uncorrected), (again, _) = found
     np.testing.assert_array_equal(alone, again)
     assert not uncorrected.any()
-    untouched = np.cumsum(corrected, axis=0) - corrected == 0  # also the wish that is the first to be changed
+    untouched = np.cumsum(corrected, axis=0) - corrected == 0  # also the nominal action that is the first to be changed
     assert 0.1 < untouched.mean() < 1.0
     np.testing.assert_array_equal(behind[untouched], alone[untouched])
     assert not np.array_equal(behind, alone)
@@ -125,8 +125,8 @@ def test_policy_and_filter_know_the_same_latent_through_new_episodes(monkeypatch
     environment.reset()
     seen = []
     for _ in range(30):
-        wish = random.uniform(-1.0, 1.0, (16, 2)).astype(np.float32)
-        observed, _, over, _ = environment.step(wish)
+        nominal = random.uniform(-1.0, 1.0, (16, 2)).astype(np.float32)
+        observed, _, over, _ = environment.step(nominal)
         told = observed[:, -2:]
         np.testing.assert_allclose(told, shields[0].see(task), atol=1e-6)
         seen.append((over, told))

@@ -90,11 +90,11 @@ def test_the_free_network_knows_that_the_thrust_saturates_and_the_affine_one_doe
 
 
 @pytest.mark.long
-def test_about_a_saturated_wish_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
-    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the wished thrust
+def test_about_a_saturated_nominal_action_the_filter_drives_into_hazards_and_about_its_own_action_it_does_not() -> None:
+    """Full ahead at the nearest hazard for 0.8 s, with the stock thrust, told the body itself: the nominal thrust
     has no slope, so that by what is affine no other thrust would help."""
     room = {}
-    for about in ("wish", "own"):
+    for about in ("nominal", "own"):
         task = windy("stock", np.zeros(12), 0.0, 5)
         apart = task.layout.hazards - task.simulation.pose[:2].T[:, None]
         nearest = apart[np.arange(12), np.linalg.norm(apart, axis=2).argmin(axis=1)]
@@ -104,16 +104,16 @@ def test_about_a_saturated_wish_the_filter_drives_into_hazards_and_about_its_own
             found = own.decide(centre_state(task.simulation), np.tile([1.0, 0.0], (12, 1)), task.layout.hazards, model)
             task.advance(to_task_action(found.action))
         room[about] = task.hazard_distance()
-    assert (room["wish"] < 0.0).any()
+    assert (room["nominal"] < 0.0).any()
     assert (room["own"] > 0.0).all()
 
 
-def test_a_wish_that_the_model_itself_lets_pass_is_not_changed() -> None:
+def test_a_nominal_action_that_the_model_itself_lets_pass_is_not_changed() -> None:
     task = windy("clean", np.zeros(6), 0.0, 3)
     model = model_of("free", "clean", task, SHIPPED)
-    wish = np.zeros((6, 2))
-    found = RelinearisedFilter(0.0, "own").decide(centre_state(task.simulation), wish, task.layout.hazards, model)
-    np.testing.assert_array_equal(found.action, wish)
+    nominal = np.zeros((6, 2))
+    found = RelinearisedFilter(0.0, "own").decide(centre_state(task.simulation), nominal, task.layout.hazards, model)
+    np.testing.assert_array_equal(found.action, nominal)
     assert not found.corrected.any()
     with pytest.raises(InputError, match="linearised about 'elsewhere'"):
         RelinearisedFilter(0.0, "elsewhere")

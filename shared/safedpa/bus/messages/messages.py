@@ -22,13 +22,13 @@ __all__ = [
     "LatentMessage",
     "Message",
     "ModelMessage",
+    "NominalMessage",
     "ScanMessage",
     "SetupMessage",
     "StateMessage",
     "SurroundingsMessage",
     "TakeoverMessage",
     "VerdictMessage",
-    "WishMessage",
 ]
 
 LARGEST_NUMBER = 1e12
@@ -47,7 +47,7 @@ Rows = tuple[Vector, ...]
 class Message:
     """The stamp that every message carries."""
 
-    version: Count = 1
+    version: Count = 2
     epoch: Count
     """Drawn anew by the robot at each of its starts, carried along by everything computed from its states."""
     tick: Count
@@ -98,7 +98,7 @@ class StateMessage(Message):
     """s from the moment to which ``values`` belong until this tick's action is put in force, by the robot's own clock:
     how old the measurement is, and the time from sense to act. The last command stays until then. 0: none, as in
     lockstep, or not told."""
-    reversed_way: Number = -1.0
+    distance_reversed: Number = -1.0
     """m that a robot with something ``towed`` was driven backwards, net of forwards, by its own odometry. -1: not told;
     then the filter counts itself, and one that was started anew has to take what is towed for folded up."""
     sources: tuple[str, ...] = ()
@@ -174,7 +174,7 @@ class SurroundingsMessage(ComputedMessage):
     ages: Vector
     """(sources,) s since each of the state's sources measured what was heard of it last; -1: nothing was heard. Of one
     that is switched off, the age of the oldest of the others: what is told rests on those."""
-    amiss: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
     """What is wrong with a source, a sentence each; while there is one, what is told here is not believed."""
     scans: Rows = ()
     """(scans, 2): of each scan that was heard since the step before, in the order in which they came, which of the
@@ -190,7 +190,7 @@ class SurroundingsMessage(ComputedMessage):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WishMessage(ComputedMessage):
+class NominalMessage(ComputedMessage):
     """What the policy would do."""
 
     values: Vector
@@ -216,7 +216,7 @@ class VerdictMessage(ComputedMessage):
     sentence: str
     """The status in words, with the reason."""
     action: Vector
-    wish: Vector
+    nominal: Vector
     """Empty when there was none."""
     slack: Number
     """By how much the barrier condition had to be relaxed, in the barrier's unit; 0 when it holds."""
@@ -243,9 +243,9 @@ class VerdictMessage(ComputedMessage):
     """Fingerprint of the model in force; empty: not told."""
     ordered: str = ""
     """Why the robot was ordered to stop; empty: it may drive."""
-    stands: Number = 0.0
-    """s for which the robot has not moved though something is wished; 0: it moves, nothing is wished, or not told."""
-    standstill: str = ""
+    stationary_for: Number = 0.0
+    """s for which the robot has not moved though something is requested; 0: it moves, nothing is requested, or not told."""
+    stationary_reason: str = ""
     """Why it stands, once it has for more than 5 s; empty before."""
 
 
@@ -348,7 +348,7 @@ class TakeoverMessage(Message):
     """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
     reason: str = ""
     """Why it was refused."""
-    foretold: str = ""
+    expected_effect: str = ""
     """With ``ready``: what the change will do, such as to the filter's margin; empty: nothing to be told."""
 
 

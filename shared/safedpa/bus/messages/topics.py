@@ -17,13 +17,13 @@ from safedpa.bus.messages.messages import (
     LatentMessage,
     Message,
     ModelMessage,
+    NominalMessage,
     ScanMessage,
     SetupMessage,
     StateMessage,
     SurroundingsMessage,
     TakeoverMessage,
     VerdictMessage,
-    WishMessage,
 )
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import readable
@@ -36,6 +36,7 @@ __all__ = [
     "HEALTH",
     "LATENT",
     "MODEL",
+    "NOMINAL",
     "SCAN",
     "SETUP",
     "STATE",
@@ -43,7 +44,6 @@ __all__ = [
     "TAKEOVER",
     "TOPICS",
     "VERDICT",
-    "WISH",
     "Topic",
     "key_of",
     "topic_of",
@@ -86,7 +86,7 @@ STATE = Topic("state", StateMessage, "robot", "latest", 0, bundles=True)
 SCAN = Topic("scan", ScanMessage, "robot", "all", 40)
 SURROUNDINGS = Topic("surroundings", SurroundingsMessage, "perception", "latest", 0)
 LATENT = Topic("latent", LatentMessage, "adaptation", "latest", 0, bundles=True)
-WISH = Topic("wish", WishMessage, "policy", "latest", 0, bundles=True)
+NOMINAL = Topic("nominal", NominalMessage, "policy", "latest", 0, bundles=True)
 ACTION = Topic("action", ActionMessage, "safety_filter", "latest", 0, bundles=True)
 VERDICT = Topic("verdict", VerdictMessage, "safety_filter", "all", 0, bundles=True)
 HEALTH = Topic("health", HealthMessage, "*", "latest", 40, bundles=True)
@@ -103,7 +103,7 @@ TOPICS: dict[str, Topic] = {
         SCAN,
         SURROUNDINGS,
         LATENT,
-        WISH,
+        NOMINAL,
         ACTION,
         VERDICT,
         HEALTH,

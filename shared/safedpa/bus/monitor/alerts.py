@@ -96,13 +96,13 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Alert]:
         sentence = f"unsafe now: h {verdict.h_now:+.3f}"
         yield Alert("trouble", sentence, name, "safety_filter", "outside", -verdict.h_now)
     if robot.seen is not None:
-        for wrong in robot.seen.amiss:
+        for wrong in robot.seen.problems:
             yield Alert("trouble", wrong, name, "perception")
         if robot.seen.ordered:
             yield Alert("attention", f"switched: {robot.seen.ordered}", name, "perception")
-    if verdict.standstill:
-        sentence = f"stands for {verdict.stands:.0f} s, {verdict.standstill}"
-        yield Alert("attention", sentence, name, "safety_filter", "stands", verdict.stands)
+    if verdict.stationary_reason:
+        sentence = f"stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}"
+        yield Alert("attention", sentence, name, "safety_filter", "stands", verdict.stationary_for)
     for status in ("fallback", "violated", "relaxed"):
         share = robot.recent_verdicts.share(status, now)
         if share > 0.0 and verdict.status != "fallback":

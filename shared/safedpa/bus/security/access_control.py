@@ -20,13 +20,13 @@ from safedpa.bus.messages.topics import (
     HEALTH,
     LATENT,
     MODEL,
+    NOMINAL,
     SCAN,
     STATE,
     SURROUNDINGS,
     TAKEOVER,
     TOPICS,
     VERDICT,
-    WISH,
     Topic,
     key_of,
 )
@@ -92,7 +92,7 @@ ROLES: dict[str, Role] = {
         Role("policy", (STATE, SURROUNDINGS, LATENT, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
         Role(
             "safety_filter",
-            (STATE, SURROUNDINGS, LATENT, WISH, MODEL),
+            (STATE, SURROUNDINGS, LATENT, NOMINAL, MODEL),
             (STATUS, AGREED),
             (AGREED, ORDER),
             takes_over=True,

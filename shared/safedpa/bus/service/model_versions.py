@@ -179,7 +179,7 @@ class ModelVersions(Generic[Held]):
             fingerprint=message.fingerprint,
             state=outcome,
             reason=said if outcome == "refused" else "",
-            foretold=said if outcome == "ready" else "",
+            expected_effect=said if outcome == "ready" else "",
         )
 
     def forget(self, robot: str) -> None:

@@ -76,7 +76,7 @@ class RealtimePriority(IntEnum):
     """Who runs first where there is less processor than work: real-time priorities of 1 to 99.
 
     The kernel's own threads stand above all of them. A state wakes everybody at once; first come those for whom the
-    action waits. The wish is computed before the filter prepares, and a latent serves a tick later as well. The robot
+    action waits. The nominal action is computed before the filter prepares, and a latent serves a tick later as well. The robot
     and a router have little to do, and all others wait for it.
     """
 

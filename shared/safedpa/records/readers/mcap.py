@@ -21,6 +21,7 @@ from safedpa.bus.messages.topics import STATE, VERDICT, Topic, topic_of
 from safedpa.errors import InputError, MessageError, RunError, did_you_mean
 from safedpa.records.column_map.apply import Rows
 from safedpa.records.column_map.column_map import native_map
+from safedpa.records.earlier_format import current_key, current_payload
 from safedpa.records.quality.quality import run_of_rows
 from safedpa.records.readers.mcap_recovery import DamageError, records_of
 from safedpa.records.readers.table import require_file
@@ -68,7 +69,10 @@ def read_messages(
 def read_payloads(
     path: str | Path, findings: list[Finding] | None = None, topics: Collection[Topic] | None = None
 ) -> Iterator[tuple[str, int, Topic, bytes]]:
-    """(key, log time in ns, topic, bytes as on the bus) of a recording: as ``read_messages``, but not decoded."""
+    """(key, log time in ns, topic, bytes as on the bus) of a recording: as ``read_messages``, but not decoded.
+
+    A recording of an earlier format comes in the names of today.
+    """
     from mcap.records import Channel
     from mcap.records import Message as Record
 
@@ -81,13 +85,14 @@ def read_payloads(
         elif isinstance(record, Record):
             entry = channels.get(record.channel_id)
             if entry is not None and (topics is None or entry[1] in topics):
-                yield entry[0], record.log_time, entry[1], record.data
+                yield entry[0], record.log_time, entry[1], current_payload(entry[1].name, record.data)
 
 
 def _known(channel: Channel) -> tuple[str, Topic] | None:
-    """Key and topic of a channel; None for channels of others."""
+    """Key of today and topic of a channel; None for channels of others."""
+    key = current_key(channel.topic)
     try:
-        return (channel.topic, topic_of(channel.topic)[2]) if channel.message_encoding == "msgpack" else None
+        return (key, topic_of(key)[2]) if channel.message_encoding == "msgpack" else None
     except InputError:
         return None
 

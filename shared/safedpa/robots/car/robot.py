@@ -43,7 +43,7 @@ class Car(ShippedRobot):
     kinds = ("obstacle", "field", "speed", "mover")
     barrier_settings = BARRIER_SETTINGS
     options = ("load", "change", "laser", "people")
-    wish_range = ((-0.6, 2.0), (-0.34, 0.34))
+    nominal_range = ((-0.6, 2.0), (-0.34, 0.34))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
         from safedpa.robots.car.dynamics.kinematic_bicycle import KinematicBicycle

@@ -35,7 +35,7 @@ class ThrottleCar(ShippedRobot):
     kinds = ("obstacle", "field", "speed", "mover")
     barrier_settings = BARRIER_SETTINGS
     options = ("change", "laser", "people")
-    wish_range = ((-1.0, 1.0), (-0.34, 0.34))
+    nominal_range = ((-1.0, 1.0), (-0.34, 0.34))
     settings_name = "car_throttle"
     stand_in_options = ("--drive=throttle",)
 

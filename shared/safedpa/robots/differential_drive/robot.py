@@ -50,7 +50,7 @@ class DifferentialDrive(ShippedRobot):
     measurement_deviation = (0.003, 0.003, 0.005, 0.01, 0.02)
     kinds = ("obstacle", "field", "speed")
     barrier_settings = _BARRIER_SETTINGS
-    wish_range = ((-0.2, 0.5), (-1.9, 1.9))
+    nominal_range = ((-0.2, 0.5), (-1.9, 1.9))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
         from safedpa.robots.differential_drive.servo_wheels import ServoWheels

@@ -32,7 +32,7 @@ class WheeledSeeker:
     def __init__(self, looks: bool = True) -> None:
         self._looks = looks
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """The action (2,), and the controller's name. Raises InputError without a goal."""
         del latent
         if len(state.goal) != 2:

@@ -21,7 +21,7 @@ _STATES = 2
 class PendulumScene(AbstractScene):
     """Keeps the corridor's barrier while the corridor stays; the resting torque brings no pendulum to rest."""
 
-    stands = False
+    stationary_for = False
     quick = True
 
     def __init__(self, settings: FilterSettings) -> None:

@@ -42,8 +42,8 @@ class Pendulum(ShippedRobot):
         BarrierSetting("corridor_seconds", "s", 0.25, "how far ahead the angle must be in its corridor", positive=True),
     )
     options = ("task", "wind", "wind_direction", "payload", "dry_friction")
-    wish_range = ((-10.0, 10.0),)
-    stands = False
+    nominal_range = ((-10.0, 10.0),)
+    stationary_for = False
     default_controller = "random"
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102

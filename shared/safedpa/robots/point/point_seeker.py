@@ -40,7 +40,7 @@ _LIMITS: Final = (0.015, 3.0)
 
 @final
 class PointSeeker:
-    """Wishes for one robot; the wind is that of the latent, as far as the model has one."""
+    """Nominal actions for one robot; the wind is that of the latent, as far as the model has one."""
 
     def __init__(self, model: PhysicsModel) -> None:
         self._model = model
@@ -48,7 +48,7 @@ class PointSeeker:
         drag = model.settings.get("viscous_drag.coefficient")
         self._drag = drag.value if drag is not None else 0.0
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Thrust [N] and turn [rad/s]. Raises MessageError for a state that is none of this robot."""
         if len(state.values) != 5 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 5 and 2")

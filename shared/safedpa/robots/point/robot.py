@@ -32,7 +32,7 @@ class Point(ShippedRobot):
     kinds = ("obstacle",)
     barrier_settings = (BarrierSetting("clearance", "m", 0.05, "kept to hazards beyond their radius"),)
     options = ("force", "wind_direction")
-    wish_range = ((-0.015, 0.015), (-3.0, 3.0))
+    nominal_range = ((-0.015, 0.015), (-3.0, 3.0))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
         from safedpa.robots.point.point_mass import PointMass

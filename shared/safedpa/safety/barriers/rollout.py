@@ -53,7 +53,7 @@ class RolloutBarrier(AbstractBarrier):
     The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
     where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
     whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
-    the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the wish, no safety.
+    the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the nominal action, no safety.
 
     Raises InputError for a horizon below 1, a model whose actuators remember, an h that reads other states than the
     model's, and at evaluation for a wrong shape.

@@ -13,14 +13,14 @@ __all__ = ["solve_hard_qp_2d_batch"]
 
 
 def solve_hard_qp_2d_batch(
-    slopes: FloatArray, limits: FloatArray, wish: FloatArray, weights: FloatArray
+    slopes: FloatArray, limits: FloatArray, nominal: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """The minimisers (robots, 2) for slopes (robots, rows, 2) . u >= limits (robots, rows), and where they are certain.
 
-    ``wish`` (robots, 2), ``weights`` (2,). A limit of -inf is none.
+    ``nominal`` (robots, 2), ``weights`` (2,). A limit of -inf is none.
     """
-    point, certain = wish.copy(), np.zeros(len(wish), dtype=bool)
-    taken = np.zeros((len(wish), 0), dtype=np.intp)
+    point, certain = nominal.copy(), np.zeros(len(nominal), dtype=bool)
+    taken = np.zeros((len(nominal), 0), dtype=np.intp)
     numbers = np.isfinite(slopes).all(axis=(1, 2)) & (np.isfinite(limits) | (limits == -np.inf)).all(axis=1)
     left = np.flatnonzero(numbers)
     for _ in range(MOST):
@@ -31,10 +31,10 @@ def solve_hard_qp_2d_batch(
         left, newest = left[~kept], newest[~kept]
         if len(left) == 0:
             break
-        problem = _BatchQP(slopes[left], limits[left], wish[left], weights)
+        problem = _BatchQP(slopes[left], limits[left], nominal[left], weights)
         found, exists = problem.with_newest(taken[left], newest)
         point[left[exists]] = found[exists]
-        taken = np.concatenate([taken, np.zeros((len(wish), 1), dtype=np.intp)], axis=1)
+        taken = np.concatenate([taken, np.zeros((len(nominal), 1), dtype=np.intp)], axis=1)
         taken[left, -1] = newest
         left = left[exists]
     return point, certain
@@ -43,10 +43,10 @@ def solve_hard_qp_2d_batch(
 class _BatchQP:
     """The conditions of the robots that are not done yet."""
 
-    def __init__(self, slopes: FloatArray, limits: FloatArray, wish: FloatArray, weights: FloatArray) -> None:
+    def __init__(self, slopes: FloatArray, limits: FloatArray, nominal: FloatArray, weights: FloatArray) -> None:
         self._slopes, self._limits = slopes, limits
-        self._wish, self._weights = wish, weights
-        self._each = np.arange(len(wish))
+        self._nominal, self._weights = nominal, weights
+        self._each = np.arange(len(nominal))
 
     def with_newest(self, taken: Any, newest: Any) -> tuple[FloatArray, BoolArray]:
         """The optima over ``taken`` (robots, t) and ``newest`` (robots,) rows, and where there are any."""
@@ -63,9 +63,9 @@ class _BatchQP:
         a, limit = self._slopes[self._each, row], self._limits[self._each, row]
         along = a / self._weights
         size = np.einsum("ki,ki->k", a, along)
-        share = (limit - np.einsum("ki,ki->k", a, self._wish)) / np.where(size == 0.0, np.nan, size)
+        share = (limit - np.einsum("ki,ki->k", a, self._nominal)) / np.where(size == 0.0, np.nan, size)
         good = share >= 0.0
-        return self._wish + np.where(good, share, 0.0)[:, np.newaxis] * along, good
+        return self._nominal + np.where(good, share, 0.0)[:, np.newaxis] * along, good
 
     def _corner(self, one: Any, other: Any) -> tuple[FloatArray, BoolArray]:
         (a, b), (c, d) = self._slopes[self._each, one].T, self._slopes[self._each, other].T
@@ -74,7 +74,7 @@ class _BatchQP:
         apart = np.abs(determinant) > PARALLEL * (np.abs(a) + np.abs(b)) * (np.abs(c) + np.abs(d))
         safe = np.where(apart, determinant, 1.0)
         point = np.stack([(first * d - second * b) / safe, (a * second - c * first) / safe], axis=1)
-        pull, push = (2.0 * self._weights * (point - self._wish)).T
+        pull, push = (2.0 * self._weights * (point - self._nominal)).T
         own, others = (pull * d - push * c) / safe, (a * push - b * pull) / safe
         good = apart & (own >= 0.0) & (others >= 0.0)
         return point, good

@@ -125,15 +125,15 @@ class BatchConstraints:
 
 
 def search_batch(
-    conditions: BatchConstraints, wish: FloatArray, start: BatchCandidates
+    conditions: BatchConstraints, nominal: FloatArray, start: BatchCandidates
 ) -> tuple[BatchCandidates, BoolArray]:
     """The outcomes that ``search`` finds by posing the program, and where they are certain.
 
     Not certain are those whose program needed slack on the way, and those that ``search`` would not take as they are:
     the filter of one robot has to answer these.
     """
-    settings, robots = conditions.settings, len(wish)
-    last = np.full((*start.next_state.shape, wish.shape[1]), np.nan)
+    settings, robots = conditions.settings, len(nominal)
+    last = np.full((*start.next_state.shape, nominal.shape[1]), np.nan)
     missing, overshoot = np.maximum(0.0, -conditions.tightest(start)), np.zeros(robots)  # before slopes widen the scale
     A = conditions.slopes(start, last)
     about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
@@ -144,11 +144,11 @@ def search_batch(
             break
         own = conditions.only(going)
         before.put(going, about.only(going))
-        found, certain[going] = _build_constraints(own, A[going], about.only(going), wish[going], overshoot[going])
+        found, certain[going] = _build_constraints(own, A[going], about.only(going), nominal[going], overshoot[going])
         about.put(going, found)
         tightest = own.tightest(found)
         kept = own.kept(found)
-        plain[going] = kept & _nominal_candidate(own, wish[going], found, tightest, before.only(going), index)
+        plain[going] = kept & _nominal_candidate(own, nominal[going], found, tightest, before.only(going), index)
         certain[going] &= plain[going] | ~kept  # a kept one that is not taken is for the filter of one robot
         last_missing, now = missing[going], np.maximum(0.0, -tightest)
         fresh = ~((now > 0.0) & (now < SERVED_WELL * last_missing))
@@ -163,7 +163,7 @@ def search_batch(
 
 def _nominal_candidate(
     conditions: BatchConstraints,
-    wish: FloatArray,
+    nominal: FloatArray,
     found: BatchCandidates,
     tightest: FloatArray,
     before: BatchCandidates,
@@ -171,18 +171,18 @@ def _nominal_candidate(
 ) -> BoolArray:
     """(robots,) where ``search`` takes a solution that keeps all conditions without looking any further."""
     far = FAR * FAR
-    doubtful = ((tightest > DOUBTFUL) | conditions.saturated) & (conditions.distance(found.action, wish) > far)
+    doubtful = ((tightest > DOUBTFUL) | conditions.saturated) & (conditions.distance(found.action, nominal) > far)
     moved = (conditions.distance(found.action, before.action) > far) & (index > 0)
-    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved & ~_backtracking(conditions, wish, found))
+    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved & ~_backtracking(conditions, nominal, found))
 
 
-def _backtracking(conditions: BatchConstraints, wish: FloatArray, found: BatchCandidates) -> BoolArray:
-    """(robots,) where an entry of the solution is brought back towards the wish; see ``retreated``."""
+def _backtracking(conditions: BatchConstraints, nominal: FloatArray, found: BatchCandidates) -> BoolArray:
+    """(robots,) where an entry of the solution is brought back towards the nominal action; see ``retreated``."""
     low, high = conditions.settings.low, conditions.settings.high
-    away = np.clip(wish, low, high) - found.action
+    away = np.clip(nominal, low, high) - found.action
     step = STEP * (high - low)
-    back = np.zeros(len(wish), dtype=bool)
-    for entry in range(wish.shape[1]):
+    back = np.zeros(len(nominal), dtype=bool)
+    for entry in range(nominal.shape[1]):
         far = np.flatnonzero(np.abs(away[:, entry]) > step[entry])
         if len(far) == 0:
             continue
@@ -203,7 +203,7 @@ def _draw(
 
 
 def _build_constraints(
-    conditions: BatchConstraints, A: FloatArray, about: BatchCandidates, wish: FloatArray, overshoot: FloatArray
+    conditions: BatchConstraints, A: FloatArray, about: BatchCandidates, nominal: FloatArray, overshoot: FloatArray
 ) -> tuple[BatchCandidates, BoolArray]:
     """The outcomes of the programs' solutions without slack, and where these are certain."""
     settings = conditions.settings
@@ -221,11 +221,11 @@ def _build_constraints(
     safe = np.where(moved, reach, 1.0)
     box = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     rows = _in_the_plane(A * width / safe[..., np.newaxis])
-    robots = len(wish)
+    robots = len(nominal)
     slopes = np.concatenate([rows, np.broadcast_to(box, (robots, 4, 2))], axis=1)
     own = np.where(moved, limits / safe, -np.inf)  # a row that no action changes is none of the program's
     limits = np.concatenate([own, np.broadcast_to([0.0, -1.0, 0.0, -1.0], (robots, 4))], axis=1)
-    scaled, weights = _in_the_plane((wish - low) / width), np.resize(settings.weight_vector, 2)
+    scaled, weights = _in_the_plane((nominal - low) / width), np.resize(settings.weight_vector, 2)
     point, certain = solve_hard_qp_2d_batch(slopes, limits, scaled, weights)
     own = point[:, : len(low)]
     action = np.clip(low + width * np.where(certain[:, np.newaxis], own, 0.0), low, settings.high)

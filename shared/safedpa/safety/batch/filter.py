@@ -63,7 +63,7 @@ class _BatchInput:
     """One moment of the robots; every array has them first."""
 
     state: FloatArray
-    wish: FloatArray
+    nominal: FloatArray
     latent: FloatArray | None
     barriers: AbstractBatchBarriers
     margins: Mapping[str, FloatArray]
@@ -124,7 +124,7 @@ class BatchFilter:
     def decide(
         self,
         state: ArrayLike,
-        wish: ArrayLike,
+        nominal: ArrayLike,
         latent: ArrayLike | None = None,
         *,
         barriers: AbstractBatchBarriers,
@@ -132,7 +132,7 @@ class BatchFilter:
         affine: tuple[FloatArray, FloatArray] | None = None,
         backup: Callable[[int], Any] | None = None,
     ) -> BatchVerdicts:
-        """Verdicts for states (robots, states), wishes (robots, actions), latents (robots, latents).
+        """Verdicts for states (robots, states), nominal actions (robots, actions), latents (robots, latents).
 
         ``barriers`` around as many robots; ``epsilon`` by kind of barrier: a number, or (robots,); ``affine`` f
         (robots, states) and g (robots, states, actions) where there is no model; ``backup`` gives the action (actions,)
@@ -140,7 +140,7 @@ class BatchFilter:
         robot; raises InputError for wrong shapes, and for barriers that read other states.
         """
         asked = self._asked(
-            np.asarray(state, dtype=np.float64), _array(wish), _array(latent), barriers, epsilon, affine, backup
+            np.asarray(state, dtype=np.float64), _array(nominal), _array(latent), barriers, epsilon, affine, backup
         )
         verdicts = self._blank(len(asked.state))
         ordinary = np.flatnonzero(self._ordinary(asked))
@@ -154,7 +154,7 @@ class BatchFilter:
     def _asked(
         self,
         state: FloatArray,
-        wish: Any,
+        nominal: Any,
         latent: FloatArray | None,
         barriers: AbstractBatchBarriers,
         epsilon: Mapping[str, Any] | None,
@@ -165,7 +165,7 @@ class BatchFilter:
         robots, names = len(state), self._system.state_names
         actions = len(self.settings.action_low)
         _check("state", state, (robots, len(names)))
-        _check("wish", wish, (robots, actions))
+        _check("nominal", nominal, (robots, actions))
         if latent is not None and self.model is not None:
             _check("latent", latent, (robots, len(self.model.latent_names)))
         if len(barriers) != robots:
@@ -182,7 +182,7 @@ class BatchFilter:
         if affine is not None:
             _check("f", affine[0], state.shape)
             _check("g", affine[1], (*state.shape, actions))
-        return _BatchInput(state, wish, latent, barriers, margins, affine, backup)
+        return _BatchInput(state, nominal, latent, barriers, margins, affine, backup)
 
     def _blank(self, robots: int) -> BatchVerdicts:
         slack, h_now, h_next = np.zeros((3, robots))
@@ -193,7 +193,11 @@ class BatchFilter:
         """Robots (robots,) whose inputs the filter of one robot would believe."""
         tools = self._one.tools
         believed = np.full(len(asked.state), self.settings.enabled)
-        pairs = (asked.state, tools.state_range), (asked.wish, tools.wish_range), (asked.latent, tools.latent_range)
+        pairs = (
+            (asked.state, tools.state_range),
+            (asked.nominal, tools.nominal_range),
+            (asked.latent, tools.latent_range),
+        )
         for numbers, plausible in pairs:
             if numbers is not None:
                 believed &= _within(numbers, plausible)
@@ -206,8 +210,8 @@ class BatchFilter:
 
     def _together(self, verdicts: BatchVerdicts, which: NDArray[np.intp], asked: _BatchInput) -> None:
         """The verdicts of robots whose conditions can be kept; the others stay alone."""
-        settings, wish = self.settings, asked.wish[which]
-        barriers = asked.barriers if len(which) == len(asked.wish) else asked.barriers.only(which)
+        settings, nominal = self.settings, asked.nominal[which]
+        barriers = asked.barriers if len(which) == len(asked.nominal) else asked.barriers.only(which)
         predictions = asked.predictions(self.model, which)
         margins = {kind: value[which] for kind, value in asked.margins.items()}
         state = predictions.state
@@ -217,17 +221,19 @@ class BatchFilter:
         required, scale = share * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
         straight = np.zeros(len(state), dtype=bool)
         conditions = BatchConstraints(settings, barriers, predictions, required, scale, straight)
-        within = np.minimum(np.maximum(wish, settings.low), settings.high)
-        outcome = conditions.outcome(np.where(within == wish, wish, within))
+        within = np.minimum(np.maximum(nominal, settings.low), settings.high)
+        outcome = conditions.outcome(np.where(within == nominal, nominal, within))
         safe = (h_now >= 0.0).all(axis=1)
         kept = safe & conditions.kept(outcome)
-        status = np.where((within == wish).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected))
+        status = np.where(
+            (within == nominal).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected)
+        )
         numbers = h_now, outcome.h_next, outcome.next_state
         known = np.logical_and.reduce([np.isfinite(table).all(axis=1) for table in numbers])
         wrong = np.flatnonzero(known & safe & ~kept)
         if len(wrong):
             own = conditions.only(wrong)
-            found, certain = search_batch(own, wish[wrong], outcome.only(wrong))
+            found, certain = search_batch(own, nominal[wrong], outcome.only(wrong))
             good = certain & own.kept(found)
             outcome.put(wrong[good], found.only(good))
             kept[wrong[good]] = True
@@ -262,7 +268,7 @@ class BatchFilter:
         around = asked.barriers.one(robot)
         self._turn = asked, robot
         try:
-            found = self._one.decide(asked.state[robot], asked.wish[robot], own, barriers=around, epsilon=epsilon)
+            found = self._one.decide(asked.state[robot], asked.nominal[robot], own, barriers=around, epsilon=epsilon)
         finally:
             self._turn = None
         verdicts.action[robot], verdicts.status[robot] = found.action, STATUSES.index(found.status)

@@ -12,7 +12,7 @@ from safedpa.safety.checks.report import FilterIssue, gathered, shown
 __all__ = ["backup_issues", "horizon_issues"]
 
 
-def backup_issues(checked: FilterUnderTest, probes: list[Probe], *, stands: bool) -> list[FilterIssue]:
+def backup_issues(checked: FilterUnderTest, probes: list[Probe], *, stationary_for: bool) -> list[FilterIssue]:
     """A backup of a wrong shape or out of bounds, another one than a rollout's, or one under which conditions break."""
     actions = [checked.backup(probe.state) for probe in probes]
     low, high = checked.bounds
@@ -28,7 +28,7 @@ def backup_issues(checked: FilterUnderTest, probes: list[Probe], *, stands: bool
             )
             return [FilterIssue("backup", (), said)]
     issues = _foreign(checked, probes, actions)
-    return issues + (_breaking(checked, probes, actions) if stands and not issues else [])
+    return issues + (_breaking(checked, probes, actions) if stationary_for and not issues else [])
 
 
 def _foreign(checked: FilterUnderTest, probes: list[Probe], actions: list[FloatArray]) -> list[FilterIssue]:

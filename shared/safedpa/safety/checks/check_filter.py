@@ -39,7 +39,7 @@ def check_filter(
     barriers: Sequence[AbstractBarrier] | None = None,
     latent: ArrayLike | None = None,
     epsilon: Mapping[str, float] | None = None,
-    stands: bool = True,
+    stationary_for: bool = True,
     ticks: int = 60,
     seed: int = 0,
 ) -> FilterReport:
@@ -47,7 +47,7 @@ def check_filter(
 
     ``barriers``, ``latent`` and ``epsilon`` as in ``decide``. ``stands``: whether the backup is meant to keep every
     condition, as braking is; false for a robot that has no stand. From the states that keep h >= epsilon / eta the
-    filter is driven for ``ticks`` ticks, twelve times, by extreme wishes from ``seed``. Looked for:
+    filter is driven for ``ticks`` ticks, twelve times, by extreme nominal actions from ``seed``. Looked for:
 
     - a margin of zero; an epsilon that is no match for h (another unit, or actions that reach less than it);
     - states inside h >= epsilon / eta at which no action keeps every condition, and whether that is because the
@@ -76,7 +76,7 @@ def check_filter(
     try:
         probes = probed(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
-        issues += backup_issues(checked, probes, stands=stands)
+        issues += backup_issues(checked, probes, stationary_for=stationary_for)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is asked for
         said = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
         return FilterReport([FilterIssue("failure", (), said)], len(rows))

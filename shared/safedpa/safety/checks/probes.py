@@ -109,9 +109,9 @@ class Probe:
 
 
 def probed(checked: FilterUnderTest, states: Sequence[FloatArray], ticks: int, seed: int) -> list[Probe]:
-    """The states given, and states to which the filter lets itself be pushed from there by extreme wishes.
+    """The states given, and states to which the filter lets itself be pushed from there by extreme nominal actions.
 
-    Each wish is an extreme action, held for some ticks, in the first drives to their end; a drive ends where the filter
+    Each nominal action is an extreme action, held for some ticks, in the first drives to their end; a drive ends where the filter
     finds no action that keeps every condition. Raises whatever barriers and model raise.
     """
     random = np.random.default_rng(seed)
@@ -129,16 +129,16 @@ def _driven(
     checked: FilterUnderTest, state: FloatArray, ticks: int, random: np.random.Generator, pushed: FloatArray | None
 ) -> list[tuple[FloatArray, bool]]:
     """Some states of one drive, and whether the filter kept every condition there; the last one always."""
-    corners, wish, held = checked.corners()[:-1], np.zeros(0), 0
+    corners, nominal, held = checked.corners()[:-1], np.zeros(0), 0
     scene: Sequence[AbstractBarrier] = checked.barriers
     visited: list[tuple[FloatArray, bool]] = []
     for tick in range(ticks):
         if pushed is not None:
-            wish = pushed
+            nominal = pushed
         elif held == 0:
-            wish, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
+            nominal, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
         held -= 1
-        verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene, epsilon=checked.margins)
+        verdict = checked.safe.decide(state, nominal, checked.latent, barriers=scene, epsilon=checked.margins)
         if tick == 0 and verdict.status is Status.fallback:
             raise InputError(f"the filter decides nothing at {shown(state)}: {verdict.reason}")
         kept = verdict.status in _KEPT

@@ -1,8 +1,8 @@
-"""A robot that stands though something is wished: noticed by what its model says it would do, and told with a reason.
+"""A robot that stands though something is requested: noticed by what its model says it would do, and told with a reason.
 
 No robot is known here: what should move is what the model moves. Over a stand, from the state x0 where it began,
 
-    promised = sum over ticks of |x(t+1 predicted under the wish) - x(t)|,   moved = |x(t) - x0|,
+    promised = sum over ticks of |x(t+1 predicted under the nominal action) - x(t)|,   moved = |x(t) - x0|,
 
 both over the places of the state: its positions in m, else the entries that are no rates. The robot stands while moved
 stays below a tenth of what was promised. Beside it the same sum for the action that went out: where that is large, the
@@ -37,11 +37,11 @@ class StandReport(Protocol):
     """What a verdict message reports of a robot that is stationary."""
 
     @property
-    def standstill(self) -> str:
+    def stationary_reason(self) -> str:
         """The reason; empty while it moves."""
 
     @property
-    def stands(self) -> float:
+    def stationary_for(self) -> float:
         """s for which it has been stationary."""
 
     @property
@@ -56,9 +56,9 @@ DEAD_BAND_SECONDS: Final = 0.5
 _STILL: Final = 0.1
 """Of the way promised; less is none."""
 _FORGIVEN: Final = 0.5
-"""s in a row without a promise, such as ticks whose wish came late, that do not end a stand."""
+"""s in a row without a promise, such as ticks whose nominal action came late, that do not end a stand."""
 _DRIVEN: Final = 0.02
-"""Of the way promised under the wish; with less the action that went out is not meant to move the robot either."""
+"""Of the way promised under the nominal action; with less the action that went out is not meant to move the robot either."""
 
 
 _CURES: Final = {
@@ -91,11 +91,11 @@ class DeadlockDetector:
 
     places: tuple[int, ...]
     seconds: float = 0.0
-    """s for which it has stood though something was wished."""
+    """s for which it has stood though something was requested."""
     failed: float = 0.0
     """Largest way promised in one tick that has not moved it in this stand; 0: none."""
     _begun: tuple[float, ...] = ()
-    _wished: float = 0.0
+    _nominal_motion: float = 0.0
     _driven: float = 0.0
     _missed: float = 0.0
     """s since the last promise."""
@@ -107,35 +107,35 @@ class DeadlockDetector:
         """Holds what was promised for the last tick against the measured state (states,)."""
         promise, self._promise = self._promise, None
         self._missed = 0.0 if promise is not None else self._missed + period
-        unknown = promise is None and (self._wished == 0.0 or not self._missed <= _FORGIVEN)
+        unknown = promise is None and (self._nominal_motion == 0.0 or not self._missed <= _FORGIVEN)
         if unknown or max(self.places) >= len(values):
             self._begin(())
             return
         here = tuple(values[index] for index in self.places)
         if promise is not None:
-            self._wished += promise[0]
+            self._nominal_motion += promise[0]
             self._driven += promise[1]
         moved = hypot(*(now - then for now, then in zip(here, self._begun, strict=False)))
-        wished = promise is None or promise[0] > 0.0
-        if not self._begun or not wished or not moved <= _STILL * self._wished:
+        nominal_next = promise is None or promise[0] > 0.0
+        if not self._begun or not nominal_next or not moved <= _STILL * self._nominal_motion:
             self._begin(here)
             return
         self.seconds += period
         if promise is not None:
             self._push(promise, period)
 
-    def promise(self, state: Sequence[float], wished: Sequence[float], expected: Sequence[float]) -> None:
-        """What the model predicts from ``state`` under the wish and under the action that went out, (states,) each."""
+    def promise(self, state: Sequence[float], nominal_next: Sequence[float], expected: Sequence[float]) -> None:
+        """What the model predicts from ``state`` under the nominal action and under the action that went out, (states,) each."""
         if not self._begun:
             self._begun = tuple(state[index] for index in self.places)
-        self._promise = self.way(state, wished), self.way(state, expected)
+        self._promise = self.way(state, nominal_next), self.way(state, expected)
 
     def way(self, state: Sequence[float], following: Sequence[float]) -> float:
         """How far the robot's place moves from the one state to the other."""
         return hypot(*(following[index] - state[index] for index in self.places))
 
     def interrupted(self) -> None:
-        """Nothing is wished, or nothing is known."""
+        """Nothing is requested, or nothing is known."""
         self._begin(())
 
     def is_inside_dead_band(self, way: float) -> bool:
@@ -146,7 +146,7 @@ class DeadlockDetector:
         """Why it stands, in words; empty while it has not stood for longer than 5 s."""
         if self.seconds <= TOLD_SECONDS:
             return ""
-        pushed, short = self._driven > _DRIVEN * self._wished, status in ("relaxed", "violated")
+        pushed, short = self._driven > _DRIVEN * self._nominal_motion, status in ("relaxed", "violated")
         if (self.failed > 0.0 and (pushed or not short)) or (pushed and status in ("passed", "disabled")):
             return "dead band: the model says that such an action moves it, and it does not move"
         held = " and ".join(active) if active else "what it has to keep"
@@ -166,16 +166,16 @@ class DeadlockDetector:
 
     def _begin(self, here: tuple[float, ...]) -> None:
         self._begun, self.seconds, self.failed = here, 0.0, 0.0
-        self._wished = self._driven = 0.0
+        self._nominal_motion = self._driven = 0.0
         self._pushed.clear()
 
 
 def record_deadlock(found: list[Stand], verdict: StandReport) -> None:
     """Adds a stand that a verdict tells of to those found, or lengthens the last one; the newest reason counts."""
-    if not verdict.standstill:
+    if not verdict.stationary_reason:
         return
-    begun = round(verdict.robot_time - verdict.stands, 6)
-    told: Stand = {"from": begun, "seconds": round(verdict.stands, 6), "reason": verdict.standstill}
+    begun = round(verdict.robot_time - verdict.stationary_for, 6)
+    told: Stand = {"from": begun, "seconds": round(verdict.stationary_for, 6), "reason": verdict.stationary_reason}
     if found and abs(float(found[-1]["from"]) - begun) < 1e-3:
         found[-1] = told
     else:

@@ -1,7 +1,7 @@
 """The way out of the margin's boundary layer, where no action of one tick keeps every condition.
 
 Between 0 and epsilon_i / eta no single step may reach what the condition asks for, above all from rest; whoever takes
-the safest action of each tick then stands there for ever. Two things are taken in its place. The wish, where it raises
+the safest action of each tick then stands there for ever. Two things are taken in its place. The nominal action, where it raises
 every h that is short of its margin, from the upper half of the layer, and keeps the other conditions. And of a robot
 that stands all the same a manoeuvre: one action, held for up to 1.5 s. With
 
@@ -49,7 +49,7 @@ them. As many as eight actions take at 20 ticks a second."""
 _GAIN: Final = 0.02
 """Of the layer's depth; to gain less is not worth the way."""
 _ENOUGH: Final = 2.0
-"""Depths of the layer; of manoeuvres that lead further than that the nearest to the wish is taken."""
+"""Depths of the layer; of manoeuvres that lead further than that the nearest to the nominal action is taken."""
 _DIP: Final = 0.01
 """Of the layer's depth by which h may fall at first: speed takes room to stop before any way is made."""
 
@@ -115,9 +115,9 @@ class DeadlockEscape:
     def instead_of(self, verdict: Verdict, here: TickContext, stood: float) -> Verdict:
         """A verdict that leads out, or the one given; ``stood`` [s]: for how long the robot has."""
         relaxed, held = verdict.status is Status.relaxed, self._followed(here)
-        if held is None and relaxed and (wished := self._wish(verdict, here)) is not None:
+        if held is None and relaxed and (detour := self._nominal_action(verdict, here)) is not None:
             self.forget()
-            return wished
+            return detour
         if held is None and relaxed and stood >= _PATIENCE:
             held = self._found(verdict, here)
         elif held is None:
@@ -134,9 +134,9 @@ class DeadlockEscape:
         said = f"It stood: an action held for {held.left * here.period:.2g} s leads out of the margin's layer."
         return replace(verdict, action=action, reason=said, slack=slack, h_next=min(then))
 
-    def _wish(self, verdict: Verdict, here: TickContext) -> Verdict | None:
-        """The wish in place of the least unsafe action, if it raises every h that is short."""
-        action = np.clip(np.asarray(verdict.wish), self._settings.low, self._settings.high)
+    def _nominal_action(self, verdict: Verdict, here: TickContext) -> Verdict | None:
+        """The nominal action in place of the least unsafe action, if it raises every h that is short."""
+        action = np.clip(np.asarray(verdict.nominal), self._settings.low, self._settings.high)
         then = next(here.ahead(action.tolist()), None)
         if then is None:
             return None
@@ -145,7 +145,7 @@ class DeadlockEscape:
             if not short <= 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
                 return None
         action.flags.writeable = False
-        said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
+        said = "The nominal action is taken: it raises every h that is short of its margin, and keeps the other conditions."
         return replace(verdict, action=action, reason=said, slack=max([0.0, *missing]), h_next=min(then))
 
     def _missing(self, here: TickContext, heights: list[float], then: list[float]) -> list[float]:
@@ -165,10 +165,10 @@ class DeadlockEscape:
         return self._held
 
     def _found(self, verdict: Verdict, here: TickContext) -> _ActiveManoeuvre | None:
-        """The best manoeuvre from here, once all were looked at: the highest share, then the nearest to the wish."""
+        """The best manoeuvre from here, once all were looked at: the highest share, then the nearest to the nominal action."""
         floors = tuple(self._floor(h, epsilon) for h, epsilon in zip(here.heights, here.margins, strict=True))
         goal, most = min(1.0, self._share(here.heights, here) + _GAIN), round(_LONGEST / here.period)
-        wish = np.asarray(verdict.wish).tolist()
+        nominal = np.asarray(verdict.nominal).tolist()
         self._steps, last = 0, min(self._looked + _A_TICK, len(self._actions))
         while self._looked < last and self._steps < _STEPS_A_TICK:
             action = self._actions[self._looked]
@@ -177,7 +177,7 @@ class DeadlockEscape:
                 continue
             ticks, reached = self._best_end(action, most, floors, here)
             if ticks > 0 and reached >= goal:
-                found = (-reached, self._program.distance(action, wish), action, ticks)
+                found = (-reached, self._program.distance(action, nominal), action, ticks)
                 self._best = found if self._best is None else min(self._best, found)
         if self._looked < len(self._actions):
             return None

@@ -35,6 +35,7 @@ __all__ = [
 Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 """The barriers, the same for all transitions or one scene for each transition's index."""
 
+_FORMAT = 2
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
 _SAID = ("drives", "origin", "period", "slower")
@@ -146,7 +147,7 @@ class MarginCalibration:
     def write(self) -> str:
         """The TOML text that ``parse`` reads back."""
         lines = [
-            "format = 1",
+            f"format = {_FORMAT}",
             f"coverage = {self.coverage!r}",
             f"transitions = {self.transitions}",
             f'date = "{self.date}"',
@@ -172,8 +173,8 @@ class MarginCalibration:
         for key in _KEYS:
             if key not in table:
                 raise InputError(f"{key}: missing; wanted the keys {', '.join(_KEYS)}")
-        if table.pop("format") != 1:
-            raise InputError("format: wanted 1; this program reads no other")
+        if table.pop("format") != _FORMAT:
+            raise InputError(f"format: wanted {_FORMAT}; convert an earlier file with 'safedpa migrate'")
         return MarginCalibration(**table)
 
     def save(self, path: str | Path) -> None:

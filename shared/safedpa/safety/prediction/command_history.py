@@ -118,7 +118,7 @@ class CommandHistory:
             rows.append(list(now))
         return rows
 
-    def foretold(self, until_action: float) -> DelayedPrediction | None:
+    def delayed_prediction(self, until_action: float) -> DelayedPrediction | None:
         """The newest two states, predicted from before the dead time; None: there is none, or it is not yet over."""
         entries, period = list(self._entries), self._model.period
         count, rest = _delay(until_action, period)

@@ -46,7 +46,7 @@ class PendingActions:
         late_barriers = [late.barrier(part) for part in barriers]
         safe = SafetyFilter(late.prediction, late_barriers, settings, state_range=late.state_range)
         xi = late.state(x)
-        verdict = safe.decide(xi, wish)
+        verdict = safe.decide(xi, nominal action)
         xi = late.next_state(xi, verdict.action, measured)
 
     Raises InputError for a count below 1, and for a model whose actuators remember something else.

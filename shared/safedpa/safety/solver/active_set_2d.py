@@ -1,18 +1,18 @@
-"""The nearest point of the unit square to a wish, where conditions hold, and where some of them cost slack.
+"""The nearest point of the unit square to a nominal action, where conditions hold, and where some of them cost slack.
 
-    min  sum_j weight_j (u_j - wish_j)^2   subject to   a_i . u >= b_i,  0 <= u_j <= 1
+    min  sum_j weight_j (u_j - nominal_j)^2   subject to   a_i . u >= b_i,  0 <= u_j <= 1
 
 Conditions are taken in one by one, each time the one most broken: over those taken in, the optimum lies on the newest
 alone or in its corner with another one. A corner or foot is believed only if the Karush-Kuhn-Tucker conditions hold:
 its multipliers are not negative, and what was taken in is kept. The optimum over some conditions that keeps all of them
 is the optimum over all of them, so what is returned is the minimiser, whatever the way there.
 
-    min  sum_j weight_j (u_j - wish_j)^2 + sum_i (rho1 s_i + rho s_i^2)
+    min  sum_j weight_j (u_j - nominal_j)^2 + sum_i (rho1 s_i + rho s_i^2)
     subject to   a_i . u + s_i >= b_i,   s_i >= 0,   0 <= u_j <= 1
 
 With s_i = max(0, b_i - a_i . u) that is a convex function of u: quadratic between the lines a_i . u = b_i, with an edge
 along each of them. The primal active-set method (Nocedal and Wright, Numerical Optimization, 2nd edition, section 16.5)
-goes down in it, from the wish: to the minimum of the piece that it is on, or to the first line on the way, which it
+goes down in it, from the nominal action: to the minimum of the piece that it is on, or to the first line on the way, which it
 then holds. A condition pulls with its price, rho1 + 2 rho s_i where it is short, 0 where it is kept, anything between 0
 and rho1 on its line, and a bound with anything from 0 on. A line whose price is another is let go, to the side that the
 price tells. Where no price is another and the piece goes down no further, the Karush-Kuhn-Tucker conditions hold: of a
@@ -62,15 +62,15 @@ _BOUNDS: Final = 4
 
 
 class QP2D:
-    """A wish and weights; the square's four sides are the first conditions."""
+    """A nominal action and weights; the square's four sides are the first conditions."""
 
-    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
-        self._wish_x, self._wish_y = wish_x, wish_y
+    def __init__(self, nominal_x: float, nominal_y: float, weight_x: float, weight_y: float) -> None:
+        self._nominal_x, self._nominal_y = nominal_x, nominal_y
         self._weight_x, self._weight_y = weight_x, weight_y
         self._a: list[float] = [1.0, -1.0, 0.0, 0.0]
         self._b: list[float] = [0.0, 0.0, 1.0, -1.0]
         self._limit: list[float] = [0.0, -1.0, 0.0, -1.0]
-        self._sum = wish_x + wish_y
+        self._sum = nominal_x + nominal_y
         """Of all numbers given: finite where they all are."""
 
     def add(self, a: float, b: float, limit: float) -> None:
@@ -85,10 +85,10 @@ class QP2D:
 class HardQP2D(QP2D):
     """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
 
-    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
-        super().__init__(wish_x, wish_y, weight_x, weight_y)
+    def __init__(self, nominal_x: float, nominal_y: float, weight_x: float, weight_y: float) -> None:
+        super().__init__(nominal_x, nominal_y, weight_x, weight_y)
         self._taken: list[int] = []
-        self.x, self.y = wish_x, wish_y
+        self.x, self.y = nominal_x, nominal_y
 
     def solve(self) -> bool:
         """Whether the minimiser was found: not where there is none, it takes many steps, or a number is not finite."""
@@ -119,27 +119,27 @@ class HardQP2D(QP2D):
         return False
 
     def _foot(self, row: int) -> bool:
-        """The optimum with one condition: 2 W (u - wish) = multiplier a."""
+        """The optimum with one condition: 2 W (u - nominal) = multiplier a."""
         a, b = self._a[row], self._b[row]
         along, across = a / self._weight_x, b / self._weight_y
         size = a * along + b * across
         if size == 0.0:
             return False
-        share = (self._limit[row] - a * self._wish_x - b * self._wish_y) / size
+        share = (self._limit[row] - a * self._nominal_x - b * self._nominal_y) / size
         if not share >= 0.0:
             return False
-        self.x, self.y = self._wish_x + share * along, self._wish_y + share * across
+        self.x, self.y = self._nominal_x + share * along, self._nominal_y + share * across
         return True
 
     def _corner(self, one: int, other: int) -> bool:
-        """The optimum with two conditions: both hold with equality, 2 W (u - wish) = sum of multiplier a."""
+        """The optimum with two conditions: both hold with equality, 2 W (u - nominal) = sum of multiplier a."""
         a, b, first = self._a[one], self._b[one], self._limit[one]
         c, d, second = self._a[other], self._b[other], self._limit[other]
         determinant = a * d - b * c
         if abs(determinant) <= PARALLEL * (abs(a) + abs(b)) * (abs(c) + abs(d)):
             return False
         x, y = (first * d - second * b) / determinant, (a * second - c * first) / determinant
-        pull, push = 2.0 * self._weight_x * (x - self._wish_x), 2.0 * self._weight_y * (y - self._wish_y)
+        pull, push = 2.0 * self._weight_x * (x - self._nominal_x), 2.0 * self._weight_y * (y - self._nominal_y)
         if not (pull * d - push * c) / determinant >= 0.0:
             return False
         if not (a * push - b * pull) / determinant >= 0.0:
@@ -159,8 +159,8 @@ class HardQP2D(QP2D):
 class SoftQP2D(QP2D):
     """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
 
-    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
-        super().__init__(wish_x, wish_y, weight_x, weight_y)
+    def __init__(self, nominal_x: float, nominal_y: float, weight_x: float, weight_y: float) -> None:
+        super().__init__(nominal_x, nominal_y, weight_x, weight_y)
         self._short: list[bool] = [False] * _BOUNDS
         """Which conditions are not kept; a line that is held is neither short nor kept."""
         self._one, self._other = -1, -1
@@ -175,8 +175,8 @@ class SoftQP2D(QP2D):
         """Whether the minimiser was found: not after many steps, where a number is not finite or a weight is faint."""
         if self._sum - self._sum != 0.0 or not (self._weight_x >= FAINT and self._weight_y >= FAINT):
             return False
-        self.x = min(max(self._wish_x, 0.0), 1.0)
-        self.y = min(max(self._wish_y, 0.0), 1.0)
+        self.x = min(max(self._nominal_x, 0.0), 1.0)
+        self.y = min(max(self._nominal_y, 0.0), 1.0)
         for row in range(_BOUNDS, len(self._limit)):
             self._short.append(self._a[row] * self.x + self._b[row] * self.y < self._limit[row])
         for _ in range(TURNS):
@@ -187,8 +187,8 @@ class SoftQP2D(QP2D):
 
     def _pulls(self) -> None:
         """Slopes and second derivatives of the piece."""
-        down_x = 2.0 * self._weight_x * (self._wish_x - self.x)
-        down_y = 2.0 * self._weight_y * (self._wish_y - self.y)
+        down_x = 2.0 * self._weight_x * (self._nominal_x - self.x)
+        down_y = 2.0 * self._weight_y * (self._nominal_y - self.y)
         xx, xy, yy = 2.0 * self._weight_x, 0.0, 2.0 * self._weight_y
         for row in range(_BOUNDS, len(self._limit)):
             if self._short[row]:

@@ -1,4 +1,4 @@
-"""Actions spread over the whole of their range: where else to look when the way from the wish leads nowhere.
+"""Actions spread over the whole of their range: where else to look when the way from the nominal action leads nowhere.
 
 The last whole search for the least unsafe action, which a short period has no time for in every tick.
 

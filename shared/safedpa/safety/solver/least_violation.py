@@ -2,7 +2,7 @@
 
     first    the largest attainable least h_i(x+) / scale_i,
     then     of the rows that this leaves free, the next least one, until all their conditions hold,
-    last     the least change of the wish,
+    last     the least change of the nominal action,
 
 each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs
 are linear, tangent at the best action known, and are posed anew about their solution; what counts is the model's own
@@ -58,7 +58,7 @@ def least_violation(
     conditions: Constraints,
     program: QuadraticProgram,
     highest: _MaxMin,
-    wish: Action,
+    nominal: Action,
     backup: ActionCandidate,
     known: Sequence[ActionCandidate],
 ) -> tuple[ActionCandidate, tuple[str, ...]]:
@@ -66,13 +66,13 @@ def least_violation(
 
     ``known`` are some that were computed already, those of actions all over their range among them: what the actions
     can change in h is taken from them, since a tangent would say too much where an actuator saturates. Where a barrier
-    that is not kept, or below 0 now, does not depend on the action yet, the ``backup`` stands in for the wish: it is
+    that is not kept, or below 0 now, does not depend on the action yet, the ``backup`` stands in for the nominal action: it is
     what is known to be good beyond one step. Raises DecisionError where no action has a finite prediction.
     """
     usable = [one for one in (backup, *known) if one.usable]
     if not usable:
         raise DecisionError("the model or a barrier has no finite number for any action")
-    lift = _Lift(conditions, program, highest, wish, backup, usable)
+    lift = _Lift(conditions, program, highest, nominal, backup, usable)
     return lift.run(usable), lift.stuck
 
 
@@ -95,7 +95,7 @@ class _Lift:
         conditions: Constraints,
         program: QuadraticProgram,
         highest: _MaxMin,
-        wish: Action,
+        nominal: Action,
         backup: ActionCandidate,
         usable: list[ActionCandidate],
     ) -> None:
@@ -117,7 +117,7 @@ class _Lift:
         stuck = self._divided(usable[0], self._measured_reach(usable))
         names = conditions.barriers.names
         self.stuck: tuple[str, ...] = tuple([names[row % len(names)] for row in stuck])
-        self._wish: Action = tuple(backup.action) if stuck else wish
+        self._nominal: Action = tuple(backup.action) if stuck else nominal
 
     def _measured_reach(self, usable: list[ActionCandidate]) -> list[float]:
         """(rows,) what the actions change in h."""
@@ -234,7 +234,7 @@ class _Lift:
     def _uppermost(self, others: list[_CandidateLog]) -> _CandidateLog:
         """One that keeps all; else the highest, of equals what breaks conditions least, of equals the first.
 
-        Nothing is given away for the wish yet, since a way that leads somewhere begins with little steps.
+        Nothing is given away for the nominal action yet, since a way that leads somewhere begins with little steps.
         """
         usable = [one for one in others if one.outcome.usable]
         top = -inf
@@ -248,7 +248,7 @@ class _Lift:
 
     def _improved(self, about: _CandidateLog) -> tuple[_CandidateLog, bool]:
         """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
-        best, foretold, outcome = about, True, about.outcome
+        best, as_predicted, outcome = about, True, about.outcome
         try:
             tangent = self._conditions.linearised(outcome)
         except NotFiniteError:  # no slopes there
@@ -257,13 +257,13 @@ class _Lift:
         for proposed, heights in proposals:
             found = self._tried(proposed)
             true = found.outcome.usable and self._furthest_from(heights, found.outcome) <= _TRUE
-            foretold = foretold and true
+            as_predicted = as_predicted and true
             better = self._best([best, found])
             if better is not found and not true:
                 between = [self._tried(self._between(outcome, found.outcome, share)) for share in _STEPS]
                 better = self._best([better, *between])
             best = better
-        return best, foretold and len(proposals) > 0
+        return best, as_predicted and len(proposals) > 0
 
     def _furthest_from(self, heights: list[float], found: ActionCandidate) -> float:
         """By how much a height is another than foretold, at the most."""
@@ -300,7 +300,7 @@ class _Lift:
         return found
 
     def _nearest(self, slopes: list[list[float]], bases: list[float], levels: list[float]) -> Action | None:
-        """The action nearest to the wish that holds the levels; None where the program gives up."""
+        """The action nearest to the nominal action that holds the levels; None where the program gives up."""
         A: list[list[float]] = []
         b: list[float] = []
         for place in range(len(slopes)):
@@ -312,7 +312,7 @@ class _Lift:
                 limit += entry * low
             A.append(row)
             b.append(limit)
-        solution = self._program.solve(A, b, self._wish)
+        solution = self._program.solve(A, b, self._nominal)
         return within(solution.action, self._sides) if solution.solved else None
 
     def _levels(self, slopes: list[list[float]], bases: list[float]) -> tuple[list[float], list[float]]:
@@ -357,7 +357,7 @@ class _Lift:
         return [] if found is None else found
 
     def _best(self, others: list[_CandidateLog]) -> _CandidateLog:
-        """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
+        """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the nominal action."""
         compared = [one for one in others if one.outcome.usable]
         if self._safe:
             compared = [one for one in compared if one.outcome.kept] or compared
@@ -368,7 +368,7 @@ class _Lift:
         best, least = good[0], inf
         for one in good:
             if one.missing <= limit:
-                away: float = self._program.distance(one.outcome.action, self._wish)
+                away: float = self._program.distance(one.outcome.action, self._nominal)
                 if away < least:
                     best, least = one, away
         return best

@@ -1,4 +1,4 @@
-"""The filter's quadratic program: the nearest action to the wish that keeps linear conditions, with slack."""
+"""The filter's quadratic program: the nearest action to the nominal action that keeps linear conditions, with slack."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ gives up, a second solver that is content with less is asked."""
 
 @final
 class QuadraticProgram:
-    """min (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s  s.t.  A a + r s >= b,  low <= a <= high,  s >= 0.
+    """min (a - nominal)' W (a - nominal) + rho |s|^2 + rho1 sum s  s.t.  A a + r s >= b,  low <= a <= high,  s >= 0.
 
     W = diag(weights / (high - low)^2), the largest weight taken as 1; r (m,) is each row's reach sum_j |A_ij| (high_j -
     low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
@@ -44,15 +44,15 @@ class QuadraticProgram:
         self._weights: tuple[float, ...] = tuple(self.weights.tolist())
         self._workspaces: dict[tuple[int, float], _Workspace] = {}
 
-    def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
-        """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
-        answer, rows = presolve(A, b, wish, self.sides, self._weights)
-        return answer or self._by_solver(rows, wish, len(b))
+    def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], nominal: Sequence[float]) -> Solution:
+        """The minimiser for conditions A (m, actions), b (m,) and a nominal action (actions,), all of them plain numbers."""
+        answer, rows = presolve(A, b, nominal, self.sides, self._weights)
+        return answer or self._by_solver(rows, nominal, len(b))
 
-    def _by_solver(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
+    def _by_solver(self, rows: Sequence[ScaledRow], nominal: Sequence[float], count: int) -> Solution:
         """The minimiser by PIQP; by a second, less exacting one where the first gives up."""
         actions = len(self.sides)
-        wanted = [(value - low) / width for value, (low, _, width) in zip(wish, self.sides, strict=True)]
+        wanted = [(value - low) / width for value, (low, _, width) in zip(nominal, self.sides, strict=True)]
         left, right = [row[0] for row in rows], [row[1] for row in rows]
         for accuracy in _ACCURACY:
             solved, status, solution = self._workspace(len(rows), accuracy).solve(left, right, wanted)
@@ -64,9 +64,9 @@ class QuadraticProgram:
             slack[index] = value * reach
         return Solution(action, slack, solved, status)
 
-    def distance(self, action: Sequence[float], wish: Sequence[float]) -> float:
-        """(action - wish)' W (action - wish)."""
-        return apart(action, wish, self.sides, self._weights)
+    def distance(self, action: Sequence[float], nominal: Sequence[float]) -> float:
+        """(action - nominal)' W (action - nominal)."""
+        return apart(action, nominal, self.sides, self._weights)
 
     def _workspace(self, rows: int, accuracy: float) -> _Workspace:
         size = 1 << (rows - 1).bit_length()
@@ -97,12 +97,12 @@ class _Workspace:
         upper = np.concatenate([np.ones(len(weights)), np.full(rows, np.inf)])
         self._solver.setup(hessian, self._costs, None, None, self._left, self._right, None, np.zeros(len(upper)), upper)
 
-    def solve(self, left: list[list[float]], right: list[float], wish: list[float]) -> tuple[bool, str, list[float]]:
+    def solve(self, left: list[list[float]], right: list[float], nominal: list[float]) -> tuple[bool, str, list[float]]:
         """Whether it was solved, the solver's word, and (u, s) (actions + rows,)."""
         rows = len(right)
         self._slopes[:rows], self._slopes[rows:] = left, 0.0
         self._right[:rows], self._right[rows:] = right, _NO_CONDITION
-        self._costs[: self._actions] = [pull * wanted for pull, wanted in zip(self._pull, wish, strict=True)]
+        self._costs[: self._actions] = [pull * wanted for pull, wanted in zip(self._pull, nominal, strict=True)]
         self._solver.update(c=self._costs, G=self._left, h_l=self._right)
         status = self._solver.solve()
         solution: list[float] = self._solver.result.x.tolist()

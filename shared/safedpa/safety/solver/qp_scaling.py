@@ -26,7 +26,7 @@ _BEYOND: Final = 2.0
 def presolve(
     A: Sequence[Sequence[float]],
     b: Sequence[float],
-    wish: Sequence[float],
+    nominal: Sequence[float],
     sides: tuple[Side, ...],
     weights: Sequence[float],
 ) -> tuple[Solution | None, list[ScaledRow]]:
@@ -35,12 +35,12 @@ def presolve(
     if not finite:
         return Solution([side[0] for side in sides], [0.0] * len(b), False, "numbers not finite"), rows
     if not rows:
-        return Solution(within(wish, sides), [0.0] * len(b), True, "not needed"), rows
+        return Solution(within(nominal, sides), [0.0] * len(b), True, "not needed"), rows
     if len(sides) > 2:
         return None, rows
-    action, slack = closest(rows, wish, sides, weights), [0.0] * len(b)
+    action, slack = closest(rows, nominal, sides, weights), [0.0] * len(b)
     if action is None:
-        action = minimum_violation(rows, wish, sides, weights, slack)
+        action = minimum_violation(rows, nominal, sides, weights, slack)
     return None if action is None else Solution(action, slack, True, "solved"), rows
 
 
@@ -88,10 +88,10 @@ def breakable(
 
 
 def closest(
-    rows: Sequence[ScaledRow], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
+    rows: Sequence[ScaledRow], nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
 ) -> list[float] | None:
     """Of one or two actions: the minimiser without slack; None: there is none, or it is not certain."""
-    x, y, weight = _wanted(wish, sides, weights)
+    x, y, weight = _wanted(nominal, sides, weights)
     problem = HardQP2D(x, y, weights[0], weight)
     _fill(problem, rows)
     return _action(problem.x, problem.y, sides) if problem.solve() else None
@@ -99,13 +99,13 @@ def closest(
 
 def minimum_violation(
     rows: Sequence[ScaledRow],
-    wish: Sequence[float],
+    nominal: Sequence[float],
     sides: tuple[Side, ...],
     weights: Sequence[float],
     slack: list[float],
 ) -> list[float] | None:
     """Of one or two actions: the minimiser with slack, which is written into ``slack``; None: it is not certain."""
-    x, y, weight = _wanted(wish, sides, weights)
+    x, y, weight = _wanted(nominal, sides, weights)
     problem = SoftQP2D(x, y, weights[0], weight)
     _fill(problem, rows)
     if not problem.solve():
@@ -124,14 +124,14 @@ def _fill(problem: QP2D, rows: Sequence[ScaledRow]) -> None:
         problem.add(slopes[0], slopes[1] if len(slopes) > 1 else 0.0, limit)
 
 
-def _wanted(wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:
-    """The wish in the unit square, and the second one's weight; a single action stands beside one that is nothing."""
+def _wanted(nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:
+    """The nominal action in the unit square, and the second one's weight; a single action stands beside one that is nothing."""
     low, _, width = sides[0]
-    x: float = (wish[0] - low) / width
+    x: float = (nominal[0] - low) / width
     if len(sides) == 1:
         return x, 0.0, weights[0]
     low, _, width = sides[1]
-    return x, (wish[1] - low) / width, weights[1]
+    return x, (nominal[1] - low) / width, weights[1]
 
 
 def _action(x: float, y: float, sides: tuple[Side, ...]) -> list[float]:
@@ -154,10 +154,12 @@ def within(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...
     return tuple(kept)
 
 
-def apart(action: Sequence[float], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> float:
-    """(action - wish)' W (action - wish), W = diag(weights / range^2)."""
+def apart(
+    action: Sequence[float], nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
+) -> float:
+    """(action - nominal)' W (action - nominal), W = diag(weights / range^2)."""
     total = 0.0
     for index in range(len(sides)):
-        share = (action[index] - wish[index]) / sides[index][2]
+        share = (action[index] - nominal[index]) / sides[index][2]
         total += weights[index] * (share * share)
     return total

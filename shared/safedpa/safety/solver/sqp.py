@@ -1,6 +1,6 @@
 """The search for an action that keeps all conditions: the quadratic program, posed anew about its solution.
 
-An action that keeps all conditions, brought back towards the wish one entry at a time.
+An action that keeps all conditions, brought back towards the nominal action one entry at a time.
 
 Tangents say how far an action has to go, and where an actuator saturates or h bends they say too much: the action found
 keeps all, and one of its entries stands somewhere on a plateau on which it changes nothing. An action that is the
@@ -52,7 +52,7 @@ OVERSHOOT: Final = 0.25
 
 
 TRIES: Final = 4
-"""Actions that are tried on the way to the wish."""
+"""Actions that are tried on the way to the nominal action."""
 
 
 LEFT: Final = 0.9
@@ -60,7 +60,7 @@ LEFT: Final = 0.9
 
 
 DOUBTFUL: Final = 0.02
-"""A solution that far from the wish, kept by more than this share of its scale, may lie where an actuator saturates and
+"""A solution that far from the nominal action, kept by more than this share of its scale, may lie where an actuator saturates and
 nothing is lost by coming nearer."""
 
 
@@ -115,33 +115,33 @@ class _Program(Protocol):
     def sides(self) -> tuple[Side, ...]:
         """Of each action."""
 
-    def solve(self, A: Sequence[Plain], b: Plain, wish: Plain) -> Solution:
+    def solve(self, A: Sequence[Plain], b: Plain, nominal: Plain) -> Solution:
         """The minimiser."""
 
-    def distance(self, action: Plain, wish: Plain) -> float:
+    def distance(self, action: Plain, nominal: Plain) -> float:
         """Between two actions."""
 
 
 def search(
-    conditions: _SearchConstraints, program: _Program, wish: Plain, start: ActionCandidate, rounds: int
+    conditions: _SearchConstraints, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
 ) -> tuple[ActionCandidate, str]:
     """The best outcome found and the solver's word.
 
-    Best: keeps all conditions, and nearest to the wish; if none does, the least broken one. Begins with the tangent at
+    Best: keeps all conditions, and nearest to the nominal action; if none does, the least broken one. Begins with the tangent at
     ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the true residual
     there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are kept and
     none of them needlessly far, when slopes drawn at a solution lead to it again, as they always would, or when the
-    solver gives up. Where all are still kept needlessly far, the way from there to the wish is gone as far as they
+    solver gives up. Where all are still kept needlessly far, the way from there to the nominal action is gone as far as they
     allow, and the program posed once more: the nearest action has a condition that binds.
     """
-    best, before, status = _posed(conditions, program, wish, start, rounds)
+    best, before, status = _posed(conditions, program, nominal, start, rounds)
     if not best.kept:
         return best, status
     room = conditions.tightest(best)
     if room > NEEDLESS:
-        nearer = line_search(conditions, conditions.outcome(within(wish, program.sides)), best)
-    elif (room > DOUBTFUL or conditions.saturated) and program.distance(best.action, wish) > FAR * FAR:
-        back = _furthest_back(program, within(wish, program.sides), best.action)
+        nearer = line_search(conditions, conditions.outcome(within(nominal, program.sides)), best)
+    elif (room > DOUBTFUL or conditions.saturated) and program.distance(best.action, nominal) > FAR * FAR:
+        back = _furthest_back(program, within(nominal, program.sides), best.action)
         nearer = line_search(conditions, conditions.outcome(back), best)
     elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
         return line_search(conditions, before, best), status
@@ -149,8 +149,8 @@ def search(
         return best, status
     if nearer is best:
         return best, status
-    again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
-    return _better(conditions, program, wish, nearer, again), status
+    again, _, _ = _posed(conditions, program, nominal, nearer, AGAIN)
+    return _better(conditions, program, nominal, nearer, again), status
 
 
 def line_search(conditions: _SearchConstraints, last: ActionCandidate, kept: ActionCandidate) -> ActionCandidate:
@@ -203,7 +203,7 @@ def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float
 
 
 def _posed(
-    conditions: _SearchConstraints, program: _Program, wish: Plain, start: ActionCandidate, rounds: int
+    conditions: _SearchConstraints, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
 ) -> tuple[ActionCandidate, ActionCandidate, str]:
     """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
     best, before, about, status = start, start, start, "not run"
@@ -213,13 +213,13 @@ def _posed(
         if tangent is None:
             break
         A, b = tangent.at(about.residual, about.action, overshoot)
-        solution = program.solve(A, b, wish)
+        solution = program.solve(A, b, nominal)
         status = solution.status
         action = _believed(solution, program)
         if action is None:
             break
         before, about = about, conditions.outcome(action)
-        best = about if index == 0 else _better(conditions, program, wish, best, about)
+        best = about if index == 0 else _better(conditions, program, nominal, best, about)
         tightest = conditions.tightest(about)
         if about.kept and tightest <= NEEDLESS:
             break
@@ -267,10 +267,10 @@ def _same(program: _Program, one: ActionCandidate, other: ActionCandidate) -> bo
 
 
 def _better(
-    conditions: _SearchConstraints, program: _Program, wish: Plain, one: ActionCandidate, other: ActionCandidate
+    conditions: _SearchConstraints, program: _Program, nominal: Plain, one: ActionCandidate, other: ActionCandidate
 ) -> ActionCandidate:
     if one.kept and other.kept:
-        return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
+        return other if program.distance(other.action, nominal) < program.distance(one.action, nominal) else one
     if one.kept or other.kept:
         return one if one.kept else other
     return other if conditions.tightest(other) > conditions.tightest(one) else one
@@ -290,7 +290,7 @@ def _believed(solution: Solution, program: _Program) -> tuple[float, ...] | None
 
 
 STEP: Final = 0.1
-"""Share of an entry's range that it is tried to come nearer by; what is nearer than that to its wish is left alone."""
+"""Share of an entry's range that it is tried to come nearer by; what is nearer than that to its nominal action is left alone."""
 
 _HALVINGS: Final = 5
 """Of the way on which an entry that came nearer by a step is followed."""
@@ -304,10 +304,10 @@ class _Foretold(Protocol):
 
 
 def backtrack_towards(
-    conditions: _Foretold, sides: tuple[Side, ...], wish: Plain, kept: ActionCandidate
+    conditions: _Foretold, sides: tuple[Side, ...], nominal: Plain, kept: ActionCandidate
 ) -> ActionCandidate:
-    """``kept``, or what keeps all conditions with entries nearer to the ``wish`` (actions,), the furthest first."""
-    wanted = within(wish, sides)
+    """``kept``, or what keeps all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
+    wanted = within(nominal, sides)
     for entry in _far_entries(sides, wanted, kept.action):
         kept = _entry_back(conditions, entry, wanted[entry], sides[entry][2], kept)
     return kept

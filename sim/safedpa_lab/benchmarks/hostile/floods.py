@@ -48,7 +48,7 @@ class Flood:
 
 
 FLOODS = (
-    Flood("policy", "wish", 100),
+    Flood("policy", "nominal", 100),
     Flood("adaptation", "latent", 60_000),
     Flood("diagnosis", "model", 4_000_000),
     Flood("metrics", "health", 100),

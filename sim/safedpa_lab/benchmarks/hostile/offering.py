@@ -20,9 +20,9 @@ from safedpa.bus import (
     ACTION,
     LATENT,
     MODEL,
+    NOMINAL,
     STATE,
     TAKEOVER,
-    WISH,
     Bus,
     ModelMessage,
     ReceivedMessage,
@@ -50,7 +50,7 @@ BOMBS = {
 _PAUSE_SECONDS = 0.1
 """From one offer to the next."""
 _REMEMBERED = 20_000
-_CHAIN = (STATE, LATENT, WISH, ACTION)
+_CHAIN = (STATE, LATENT, NOMINAL, ACTION)
 _LARGEST = 10_000
 
 

@@ -22,7 +22,7 @@ Window = Sequence[float]
 Moments = Mapping[str, Any]
 """Of a fleet: ``counted`` (a window), ``late`` (when ticks were late, of which robot, which), ``acted`` (when actions
 came, and so long after their states); monotonic, s."""
-_STAGES = ("state", "latent", "wish", "action")
+_STAGES = ("state", "latent", "nominal", "action")
 _MOST_TOLD = 100
 
 

@@ -22,12 +22,12 @@ def main() -> None:
 def _compare(problem: Problem) -> dict[str, Any]:
     casadi: Any = importlib.import_module("casadi")
 
-    def decide(state: Any, wish: Any) -> Any:
+    def decide(state: Any, nominal: Any) -> Any:
         h, p = problem.gradient(state)
         nearest = int(np.argmin(h))
         program = casadi.Opti()
         action = program.variable(2)
-        change = action - wish
+        change = action - nominal
         program.minimize(problem.weights[0] * change[0] ** 2 + problem.weights[1] * change[1] ** 2)
         moved = problem.f(state) + casadi.mtimes(casadi.DM(problem.g(state)), action)
         gain = problem.period * casadi.dot(p[nearest], moved)

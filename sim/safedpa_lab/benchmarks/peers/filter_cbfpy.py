@@ -26,8 +26,8 @@ def _compare(problem: Problem) -> dict[str, Any]:
         backend = problem.question["backend"]
         cbf = cbfpy.CBF.from_config(_config(problem, backend))
 
-        def decide(state: Any, wish: Any) -> Any:
-            return np.asarray(cbf.safety_filter(state, wish))
+        def decide(state: Any, nominal: Any) -> Any:
+            return np.asarray(cbf.safety_filter(state, nominal))
 
         return compared(problem, decide, version=importlib.import_module("importlib.metadata").version("cbfpy"))
 

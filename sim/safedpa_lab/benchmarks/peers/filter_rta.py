@@ -16,15 +16,15 @@ __all__ = ["main"]
 
 def main() -> None:
     """Answers with its quadprog filter."""
-    warnings.simplefilter("ignore")  # it warns where it finds no solution, and hands the wish on
+    warnings.simplefilter("ignore")  # it warns where it finds no solution, and hands the nominal action on
     answered(_compare)
 
 
 def _compare(problem: Problem) -> dict[str, Any]:
     module = _module(problem)
 
-    def decide(state: Any, wish: Any) -> Any:
-        return module.filter_control(state, problem.period, wish)
+    def decide(state: Any, nominal: Any) -> Any:
+        return module.filter_control(state, problem.period, nominal)
 
     version = importlib.import_module("importlib.metadata").version("run-time-assurance")
     return compared(problem, decide, version=version)

@@ -3,7 +3,7 @@
     x = (x, y, yaw, speed),  u = (target speed, steer)
     x' = (v cos yaw, v sin yaw, v / wheelbase steer, gain (target - v)) = f(x) + g(x) u
     h_i(x) as ``ObstacleBarrier``: distance of obstacle i to the body, which is stretched by its stopping distance
-    minimise (u - wish)' W (u - wish) + rho |s|^2   over u within the limits and s >= 0
+    minimise (u - nominal)' W (u - nominal) + rho |s|^2   over u within the limits and s >= 0
     subject to dt p_i'(f + g u) + s_i >= -eta h_i + epsilon,   p_i the gradient of h_i
 
 Steering is linear here, and nothing saturates: every program that is compared can state it.
@@ -28,11 +28,11 @@ FloatArray = NDArray[np.float64]  # a peer runs where safedpa is not installed
 
 
 class Problem:
-    """One scene with the states and wishes to decide about."""
+    """One scene with the states and nominal actions to decide about."""
 
     def __init__(self, question: Mapping[str, Any]) -> None:
         self.question = question
-        self.states, self.wishes = np.array(question["states"]), np.array(question["wishes"])
+        self.states, self.nominal_actions = np.array(question["states"]), np.array(question["nominal_actions"])
         self.obstacles = np.array(question["obstacles"]).reshape(-1, 3)
         self.rear, self.front, radius = question["footprint"]
         self.reach = self.obstacles[:, 2] + radius + question["clearance"]
@@ -94,11 +94,11 @@ class Problem:
 
 
 def compared(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray], **told: Any) -> dict[str, Any]:
-    """Times of ``decide(state, wish)``, and its actions; with no calls asked for, what it does in words."""
+    """Times of ``decide(state, nominal action)``, and its actions; with no calls asked for, what it does in words."""
     question = problem.question
     if question["calls"] == 0:
         return {"says": _said(problem, decide), **told}
-    pairs = list(zip(problem.states, problem.wishes, strict=True))
+    pairs = list(zip(problem.states, problem.nominal_actions, strict=True))
     times = timed(lambda pair: decide(*pair), pairs, question["calls"], question["seconds"])
     actions = [np.asarray(decide(*pair), dtype=np.float64).tolist() for pair in pairs]
     return {**times, "actions": actions, **told}
@@ -112,9 +112,9 @@ def answered(compare: Callable[[Problem], dict[str, Any]]) -> None:
 
 def _said(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray]) -> str:
     """In words, for the first state."""
-    state, wish = problem.states[0], problem.wishes[0]
+    state, nominal = problem.states[0], problem.nominal_actions[0]
     try:
-        action = np.asarray(decide(state, wish), dtype=np.float64)
+        action = np.asarray(decide(state, nominal), dtype=np.float64)
     except Exception as error:  # noqa: BLE001 - whatever a peer raises is its answer
         return f"raises {type(error).__name__}"
     shown = ", ".join(f"{value:.3g}" for value in action)
@@ -122,6 +122,6 @@ def _said(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArra
         return f"returns ({shown}) and says nothing"
     tolerance = 1e-3 * (problem.high - problem.low)
     outside = (action < problem.low - tolerance).any() or (action > problem.high + tolerance).any()
-    same = np.abs(action - wish).max() < 1e-3
-    what = "beyond the limits" if outside else "the unsafe wish" if same else "within the limits"
+    same = np.abs(action - nominal).max() < 1e-3
+    what = "beyond the limits" if outside else "the unsafe nominal action" if same else "within the limits"
     return f"returns ({shown}), {what}, and says nothing"

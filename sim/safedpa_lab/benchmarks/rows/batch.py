@@ -9,7 +9,7 @@ import numpy as np
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.adaptation.histories import BatchHistoryEstimator
-from safedpa.bus import ACTION, LATENT, WISH, ActionMessage
+from safedpa.bus import ACTION, LATENT, NOMINAL, ActionMessage
 from safedpa.dynamics import LearnedBase, load_model
 from safedpa.policy import LearnedPolicy, PolicyNode
 from safedpa.robots.car.barriers.batch import barriers_of_cars
@@ -122,7 +122,7 @@ class _OneByOne:
                 node.welcome(robot, None)
         inputs: dict[Any, Any] = {LATENT: adaptation.step(robot, state, {})[LATENT]}
         safety.prepare(robot, state)
-        inputs[WISH] = policy.step(robot, state, inputs)[WISH]
+        inputs[NOMINAL] = policy.step(robot, state, inputs)[NOMINAL]
         action = safety.step(robot, state, inputs)[ACTION]
         for node in self._nodes:
             node.afterwards(robot)
@@ -155,6 +155,6 @@ class _Together:
         state, applied, goal, obstacles, field, footprint = gathered
         self._histories.acted(applied)
         latent = self._histories.see(state)
-        wish = self._policy.act(observe(state, applied, goal, obstacles, field, footprint, latent))
+        nominal = self._policy.act(observe(state, applied, goal, obstacles, field, footprint, latent))
         barriers = barriers_of_cars(self._filter.settings, obstacles, footprint, field)
-        return self._filter.decide(state, wish, latent, barriers=barriers).action
+        return self._filter.decide(state, nominal, latent, barriers=barriers).action

@@ -30,7 +30,7 @@ def measure(effort: Effort) -> Row:
     notes = (
         "an outcome: model and barriers at one action, and what its conditions miss; a decision needs six on average",
         "the conditions linearised: slopes of model and barriers, and rows of the program; the program is posed twice",
-        "the search: program, outcomes and slopes until all conditions are kept; then back towards the wish",
+        "the search: program, outcomes and slopes until all conditions are kept; then back towards the nominal action",
         "parts are asked one by one from Python, whose calls they pay: their sum is more than the whole",
     )
     return Row(
@@ -42,26 +42,26 @@ def parts(problem: FilterProblem, model: PhysicsModel) -> dict[str, Asked]:
     """The parts by name, each with what it is asked about: state by state, so that nothing is remembered."""
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     tools, rounds = one.tools, problem.settings.relinearisations + 1
-    wish = tuple(problem.requests(model)[0][1].tolist())
+    nominal = tuple(problem.requests(model)[0][1].tolist())
     requests = [FilterInput(*asked, None, barriers, {}, ()) for asked in problem.requests(model)]
     decisions = [Decision(tools, request) for request in requests]
     posed = [decision._posed() for decision in decisions]
-    about = [(conditions, conditions.outcome(wish)) for conditions in posed]
-    rows = [conditions.linearised(one).at(one.residual, wish, 0.0) for conditions, one in about]
-    found = [search(conditions, tools.program, wish, one, rounds)[0] for conditions, one in about]
+    about = [(conditions, conditions.outcome(nominal)) for conditions in posed]
+    rows = [conditions.linearised(one).at(one.residual, nominal, 0.0) for conditions, one in about]
+    found = [search(conditions, tools.program, nominal, one, rounds)[0] for conditions, one in about]
     asked: dict[str, tuple[Callable[[Any], Any], Any]] = {
         WHOLE: decided(problem, model),
         "inputs": (lambda request: Decision(tools, request), requests),
         "the conditions at the state": (lambda decision: decision._posed(), decisions),
-        "an outcome": (lambda conditions: conditions.outcome(wish), posed),
+        "an outcome": (lambda conditions: conditions.outcome(nominal), posed),
         "the conditions linearised": (
-            lambda pair: pair[0].linearised(pair[1]).at(pair[1].residual, wish, 0.0),
+            lambda pair: pair[0].linearised(pair[1]).at(pair[1].residual, nominal, 0.0),
             about,
         ),
-        "the program": (lambda pair: tools.program.solve(pair[0], pair[1], wish), rows),
-        "the search": (lambda pair: search(pair[0], tools.program, wish, pair[1], rounds), about),
-        "back towards the wish": (
-            lambda pair: backtrack_towards(pair[0], tools.program.sides, wish, pair[1]),
+        "the program": (lambda pair: tools.program.solve(pair[0], pair[1], nominal), rows),
+        "the search": (lambda pair: search(pair[0], tools.program, nominal, pair[1], rounds), about),
+        "back towards the nominal action": (
+            lambda pair: backtrack_towards(pair[0], tools.program.sides, nominal, pair[1]),
             list(zip(posed, found, strict=True)),
         ),
         "the verdict": (

@@ -58,7 +58,7 @@ def measure(effort: Effort) -> Row:
     notes += tuple(f"there {name} {words}" for name, words in hopeless.items())
     growing = [peer[:4] for peer in _PEERS if peer[0] in _GROWING and (not effort.quick or peer[0] in _QUICK)]
     curves = (over_obstacles(growing, effort), over_effects(problems[8], effort))
-    work = "one decision of the safety filter that has to change the wish: model, barriers, QP, verdict"
+    work = "one decision of the safety filter that has to change the nominal action: model, barriers, QP, verdict"
     own, notes = (*ours, source), (*notes, *without_target)
     return Row("filter", work, "p50", own, tuple(peers), tuple(targets), curves, notes=notes)
 
@@ -73,7 +73,7 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
         found.append(microseconds(f"safedpa, {what}", all_ticks, _EVERY, "all ticks: also those that need no program"))
     note = "no decision can do without"
     found += [microseconds(f"safedpa, {name}", times[name], f"{named}, floor", note) for name in FLOORS]
-    note = "no search, no way back towards the wish, its action is not checked: how fast this design could be"
+    note = "no search, no way back towards the nominal action, its action is not checked: how fast this design could be"
     return [
         *found,
         *(

@@ -33,7 +33,7 @@ _HALF: Final = 4.0
 _PILLARS: Final = ((1.5, 1.2, 0.3), (-1.4, 1.6, 0.25), (-1.2, -1.5, 0.35), (1.8, -1.6, 0.2))
 _RADIUS: Final = 0.05
 """m of a point."""
-_WISH: Final = (1.6, 0.1)
+_NOMINAL: Final = (1.6, 0.1)
 _STATES: Final = 48
 _FOOTPRINT: Final = (0.08, 0.4, 0.12)
 
@@ -95,7 +95,7 @@ def _sensed(places: FloatArray) -> tuple[Callable[[Any], Any], list[tuple[StateM
         state, seen = asked
         barriers = scene.around(state, seen, epsilon)
         assert not isinstance(barriers, str), barriers
-        return one.decide(state.values, _WISH, model.latent, barriers=barriers, epsilon=epsilon)
+        return one.decide(state.values, _NOMINAL, model.latent, barriers=barriers, epsilon=epsilon)
 
     draw, found = np.random.default_rng([7, 256]), list[tuple[StateMessage, SurroundingsMessage]]()
     while len(found) < _STATES:
@@ -140,7 +140,7 @@ def _told() -> tuple[Callable[[Any], Any], list[StateMessage]]:
     def decided(state: StateMessage) -> Any:
         barriers = scene.of(state)
         assert not isinstance(barriers, str), barriers
-        return one.decide(state.values, _WISH, model.latent, barriers=barriers, epsilon=epsilon)
+        return one.decide(state.values, _NOMINAL, model.latent, barriers=barriers, epsilon=epsilon)
 
     states = enumerate(problem.states.tolist())
     return decided, [car_message(tick, problem.obstacles, tuple(values)) for tick, values in states]
@@ -155,5 +155,5 @@ def _alone(places: FloatArray) -> tuple[Callable[[Any], Any], list[tuple[Any, An
     for state, seen in _sensed(places)[1]:
         barriers = scene.around(state, seen, margins)
         assert not isinstance(barriers, str), barriers
-        posed.append(first_program(one, barriers, state.values, _WISH, latent, margins))
-    return lambda rows: solve(rows[0], rows[1], _WISH), posed
+        posed.append(first_program(one, barriers, state.values, _NOMINAL, latent, margins))
+    return lambda rows: solve(rows[0], rows[1], _NOMINAL), posed

@@ -19,7 +19,9 @@ __all__ = ["command"]
 @click.option("--only", multiple=True, metavar="NAME", help="this attack alone; may be repeated")
 @click.option("--small", is_flag=True, help="small sizes: seconds instead of minutes")
 @click.option("--list", "listed", is_flag=True, help="print the attacks and run none")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="draws problems, states, wishes")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="draws problems, states, nominal actions"
+)
 @click.option("--workers", type=int, default=2, show_default=True, help="processes")
 @click.option(
     "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
@@ -35,7 +37,7 @@ __all__ = ["command"]
 def command(**options: Any) -> None:
     """Attacks on the safety filter, judged by what shares no code with it.
 
-    Random programs in all units, small systems under hostile wishes, the car against a grid of actions, whole drives,
+    Random programs in all units, small systems under hostile nominal actions, the car against a grid of actions, whole drives,
     bad inputs, and other projects' filters on the same problems. Peers that are not installed are named as missing.
     Whatever is found is counted, beside what was asked; the exit code is 0 all the same.
     """

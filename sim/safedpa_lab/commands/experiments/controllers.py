@@ -26,7 +26,7 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("sim")
 def command(**options: Any) -> None:
-    """Goals reached, collisions and milliseconds a wish.
+    """Goals reached, collisions and milliseconds a nominal action.
 
     Random scenes with every load, through the real filter, for each controller.
     """

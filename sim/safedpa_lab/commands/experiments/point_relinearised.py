@@ -39,7 +39,7 @@ def command(
 ) -> None:
     """The point robot behind filters whose networks are not affine in the action, and behind affine ones.
 
-    Free networks H(x, z, a) are relinearised by their own slope about the wish, or about the filter's own action; with
+    Free networks H(x, z, a) are relinearised by their own slope about the nominal action, or about the filter's own action; with
     the clean thrust, and with the benchmark's, which saturates. Every filter is told z = mu(e) of the true wind.
     """
     from safedpa_lab.experiments.kept_drives import driven

@@ -18,8 +18,8 @@ from safedpa_lab.experiments.adversary.bad_values import CLOCKS, FUNCTIONS, MARG
 __all__ = ["BadInputs", "Treated", "cases", "treated", "two_threads"]
 
 _STATE: Final = [0.5, 0.8]
-"""Here the wish of 1 is unsafe, so that nothing may be passed."""
-_WISH: Final = [1.0]
+"""Here the nominal action of 1 is unsafe, so that nothing may be passed."""
+_NOMINAL: Final = [1.0]
 _DECISIONS: Final = 20_000
 """Of each of two threads."""
 
@@ -60,19 +60,19 @@ def cases() -> dict[str, tuple[Callable[[], Verdict], bool]]:
         for name, (value, strict) in values.items():
             found[f"{kind}: {name}"] = partial(ask, value), strict
 
-    add("state", vectors(_STATE), lambda value: _safe().decide(value, wish=_WISH))
-    add("wish", vectors(_WISH), lambda value: _safe().decide(_STATE, wish=value))
-    add("margin", MARGINS, lambda value: _safe().decide(_STATE, wish=_WISH, epsilon=value))
-    add("stale", STALE, lambda value: _safe().decide(_STATE, wish=_WISH, stale=value))
+    add("state", vectors(_STATE), lambda value: _safe().decide(value, nominal=_NOMINAL))
+    add("nominal", vectors(_NOMINAL), lambda value: _safe().decide(_STATE, nominal=value))
+    add("margin", MARGINS, lambda value: _safe().decide(_STATE, nominal=_NOMINAL, epsilon=value))
+    add("stale", STALE, lambda value: _safe().decide(_STATE, nominal=_NOMINAL, stale=value))
     functions = {name: (function, True) for name, function in FUNCTIONS.items()}
     add("h", functions, lambda value: _ask(_safe(barriers=[FunctionBarrier(value)])))
     add("one of two h", functions, lambda value: _ask(_safe(barriers=[FunctionBarrier(_h), FunctionBarrier(value)])))
     add("model", functions, lambda value: _ask(_safe(affine=value)))
     add("gradient", functions, lambda value: _ask(_safe(barriers=[FunctionBarrier(_h, value)])))
     harmless = {name: (function, False) for name, function in FUNCTIONS.items()}
-    add("backup", harmless, lambda value: _safe(backup=value).decide([float("nan")] * 2, wish=_WISH))
+    add("backup", harmless, lambda value: _safe(backup=value).decide([float("nan")] * 2, nominal=_NOMINAL))
     add("clock", {name: (clock, False) for name, clock in CLOCKS.items()}, lambda value: _ask(_safe(clock=value)))
-    add("barriers", _SCENES, lambda value: _safe().decide(_STATE, wish=_WISH, barriers=value))
+    add("barriers", _SCENES, lambda value: _safe().decide(_STATE, nominal=_NOMINAL, barriers=value))
     add("writes", _WRITERS, lambda value: _ask(_safe(**value)))
     return found
 
@@ -99,7 +99,7 @@ class BadInputs(AbstractAttack):
         rows = [
             Row("decisions that raised", len(raised), len(found), most=0),
             Row("actions out of bounds", len(outside), len(found), most=0),
-            Row("an unsafe wish passed", len(passed), len(found), most=0),
+            Row("an unsafe nominal action passed", len(passed), len(found), most=0),
             Row("bad values believed", len(believed), len(found), most=0),
             Row("refused when the filter was built", sum(i.status.startswith("refused") for i in found), len(found)),
             Row("two threads: answers with the other's barriers", mixed, count, most=0),
@@ -128,14 +128,14 @@ def two_threads(decisions: int) -> tuple[int, int, int]:
     """Answers with the other thread's barriers, answers refused, and all: one filter, two scenes, twice so many."""
     safe, near = _safe(), [FunctionBarrier(_h)]
     far = [FunctionBarrier(lambda x: 100.0 + _h(x))]
-    expected = {id(scene): safe.decide(_STATE, wish=_WISH, barriers=scene) for scene in (near, far)}
+    expected = {id(scene): safe.decide(_STATE, nominal=_NOMINAL, barriers=scene) for scene in (near, far)}
     mixed, refused = [0, 0], [0, 0]
 
     def work(index: int, scene: list[FunctionBarrier]) -> None:
         wanted = expected[id(scene)]
         for _ in range(decisions):
             try:
-                verdict = safe.decide(_STATE, wish=_WISH, barriers=scene)
+                verdict = safe.decide(_STATE, nominal=_NOMINAL, barriers=scene)
             except Exception:  # noqa: BLE001 - to be told so is one of two good answers
                 refused[index] += 1
                 continue
@@ -177,7 +177,7 @@ def _safe(
 
 
 def _ask(safe: SafetyFilter) -> Verdict:
-    return safe.decide(_STATE, wish=_WISH)
+    return safe.decide(_STATE, nominal=_NOMINAL)
 
 
 def _writing(x: Any) -> Any:

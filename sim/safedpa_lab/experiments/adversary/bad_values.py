@@ -1,4 +1,4 @@
-"""Values that no filter should be given: for states and wishes, for margins, and functions that misbehave."""
+"""Values that no filter should be given: for states and nominal actions, for margins, and functions that misbehave."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class BentAnswer:
     missed: bool = False
     """Not passed or corrected, though a point of the grid keeps all conditions with room."""
     excess: float | None = None
-    """Distance from the wish beyond the grid's nearest, in ranges."""
+    """Distance from the nominal action beyond the grid's nearest, in ranges."""
     shortfall: float | None = None
     needless: bool = False
 
@@ -110,7 +110,7 @@ def _grid(actions: int) -> FloatArray:
 
 
 def _far(problem: BentProblem, actions: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * np.linalg.norm(actions - problem.wish, axis=1))
+    return np.asarray(0.5 * np.linalg.norm(actions - problem.nominal, axis=1))
 
 
 def _rows(shape: str, items: Sequence[BentAnswer]) -> list[Row]:

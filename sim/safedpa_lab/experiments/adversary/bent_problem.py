@@ -30,7 +30,7 @@ class BentProblem:
     """(n, 2) of actions (n, actions) between -1 and 1."""
     h: Callable[[FloatArray], FloatArray]
     actions: int
-    wish: FloatArray
+    nominal: FloatArray
     """(actions,) of -1 to 1, or beyond."""
     eta: float
     epsilon: float
@@ -55,7 +55,7 @@ class BentProblem:
 
     def decide(self) -> Any:
         """What the library's filter says."""
-        return self.filter().decide(self.state, wish=self.wish * self.units[1])
+        return self.filter().decide(self.state, nominal=self.nominal * self.units[1])
 
     def _step(self, state: Any, action: Any) -> Any:
         del state

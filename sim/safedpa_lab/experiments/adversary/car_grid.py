@@ -42,7 +42,7 @@ class _Answer:
 
 @final
 class CarGrid(AbstractAttack):
-    """Which feasible actions of the grid are missed, and which of them are nearer to the wish."""
+    """Which feasible actions of the grid are missed, and which of them are nearer to the nominal action."""
 
     name = "car"
     sentence = "the car in random states among obstacles, against a grid of 27 x 35 actions"
@@ -91,11 +91,11 @@ def odd_question(seed: int, number: int) -> CarQuestion:
         obstacles = np.column_stack([random.uniform(-4.0, 4.0, (60, 2)), random.uniform(0.0, 0.2, 60)])
     else:
         obstacles, state = obstacles * (1.0, 1.0, 0.0), state * (1.0, 1.0, 1.0, 0.0)
-    return CarQuestion(state, question.wish, obstacles)
+    return CarQuestion(state, question.nominal, obstacles)
 
 
 def car_question(seed: int, number: int) -> CarQuestion:
-    """A state with every h >= 0, one in eight anywhere; one to eight obstacles, most of them near; any wish."""
+    """A state with every h >= 0, one in eight anywhere; one to eight obstacles, most of them near; any nominal action."""
     settings, random = settings_named("car"), np.random.default_rng([seed, 3, number])
     while True:
         place = random.uniform(-3.5, 3.5, 2)
@@ -104,8 +104,8 @@ def car_question(seed: int, number: int) -> CarQuestion:
         bearing, away = random.uniform(-np.pi, np.pi, count), random.uniform(0.25, 1.2, count)
         centres = place[:, None] + away * np.stack([np.cos(bearing), np.sin(bearing)])
         obstacles = np.vstack([centres, random.uniform(0.1, 0.35, count)]).T
-        wish = random.uniform(settings.action_low, settings.action_high)
-        question = CarQuestion(state, wish, obstacles)
+        nominal = random.uniform(settings.action_low, settings.action_high)
+        question = CarQuestion(state, nominal, obstacles)
         if number % 8 == 0 or CarJudge(load_model("car"), settings, question).now.min() >= 0.0:
             return question
 
@@ -114,7 +114,7 @@ def _answered(
     safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings, question: CarQuestion, number: int
 ) -> _Answer:
     barriers = car_barriers(settings, FOOTPRINT, question.obstacles, FIELD)
-    verdict = safe.decide(question.state, question.wish, model.latent, barriers=barriers)
+    verdict = safe.decide(question.state, question.nominal, model.latent, barriers=barriers)
     judge, status = CarJudge(model, settings, question), verdict.status.value
     own = judge.heights(verdict.action[None])[0]
     kept = status in ("passed", "corrected")

@@ -25,10 +25,10 @@ _GRID: Final = (27, 35)
 @final
 @dataclass(frozen=True, eq=False)
 class CarQuestion:
-    """State (4,), wish (2,) and obstacles (m, 3)."""
+    """State (4,), nominal action (2,) and obstacles (m, 3)."""
 
     state: FloatArray
-    wish: FloatArray
+    nominal: FloatArray
     obstacles: FloatArray
 
 
@@ -65,9 +65,9 @@ class CarJudge:
         return self._h(np.asarray(self._model.step(states, actions, self._model.latent)))
 
     def distance(self, actions: FloatArray) -> FloatArray:
-        """(n,) sqrt(sum weight_j ((a_j - wish_j) / range_j)^2)."""
+        """(n,) sqrt(sum weight_j ((a_j - nominal_j) / range_j)^2)."""
         weights = np.array(self._settings.weights or (1.0, 1.0))
-        share = (actions - self._question.wish) / (self.high - self.low)
+        share = (actions - self._question.nominal) / (self.high - self.low)
         return np.asarray(np.sqrt((weights * share**2).sum(axis=1)))
 
     def _h(self, states: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.hostile import (
     HostileNode,
-    Wisher,
+    NominalPolicy,
     at_nearest,
     falling,
     rocking,
@@ -101,22 +101,26 @@ def _rows(kind: str, driven: Sequence[Driven]) -> list[Row]:
     ]
 
 
-def _car(wisher: Wisher, killed: bool = False) -> Callable[[str, str, int, float], Driven]:
+def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Callable[[str, str, int, float], Driven]:
     def run(kind: str, load: str, seed: int, seconds: float) -> Driven:
         robot = CarRobot(Scene.random(seed, load), _PERIOD)
         ticks = round(seconds / _PERIOD)
-        told = _legs(robot, wisher, seed, ticks) if killed else drive(robot, _nodes("car", wisher, seed), ticks)
+        told = (
+            _legs(robot, nominal_policy, seed, ticks)
+            if killed
+            else drive(robot, _nodes("car", nominal_policy, seed), ticks)
+        )
         return _driven(kind, load, seed, robot, told)
 
     return run
 
 
-def _legs(robot: CarRobot, wisher: Wisher, seed: int, ticks: int) -> Iterator[Tick]:
+def _legs(robot: CarRobot, nominal_policy: NominalPolicy, seed: int, ticks: int) -> Iterator[Tick]:
     """All processes are killed again and again, and begin anew with nothing remembered; the watchdog brakes between."""
     random, left = np.random.default_rng([seed, 6]), ticks
     while left > 0:
         leg = min(left, int(random.integers(5, 60)))
-        yield from drive(robot, _nodes("car", wisher, seed), leg)
+        yield from drive(robot, _nodes("car", nominal_policy, seed), leg)
         for _ in range(int(random.integers(1, 20))):
             robot.advance()
         left -= leg
@@ -148,11 +152,11 @@ def _pendulum(kind: str, load: str, seed: int, seconds: float) -> Driven:
     return _driven(kind, load, seed, robot, drive(robot, _nodes("pendulum", falling, seed), ticks))
 
 
-def _nodes(name: str, wisher: Wisher, seed: int) -> list[AbstractNode]:
+def _nodes(name: str, nominal_policy: NominalPolicy, seed: int) -> list[AbstractNode]:
     model = load_model(name)
     return [
         AdaptationNode(model),
-        HostileNode(wisher, seed),
+        HostileNode(nominal_policy, seed),
         SafetyFilterNode(model, settings_named(name), margin_for(model)),
     ]
 

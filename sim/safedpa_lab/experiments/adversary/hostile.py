@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 
-__all__ = ["HostileNode", "Wisher", "at_nearest", "falling", "rocking", "thrusting"]
+__all__ = ["HostileNode", "NominalPolicy", "at_nearest", "falling", "rocking", "thrusting"]
 
-Wisher = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]
+NominalPolicy = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]
 
 _SPEED: Final = (-0.6, 2.0)
 _STEER: Final = 0.34
@@ -28,28 +28,28 @@ _LEG: Final = 1.0
 @final
 @dataclass
 class HostileNode(AbstractNode):
-    """Wishes what ``wisher(state, random)`` says, in every tick."""
+    """Publishes ``nominal_policy(state, random)`` in every tick."""
 
-    wisher: Wisher
+    nominal_policy: NominalPolicy
     seed: int
     name: ClassVar[str] = "policy"
     inputs: ClassVar[tuple[Any, ...]] = ()
-    outputs: ClassVar[tuple[Any, ...]] = (WISH,)
+    outputs: ClassVar[tuple[Any, ...]] = (NOMINAL,)
     share: ClassVar[float] = 0.2
     lingers: ClassVar[bool] = False
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del robot, inputs
         random = np.random.default_rng([self.seed, 5, int(state.robot_time / _LEG)])
-        message = WishMessage(
+        message = NominalMessage(
             epoch=state.epoch,
             tick=state.tick,
             robot_time=state.robot_time,
             publish_time=time.time(),
-            values=self.wisher(state, random),
+            values=self.nominal_policy(state, random),
             controller="adversary",
         )
-        return {WISH: message}
+        return {NOMINAL: message}
 
 
 def at_nearest(state: StateMessage, random: np.random.Generator) -> tuple[float, ...]:

@@ -38,7 +38,7 @@ _WAYS: tuple[tuple[str, dict[str, object]], ...] = (
 @final
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """The reference's nearest action that keeps all conditions, and its distance from the wish in weighted ranges."""
+    """The reference's nearest action that keeps all conditions, and its distance from the nominal action in weighted ranges."""
 
     action: FloatArray
     distance: float
@@ -94,9 +94,9 @@ class LinearJudge:
         return np.asarray((self.problem.heights(self.problem.after(action)) - self.required) / self.scale)
 
     def distance(self, action: FloatArray) -> float:
-        """sqrt(sum weight_j ((a_j - wish_j) / range_j)^2), the largest weight being 1."""
+        """sqrt(sum weight_j ((a_j - nominal_j) / range_j)^2), the largest weight being 1."""
         weights = self.problem.weights / self.problem.weights.max()
-        return float(np.sqrt(np.sum(weights * ((action - self.problem.wish) / self.width) ** 2)))
+        return float(np.sqrt(np.sum(weights * ((action - self.problem.nominal) / self.width) ** 2)))
 
     def best_least_height(self) -> tuple[float, FloatArray]:
         """The largest attainable least scaled h of the rows that actions move, and an action that attains it."""
@@ -107,14 +107,14 @@ class LinearJudge:
         return self._most(self._slope, -self._limit, self.residuals)
 
     def nearest(self) -> Nearest | None:
-        """The action nearest to the wish that keeps all conditions; None where the reference finds none.
+        """The action nearest to the nominal action that keeps all conditions; None where the reference finds none.
 
         Least-distance programming: min |y| subject to G y >= b is the residual of a non-negative least-squares problem.
         Source: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23.
         """
         problem = self.problem
         stretch = self.width / np.sqrt(problem.weights)
-        middle = (problem.wish - problem.low) / self.width
+        middle = (problem.nominal - problem.low) / self.width
         eye = np.eye(len(middle))
         moved = self._moved
         if (self._limit[~moved] > _KEPT).any():
@@ -125,7 +125,7 @@ class LinearJudge:
         found = _least_distance(G / size[:, None], b / size)
         if found is None:
             return None
-        action = np.clip(problem.wish + stretch * found, problem.low, problem.high)
+        action = np.clip(problem.nominal + stretch * found, problem.low, problem.high)
         if self.broken(action) > _KEPT:
             return None
         return Nearest(action, self.distance(action))

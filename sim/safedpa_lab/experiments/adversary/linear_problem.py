@@ -16,7 +16,7 @@ __all__ = ["LinearProblem"]
 @final
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
-    """x+ = f + g a and h = P x + q at one state, with a wish: what a filter is asked about, once.
+    """x+ = f + g a and h = P x + q at one state, with a nominal action: what a filter is asked about, once.
 
     f and state (states,), g (states, actions), P (rows, states), q and epsilon (rows,), the rest (actions,).
     """
@@ -30,7 +30,7 @@ class LinearProblem:
     q: FloatArray
     low: FloatArray
     high: FloatArray
-    wish: FloatArray
+    nominal: FloatArray
     weights: FloatArray
     eta: float
     epsilon: FloatArray
@@ -68,7 +68,7 @@ class LinearProblem:
 
     def decide(self) -> Verdict:
         """What the library's filter says."""
-        return self.filter().decide(self.state, wish=self.wish)
+        return self.filter().decide(self.state, nominal=self.nominal)
 
     def scaled(self, heights: FloatArray, states: FloatArray, actions: FloatArray) -> LinearProblem:
         """The same problem in other units: h_i times heights_i, x_j times states_j, a_k times actions_k."""
@@ -82,7 +82,7 @@ class LinearProblem:
             epsilon=self.epsilon * heights,
             low=self.low * actions,
             high=self.high * actions,
-            wish=self.wish * actions,
+            nominal=self.nominal * actions,
             witness=None if self.witness is None else self.witness * actions,
         )
 

@@ -58,7 +58,7 @@ def _plain(random: Random) -> LinearProblem:
         q=now - P @ state,
         low=low,
         high=low + width,
-        wish=low + width * random.uniform(-0.5, 1.5, actions),
+        nominal=low + width * random.uniform(-0.5, 1.5, actions),
         weights=np.ones(actions),
         eta=float(random.uniform(0.05, 1.0)),
         epsilon=random.choice([0.0, 0.01, 0.1], rows),
@@ -103,7 +103,7 @@ def _with_actions(random: Random, actions: int) -> LinearProblem:
         q=nothing,
         low=-np.ones(actions),
         high=np.ones(actions),
-        wish=random.integers(-2, 3, actions) / 2.0,
+        nominal=random.integers(-2, 3, actions) / 2.0,
         weights=np.ones(actions),
         eta=0.25,
         epsilon=nothing,
@@ -187,11 +187,11 @@ def _whole(random: Random) -> LinearProblem:
 
 
 def _costly(random: Random) -> LinearProblem:
-    """Weights from 1e-6 to 1e6, and a wish up to nine ranges away."""
+    """Weights from 1e-6 to 1e6, and a nominal action up to nine ranges away."""
     problem = _plain(random)
     actions = len(problem.low)
-    wish = problem.low + (problem.high - problem.low) * random.uniform(-9.0, 9.0, actions)
-    return replace(problem, weights=_units(random, actions, 6.0), wish=wish)
+    nominal = problem.low + (problem.high - problem.low) * random.uniform(-9.0, 9.0, actions)
+    return replace(problem, weights=_units(random, actions, 6.0), nominal=nominal)
 
 
 def _crowded(random: Random) -> LinearProblem:
@@ -227,7 +227,7 @@ def _wide(random: Random) -> LinearProblem:
         q=now - P @ state,
         low=middle - 1.0,
         high=middle + random.uniform(0.5, 2.0, actions),
-        wish=middle + random.uniform(-1.5, 2.5, actions),
+        nominal=middle + random.uniform(-1.5, 2.5, actions),
         eta=float(random.uniform(0.05, 1.0)),
         epsilon=random.choice([0.0, 0.01], rows),
     )

@@ -16,7 +16,7 @@ __all__ = ["BROKEN", "FAR", "Judged", "judged"]
 BROKEN = 1e-9
 """Share of its scale by which a condition is broken beyond rounding."""
 FAR = 1e-6
-"""Weighted ranges by which a correction is further from the wish than it had to be."""
+"""Weighted ranges by which a correction is further from the nominal action than it had to be."""
 _SIGN = 1e-12
 """Share of its scale within which h has no sign: the filter and the judge add in different orders."""
 
@@ -29,7 +29,7 @@ class Judged:
     status: str
     out_of_bounds: bool
     altered: bool
-    """Passed, but not the wish bit for bit."""
+    """Passed, but not the nominal action bit for bit."""
     broken: float | None
     """Passed or corrected: by how much the worst condition is broken, in its scale; 0 when all are kept."""
     below: bool
@@ -37,7 +37,7 @@ class Judged:
     untold: bool
     """Some h is below 0 now, and the status is not violated; or the other way round."""
     excess: float | None
-    """Corrected: distance from the wish beyond the least, in weighted ranges; None where the reference has none."""
+    """Corrected: distance from the nominal action beyond the least, in weighted ranges; None where the reference has none."""
     missed: bool
     """Relaxed or fallback, though an action keeps every condition with room."""
     shortfall: float | None
@@ -59,7 +59,7 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
     return Judged(
         status=status,
         out_of_bounds=bool((action < problem.low).any() or (action > problem.high).any()),
-        altered=status == "passed" and not np.array_equal(action, problem.wish),
+        altered=status == "passed" and not np.array_equal(action, problem.nominal),
         broken=broken,
         below=kept and (verdict.h_next < 0.0 or judge.lowest(action) < -_SIGN),
         untold=(unsafe_now and status != "violated") or (safe_now and status == "violated"),

@@ -74,7 +74,7 @@ def _row_that_never_binds(problem: LinearProblem, random: Random) -> Mirrored:
 
 def _actions_shuffled(problem: LinearProblem, random: Random) -> Mirrored:
     order = random.permutation(len(problem.low))
-    names = ("low", "high", "wish", "weights")
+    names = ("low", "high", "nominal", "weights")
     parts: dict[str, Any] = {name: getattr(problem, name)[order] for name in names}
     return replace(problem, g=problem.g[:, order], **parts), lambda action: action[np.argsort(order)]
 
@@ -82,7 +82,7 @@ def _actions_shuffled(problem: LinearProblem, random: Random) -> Mirrored:
 def _actions_turned_round(problem: LinearProblem, random: Random) -> Mirrored:
     sign = random.choice([-1.0, 1.0], len(problem.low))
     low, high = np.minimum(sign * problem.low, sign * problem.high), np.maximum(sign * problem.low, sign * problem.high)
-    turned = replace(problem, g=problem.g * sign, low=low, high=high, wish=sign * problem.wish)
+    turned = replace(problem, g=problem.g * sign, low=low, high=high, nominal=sign * problem.nominal)
     return turned, lambda action: sign * action
 
 
@@ -93,7 +93,7 @@ def _actions_counted_from_elsewhere(problem: LinearProblem, random: Random) -> M
         f=problem.f - problem.g @ shift,
         low=problem.low + shift,
         high=problem.high + shift,
-        wish=problem.wish + shift,
+        nominal=problem.nominal + shift,
     )
     return moved, lambda action: action - shift
 
@@ -126,7 +126,7 @@ MIRRORS: Final[Mapping[str, Callable[[LinearProblem, Random], Mirrored]]] = {
 }
 """By name."""
 _WORN: Final = "a filter that answered others before"
-_AGAIN: Final = "its own answer wished"
+_AGAIN: Final = "its own answer requested"
 
 
 @final
@@ -153,7 +153,7 @@ class Mirrors(AbstractAttack):
             boxed = _in_the_unit_box(problem)
             found.append(_beside(_WORN, number, boxed, boxed.decide(), worn.decide(boxed), _as_it_was))
             if answer.status.value == "corrected":
-                again = replace(problem, wish=answer.action.copy()).decide()
+                again = replace(problem, nominal=answer.action.copy()).decide()
                 found.append(_beside(_AGAIN, number, problem, answer, again, _as_it_was))
         return found
 
@@ -193,7 +193,7 @@ class _Worn:
             self._filters[actions] = SafetyFilter(lambda _: self._motion, empty.barriers(), empty.settings())
         margins = {f"row {index}": margin for index, margin in enumerate(problem.epsilon.tolist())}
         return self._filters[actions].decide(
-            problem.state, wish=problem.wish, barriers=problem.barriers(), epsilon=margins
+            problem.state, nominal=problem.nominal, barriers=problem.barriers(), epsilon=margins
         )
 
 
@@ -205,7 +205,7 @@ def _in_the_unit_box(problem: LinearProblem) -> LinearProblem:
         g=problem.g * width,
         low=np.zeros(len(width)),
         high=np.ones(len(width)),
-        wish=np.clip((problem.wish - problem.low) / width, -9.0, 9.0),
+        nominal=np.clip((problem.nominal - problem.low) / width, -9.0, 9.0),
         weights=np.ones(len(width)),
         eta=0.5,
         witness=None,

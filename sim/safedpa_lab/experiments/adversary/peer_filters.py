@@ -1,6 +1,6 @@
 """Other projects' filters on linear problems: run by path, in whichever Python has them; needs nothing of this project.
 
-Standard input holds ``{"peer": name, "eta": eta, "problems": [...]}`` with state, f, g, P, q and wish of each problem,
+Standard input holds ``{"peer": name, "eta": eta, "problems": [...]}`` with state, f, g, P, q and nominal action of each problem,
 all of the same shapes, actions between -1 and 1. For each the answer on standard output is the action (null: none) and
 what was said about it: a warning, an exception, a status; nothing where the action came without a word.
 """
@@ -66,7 +66,7 @@ def _cbfpy(example: Problem, eta: float, backend: str) -> Decide:
 
     bounds = np.ones(parts.actions)
     cbf = cbfpy.CBF.from_config(Linear(n=parts.size, m=parts.actions, u_min=-bounds, u_max=bounds, backend=backend))
-    return lambda problem: (cbf.safety_filter(parts.packed(problem), problem["wish"]), "")
+    return lambda problem: (cbf.safety_filter(parts.packed(problem), problem["nominal"]), "")
 
 
 def _run_time_assurance(example: Problem, eta: float) -> Decide:
@@ -102,23 +102,23 @@ def _run_time_assurance(example: Problem, eta: float) -> Decide:
 
     bounds = np.ones(parts.actions)
     module = Linear(control_dim=parts.actions, control_bounds_low=-bounds, control_bounds_high=bounds)
-    return lambda problem: (module.filter_control(parts.packed(problem), 1.0, problem["wish"]), "")
+    return lambda problem: (module.filter_control(parts.packed(problem), 1.0, problem["nominal"]), "")
 
 
 def _cvxpy(example: Problem, eta: float, solver: str) -> Decide:
     """As it stands in many a tutorial: hard conditions, and whatever the variable holds is the action."""
     cp: Any = importlib.import_module("cvxpy")
-    rows, actions = len(example["q"]), len(example["wish"])
+    rows, actions = len(example["q"]), len(example["nominal"])
     action, A = cp.Variable(actions), cp.Parameter((rows, actions))
-    b, wish = cp.Parameter(rows), cp.Parameter(actions)
+    b, nominal = cp.Parameter(rows), cp.Parameter(actions)
     kept = [A @ action >= b, action >= -1.0, action <= 1.0]
-    program = cp.Problem(cp.Minimize(cp.sum_squares(action - wish)), kept)
+    program = cp.Problem(cp.Minimize(cp.sum_squares(action - nominal)), kept)
 
     def decide(problem: Problem) -> tuple[Any, str]:
         now = problem["P"] @ problem["state"] + problem["q"]
         A.value = problem["P"] @ problem["g"]
         b.value = (1.0 - eta) * now - problem["P"] @ problem["f"] - problem["q"]
-        wish.value = problem["wish"]
+        nominal.value = problem["nominal"]
         program.solve(solver=solver, warm_start=False)
         return action.value, "" if program.status == "optimal" else program.status
 
@@ -129,7 +129,7 @@ class _Parts:
     """Where the parts of a problem lie in one long vector; the state is the first of them."""
 
     def __init__(self, example: Problem) -> None:
-        self.states, self.actions = len(example["state"]), len(example["wish"])
+        self.states, self.actions = len(example["state"]), len(example["nominal"])
         self._shapes = {name: np.shape(example[name]) for name in ("state", "f", "g", "P", "q")}
         self._starts = dict(zip(self._shapes, np.cumsum([0, *map(self._count, self._shapes)]), strict=False))
         self.size = sum(map(self._count, self._shapes))

@@ -111,7 +111,7 @@ def _padded(problem: LinearProblem) -> LinearProblem:
         q=np.pad(problem.q, (0, _ROWS - rows), constant_values=1.0),
         low=-np.ones(_ACTIONS),
         high=np.ones(_ACTIONS),
-        wish=np.clip((problem.wish - middle) / half, -9.0, 9.0),
+        nominal=np.clip((problem.nominal - middle) / half, -9.0, 9.0),
         weights=np.ones(_ACTIONS),
         eta=_ETA,
         epsilon=np.zeros(_ROWS),
@@ -131,7 +131,7 @@ def _asked(who: str, problems: Sequence[LinearProblem], interpreters: Sequence[s
     found = next((python for python in interpreters if _has(python, package)), None)
     if found is None:
         return f"{package} is not installed here"
-    names = ("state", "f", "g", "P", "q", "wish")
+    names = ("state", "f", "g", "P", "q", "nominal")
     asked = [{name: getattr(problem, name).tolist() for name in names} for problem in problems]
     question = json.dumps({"peer": who, "eta": _ETA, "problems": asked})
     script = str(Path(__file__).with_name("peer_filters.py"))

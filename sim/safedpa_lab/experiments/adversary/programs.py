@@ -65,7 +65,7 @@ def _rows(items: Sequence[Judged]) -> list[Row]:
     return [
         Row("raised an exception", sum(item.status.startswith("raised") for item in items), len(items), most=0),
         Row("action out of bounds", sum(item.out_of_bounds for item in items), len(items), most=0),
-        Row("passed, but not the wish", sum(item.altered for item in items), len(items), most=0),
+        Row("passed, but not the nominal action", sum(item.altered for item in items), len(items), most=0),
         Row("passed or corrected, condition broken", sum(b > BROKEN for b in kept), len(kept), most=0),
         Row("largest break, in scales", max(kept, default=0.0), len(kept), most=BROKEN),
         Row("passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),

@@ -47,13 +47,13 @@ class Drive:
 
 
 def drive(units: Units) -> Drive:
-    """The mass on a line is wished towards the wall, 400 steps from rest."""
+    """The mass on a line is requested towards the wall, 400 steps from rest."""
     safe = _filter(units)
     x, v = 0.0, 0.0
     statuses, actions, furthest, worst = [], [], 0.0, 0.0
     for _ in range(_STEPS):
         state = np.array([x * units.position + units.offset, v * units.speed])
-        verdict = safe.decide(state, wish=[units.action])
+        verdict = safe.decide(state, nominal=[units.action])
         statuses.append(verdict.status.value)
         actions.append(float(verdict.action[0]) / units.action)
         worst = max(worst, abs(actions[-1] - _allowed(x, v)))

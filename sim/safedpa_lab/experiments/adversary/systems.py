@@ -1,4 +1,4 @@
-"""Attack: small control systems under hostile wishes, each answer held against a grid of actions."""
+"""Attack: small control systems under hostile nominal actions, each answer held against a grid of actions."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from safedpa_lab.experiments.adversary.looking_systems import (
     late_by_pending_actions,
     thin_disc,
 )
+from safedpa_lab.experiments.adversary.nominal_policies import NOMINAL_POLICIES
 from safedpa_lab.experiments.adversary.plane_systems import chased, corridor, disc_of_degree_two, quadrotor, unicycle
-from safedpa_lab.experiments.adversary.wishes import WISHES
 
 __all__ = ["SYSTEMS", "Systems", "Tally"]
 
@@ -89,7 +89,7 @@ class Systems(AbstractAttack):
     """Least h in truth, and what the grid knows better. The model is exact: whatever goes wrong is the filter's."""
 
     name = "systems"
-    sentence = "nine small systems under hostile wishes, against grids of actions"
+    sentence = "nine small systems under hostile nominal actions, against grids of actions"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
         episodes, steps = _SMALL if small else _FULL
@@ -112,13 +112,13 @@ class Systems(AbstractAttack):
 
 def _episode(system: ControlSystem, random: np.random.Generator, number: int, steps: int) -> Tally:
     """Every other four episodes without a margin; there the rounding of the last digit decides."""
-    kind = tuple(WISHES)[number % len(WISHES)]
-    margin = system.margin if (number // len(WISHES)) % 2 == 0 or kind.startswith("NaN") else 0.0
-    safe, wish, tally = system.filter(margin), WISHES[kind](system, random), Tally(episodes=1)
+    kind = tuple(NOMINAL_POLICIES)[number % len(NOMINAL_POLICIES)]
+    margin = system.margin if (number // len(NOMINAL_POLICIES)) % 2 == 0 or kind.startswith("NaN") else 0.0
+    safe, nominal, tally = system.filter(margin), NOMINAL_POLICIES[kind](system, random), Tally(episodes=1)
     grid, state = _grid(system), _safe_start(system, random)
     for step in range(steps):
-        wanted = wish(state)
-        verdict = safe.decide(state, wish=wanted)
+        wanted = nominal(state)
+        verdict = safe.decide(state, nominal=wanted)
         tally.statuses[verdict.status.value] += 1
         if step % _EVERY[system.barriers is not None] == 0:
             _judge(system, margin, grid, state, wanted, verdict, tally)
@@ -134,7 +134,7 @@ def _judge(
     margin: float,
     grid: FloatArray,
     state: FloatArray,
-    wish: FloatArray,
+    nominal: FloatArray,
     verdict: Verdict,
     tally: Tally,
 ) -> None:
@@ -151,10 +151,10 @@ def _judge(
     feasible = ((h - required) / scale >= _BROKEN).all(axis=1)
     if verdict.status.value == "corrected":
         _kept(own, required, scale, tally)
-        if feasible.any() and np.isfinite(wish).all():
-            tally.excess.append(_far(system, action[None], wish)[0] - _far(system, grid[feasible], wish).min())
+        if feasible.any() and np.isfinite(nominal).all():
+            tally.excess.append(_far(system, action[None], nominal)[0] - _far(system, grid[feasible], nominal).min())
         return
-    if np.isfinite(wish).all():
+    if np.isfinite(nominal).all():
         tally.unkept += 1
         tally.missed += int(feasible.any() and verdict.status.value != "violated")
         tally.needless += int(bool((own / scale < -_BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
@@ -166,9 +166,9 @@ def _kept(own: FloatArray, required: FloatArray, scale: FloatArray, tally: Tally
     tally.below += int(own.min() < -1e-15)
 
 
-def _far(system: ControlSystem, actions: FloatArray, wish: FloatArray) -> FloatArray:
+def _far(system: ControlSystem, actions: FloatArray, nominal: FloatArray) -> FloatArray:
     width = np.array(system.high) - np.array(system.low)
-    return np.asarray(np.sqrt((((actions - wish) / width) ** 2).sum(axis=1)))
+    return np.asarray(np.sqrt((((actions - nominal) / width) ** 2).sum(axis=1)))
 
 
 def _grid(system: ControlSystem) -> FloatArray:

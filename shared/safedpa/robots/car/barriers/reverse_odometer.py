@@ -7,7 +7,7 @@ from math import inf, isfinite
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
-from safedpa.reversing import reversed_way
+from safedpa.reversing import distance_reversed
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 
 __all__ = ["ReverseOdometer"]
@@ -43,10 +43,10 @@ class ReverseOdometer:
         ticks = state.tick - self._tick if state.epoch == self._epoch else inf
         most = state.towed[1] if len(state.towed) == 3 else _MOST
         watched = 0 < ticks * state.period <= _LONGEST_GAP and state.towed == self._towed
-        if state.reversed_way >= 0.0:
-            self.way = min(state.reversed_way, most)
+        if state.distance_reversed >= 0.0:
+            self.way = min(state.distance_reversed, most)
         else:
-            self.way = reversed_way(self.way, self._pose, (x, y), most) if watched else most
+            self.way = distance_reversed(self.way, self._pose, (x, y), most) if watched else most
         self._epoch, self._tick, self._pose, self._towed = state.epoch, state.tick, (x, y, yaw), state.towed
 
     def reach(self, state: StateMessage) -> TrailerEnvelope | None:

@@ -13,12 +13,12 @@ turns round in several moves, always to the same side. Held back again meanwhile
 backwards first with the wheels turned the other way.
 Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 
-The goal seeker of the car, whose wishes the model with the newest latent turns into what brings them about.
+The goal seeker of the car, whose nominal actions the model with the newest latent turns into what brings them about.
 
 With a speed servo it makes up for a towed load: it drives so that the loaded robot behaves as the unloaded one would.
 
 Let v be the entry of the state that an action's entry u steers directly (the speed, for a target speed). The nominal
-model, with the latent at the values of its file, would move it to v+ under the wish u. With the estimated latent z the
+model, with the latent at the values of its file, would move it to v+ under the nominal action u. With the estimated latent z the
 model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same with load, as far as the bounds allow.
 
 Without a servo a speed controller in between asks the model for the throttle.
@@ -109,7 +109,7 @@ class _Mode(Enum):
 
 @dataclass
 class GoalSeeker:
-    """The controller of one robot; ``wish`` is called once per period."""
+    """The controller of one robot; ``nominal`` is called once per period."""
 
     settings: GoalSeekerSettings = field(default_factory=GoalSeekerSettings)
 
@@ -128,7 +128,7 @@ class GoalSeeker:
         """What it is about: seek, make_room, back_off or detour."""
         return self._mode.value
 
-    def wish(self, time: float, state: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, float]:
+    def nominal_action(self, time: float, state: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, float]:
         """(target_speed [m/s], steer [rad]) at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
         x, y, yaw, _ = state
         if goal != self._goal:
@@ -239,7 +239,7 @@ def _wrapped(angle: float) -> float:
 _NUDGE = 1e-3
 """m/s of target speed, for the slope."""
 _WEAKEST = 1e-3
-"""Below this sensitivity d(v+)/du the action has no hold on the speed, and the wish stays as it is."""
+"""Below this sensitivity d(v+)/du the action has no hold on the speed, and the nominal action stays as it is."""
 
 _GAIN: Final = 3.0
 """1/s; of the speed controller."""
@@ -251,7 +251,7 @@ _BOUNDS: Final = (-1.0, 1.0)
 
 @final
 class SpeedCompensation:
-    """Replaces the target speed of a wish by the one that has the wished effect under the latent."""
+    """Replaces the target speed of a nominal action by the one that has the requested effect under the latent."""
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
@@ -260,44 +260,46 @@ class SpeedCompensation:
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
-    def compensated(self, state: FloatArray, wish: FloatArray, latent: FloatArray) -> FloatArray:
-        """The wish (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
-        changed = wish.copy()
-        changed[self._target] = self.target(state.tolist(), wish.tolist(), latent.tolist())
+    def compensated(self, state: FloatArray, nominal: FloatArray, latent: FloatArray) -> FloatArray:
+        """The nominal action (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
+        changed = nominal.copy()
+        changed[self._target] = self.target(state.tolist(), nominal.tolist(), latent.tolist())
         return changed
 
-    def target(self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]) -> float:
+    def target(self, state: Sequence[float], nominal: Sequence[float], latent: Sequence[float]) -> float:
         """The target speed alone, over plain numbers."""
-        loaded, unloaded, hold = self._speeds(state, wish, latent)
-        asked = wish[self._target]
+        loaded, unloaded, hold = self._speeds(state, nominal, latent)
+        asked = nominal[self._target]
         return asked + (unloaded - loaded) / hold if hold > _WEAKEST else asked
 
     def _speeds(
-        self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]
+        self, state: Sequence[float], nominal: Sequence[float], latent: Sequence[float]
     ) -> tuple[float, float, float]:
-        """The speed after the wish with the load and without, and its slope over the target speed with the load.
+        """The speed after the nominal action with the load and without, and its slope over the target speed with the load.
 
         Three steps of the model, which are the same to the last bit on each of its roads: a run repeats itself,
         whenever the straight line of arithmetic is ready.
         """
-        nudged = list(wish)
+        nudged = list(nominal)
         nudged[self._target] += _NUDGE
         step, speed = self.model.straight(self.model.period), self._speed
         if step is not None:
             with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
                 now = self.model.clock.seconds
-                loaded = step(state, wish, latent, now)[speed]
+                loaded = step(state, nominal, latent, now)[speed]
                 beyond = step(state, nudged, latent, now)[speed]
-                return loaded, step(state, wish, self._nominal_entries, now)[speed], (beyond - loaded) / _NUDGE
-        at, wished, further, known = np.array(state), np.array(wish), np.array(nudged), np.array(latent)
-        memory = self.model.initial_memory(wished, known)
-        loaded = self._speed_after(at, wished, memory, known)
+                return loaded, step(state, nominal, self._nominal_entries, now)[speed], (beyond - loaded) / _NUDGE
+        at, nominal_values, further, known = np.array(state), np.array(nominal), np.array(nudged), np.array(latent)
+        memory = self.model.initial_memory(nominal_values, known)
+        loaded = self._speed_after(at, nominal_values, memory, known)
         slope = (self._speed_after(at, further, memory, known) - loaded) / _NUDGE
-        unloaded = self._speed_after(at, wished, self.model.initial_memory(wished, self._nominal), self._nominal)
+        unloaded = self._speed_after(
+            at, nominal_values, self.model.initial_memory(nominal_values, self._nominal), self._nominal
+        )
         return loaded, unloaded, slope
 
-    def _speed_after(self, state: FloatArray, wish: FloatArray, memory: Any, latent: FloatArray) -> float:
-        return float(self.model.advance(state, wish, memory, latent)[0][self._speed])
+    def _speed_after(self, state: FloatArray, nominal: FloatArray, memory: Any, latent: FloatArray) -> float:
+        return float(self.model.advance(state, nominal, memory, latent)[0][self._speed])
 
 
 @final
@@ -309,11 +311,11 @@ class InverseDynamicsGoalSeeker:
         self._settings = settings
         self._seeker = GoalSeeker(settings)
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Target speed [m/s] and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
         if len(state.values) != 4 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
-        values = self._seeker.wish(state.robot_time, state.values, state.goal)
+        values = self._seeker.nominal_action(state.robot_time, state.values, state.goal)
         if latent is not None and self._compensation.model.system.believes(state.values):
             self._compensation.model.clock.seconds = state.robot_time
             speed = self._compensation.target(state.values, values, latent.tolist())
@@ -323,18 +325,18 @@ class InverseDynamicsGoalSeeker:
 
 @final
 class ThrottledGoalSeeker:
-    """The goal seeker; its target speed becomes a wished acceleration clip(3/s (target - speed), +-2 m/s2), and that,
+    """The goal seeker; its target speed becomes a nominal acceleration clip(3/s (target - speed), +-2 m/s2), and that,
     by the model with the newest latent, a throttle.
     """
 
     def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings) -> None:
         self._model, self._seeker = model, GoalSeeker(settings)
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Throttle and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
         if len(state.values) != 4 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
-        target, steer = self._seeker.wish(state.robot_time, state.values, state.goal)
+        target, steer = self._seeker.nominal_action(state.robot_time, state.values, state.goal)
         values, wanted = np.array(state.values), min(max(_GAIN * (target - state.values[3]), -_MOST), _MOST)
         throttle = 0.0
         if self._model.system.is_plausible(values):

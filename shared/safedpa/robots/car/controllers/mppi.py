@@ -10,7 +10,7 @@ A drive costs the way that is left, the room that it lacks and how it steers (``
 Source: Williams et al., Information theoretic MPC, ICRA 2017. Ours: actions as knots, some fixed drives among the drawn
 ones, and only drives that resemble the best one enter the average, since the mean of left and right is straight on.
 What the speed does beyond the prediction is taken to go on (offset-free MPC, Pannocchia and Rawlings, AIChE J. 2003):
-a load that the model misjudges does not keep it trying what fails. Nothing that it wishes is trusted: the safety filter
+a load that the model misjudges does not keep it trying what fails. Nothing that it requests is trusted: the safety filter
 stands behind it as behind every controller.
 """
 
@@ -148,7 +148,7 @@ class DriveCosts:
 
 @final
 class Planner:
-    """The controller of one car; ``wish`` is called once per period. The same seed and states give the same wishes."""
+    """The controller of one car; ``nominal`` is called once per period. The same seed and states give the same nominal actions."""
 
     def __init__(self, model: AbstractDynamics, settings: PlannerSettings | None = None, seed: int = 0) -> None:
         self._model, self.settings = model, settings or _settings_for(model)
@@ -167,7 +167,7 @@ class Planner:
         self._push = 0.0
         self._last: StateMessage | None = None
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Target speed [m/s] and steer [rad] that the plan begins with. Raises MessageError for an odd state."""
         costs = self._scene_costs(state)
         costs.to_go.relax(self.settings.sweeps)
@@ -268,6 +268,6 @@ class Planner:
 
 
 def _settings_for(model: AbstractDynamics) -> PlannerSettings:
-    """Networks cost five times what physics costs: fewer and shorter drives keep the wish in time."""
+    """Networks cost five times what physics costs: fewer and shorter drives keep the nominal action in time."""
     learned = isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase)
     return PlannerSettings(samples=48, steps=12) if learned else PlannerSettings()

@@ -7,9 +7,9 @@ several lengths, and the one with the least
 
     sum of the seconds on the arc, priced + T(its end) + what turning over costs
 
-is wished for. So the car keeps away from corners that hide somebody and from ways out of which it would have to
+is requested. So the car keeps away from corners that hide somebody and from ways out of which it would have to
 reverse: with a load that hides what is behind it the filter lets nobody reverse, and the map knows it. Where it makes
-no headway all the same, the way that it tried counts as closed for a while. Nothing that it wishes is trusted.
+no headway all the same, the way that it tried counts as closed for a while. Nothing that it requests is trusted.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class RouteFollower:
         """What is around the car at the moment of the state that follows; None: nobody knows."""
         self._seen = seen if seen is not None else self._seen
 
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+    def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
         """Target speed [m/s] and steer [rad]. Raises MessageError for an odd state."""
         if len(state.values) != 4 or len(state.goal) != 2 or len(state.footprint) != 3:
             raise MessageError(
@@ -111,8 +111,8 @@ class RouteFollower:
         self._watch(state, speed)
         if latent is not None and self._compensation.model.system.is_plausible(np.array(state.values)):
             self._compensation.model.clock.seconds = state.robot_time
-            wished = self._compensation.target(state.values, (speed, steer), latent.tolist())
-            speed = min(max(wished, self._limits.slowest_target), self._limits.fastest_target)
+            target = self._compensation.target(state.values, (speed, steer), latent.tolist())
+            speed = min(max(target, self._limits.slowest_target), self._limits.fastest_target)
         return (speed, steer), f"way_seeker:{'ahead' if self._forwards else 'back'}"
 
     def _around(self, state: StateMessage) -> tuple[VisibleObstacles, bool]:

@@ -1,4 +1,4 @@
-"""From a wished change of the speed to the throttle that brings it about, by the model: for a car without a servo."""
+"""From a nominal change of the speed to the throttle that brings it about, by the model: for a car without a servo."""
 
 from __future__ import annotations
 

@@ -1,18 +1,18 @@
-"""A policy whose wishes an experiment changes on their way to the filter."""
+"""A policy whose nominal actions an experiment changes on their way to the filter."""
 
 from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
 
-from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
+from safedpa.bus import NOMINAL, AbstractNode, Inputs, NominalMessage, Outputs, StateMessage
 from safedpa.policy import PolicyNode
 
-__all__ = ["ChangedWishes"]
+__all__ = ["ChangedNominal"]
 
 
-class ChangedWishes(AbstractNode):
-    """Stands on the bus where the policy's node stands, and tells ``changed`` of each of its wishes."""
+class ChangedNominal(AbstractNode):
+    """Stands on the bus where the policy's node stands, and tells ``changed`` of each of its nominal actions."""
 
     name = PolicyNode.name
     inputs = PolicyNode.inputs
@@ -24,13 +24,13 @@ class ChangedWishes(AbstractNode):
 
     @abstractmethod
     def changed(self, values: tuple[float, ...], state: StateMessage) -> tuple[float, ...]:
-        """The wish (actions,) in place of the policy's, in the action's units."""
+        """The nominal action (actions,) in place of the policy's, in the action's units."""
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         outputs = dict(self._policy.step(robot, state, inputs))
-        wish = outputs[WISH]
-        assert isinstance(wish, WishMessage)
-        outputs[WISH] = dataclasses.replace(wish, values=self.changed(wish.values, state))
+        nominal = outputs[NOMINAL]
+        assert isinstance(nominal, NominalMessage)
+        outputs[NOMINAL] = dataclasses.replace(nominal, values=self.changed(nominal.values, state))
         return outputs
 
     def forget(self, robot: str) -> None:  # noqa: D102

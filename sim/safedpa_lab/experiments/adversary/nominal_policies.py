@@ -1,4 +1,4 @@
-"""What is wished of a system by somebody who wants it to crash."""
+"""What is requested of a system by somebody who wants it to crash."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa_lab.experiments.adversary.control_system import ControlSystem
 
-__all__ = ["WISHES"]
+__all__ = ["NOMINAL_POLICIES"]
 
-Wisher = Callable[[FloatArray], FloatArray]
+NominalPolicy = Callable[[FloatArray], FloatArray]
 
 _HELD: Final = 8
-"""Periods for which an adversary holds its wish in its mind."""
+"""Periods for which an adversary holds its nominal action in its mind."""
 _LEG: Final = 12
-"""Periods between two changes of a bang-bang wish."""
+"""Periods between two changes of a bang-bang nominal action."""
 
 
-def _towards(system: ControlSystem, random: np.random.Generator) -> Wisher:
+def _towards(system: ControlSystem, random: np.random.Generator) -> NominalPolicy:
     """The corner of the box that brings the least h down furthest if it is held for a while."""
     corners = _corners(system)
 
@@ -31,19 +31,19 @@ def _towards(system: ControlSystem, random: np.random.Generator) -> Wisher:
             least, at = min(least, system.least_on_the_way(at, reached)), reached
         return least
 
-    def wish(state: FloatArray) -> FloatArray:
+    def nominal_action(state: FloatArray) -> FloatArray:
         then = np.array([lowest(state, corner) for corner in corners])
         return np.asarray(corners[int(np.argmin(then + 1e-12 * random.uniform(size=len(then))))])
 
-    return wish
+    return nominal_action
 
 
-def _anything(system: ControlSystem, random: np.random.Generator) -> Wisher:
+def _anything(system: ControlSystem, random: np.random.Generator) -> NominalPolicy:
     low, high = np.array(system.low), np.array(system.high)
     return lambda _: random.uniform(low - 0.5 * (high - low), high + 0.5 * (high - low))
 
 
-def _bang_bang(system: ControlSystem, random: np.random.Generator) -> Wisher:
+def _bang_bang(system: ControlSystem, random: np.random.Generator) -> NominalPolicy:
     def legs() -> Iterator[FloatArray]:
         corners = _corners(system)
         while True:
@@ -53,17 +53,17 @@ def _bang_bang(system: ControlSystem, random: np.random.Generator) -> Wisher:
     return lambda _: next(held)
 
 
-def _broken(system: ControlSystem, random: np.random.Generator) -> Wisher:
+def _broken(system: ControlSystem, random: np.random.Generator) -> NominalPolicy:
     """Towards the obstacle, and NaN or infinity in every tenth period."""
     towards = _towards(system, random)
 
-    def wish(state: FloatArray) -> FloatArray:
+    def nominal_action(state: FloatArray) -> FloatArray:
         wanted = towards(state).copy()
         if random.uniform() < 0.1:
             wanted[int(random.integers(len(wanted)))] = random.choice([np.nan, np.inf, -np.inf])
         return wanted
 
-    return wish
+    return nominal_action
 
 
 def _corners(system: ControlSystem) -> FloatArray:
@@ -71,7 +71,7 @@ def _corners(system: ControlSystem) -> FloatArray:
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
 
 
-WISHES: Final[dict[str, Callable[[ControlSystem, np.random.Generator], Wisher]]] = {
+NOMINAL_POLICIES: Final[dict[str, Callable[[ControlSystem, np.random.Generator], NominalPolicy]]] = {
     "towards": _towards,
     "random": _anything,
     "bang-bang": _bang_bang,

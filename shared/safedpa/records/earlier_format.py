@@ -1,0 +1,167 @@
+"""Files and recordings of format 1 in the names of format 2: the one place that knows the earlier names.
+
+Format 2 renamed keys and changed no value. The tables below list what was renamed. Recordings of format 1 are read
+through them (``current_key``, ``current_payload``); ``migrate`` rewrites a file.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack
+
+from safedpa.errors import InputError
+from safedpa.limits import parse_toml, text_of_file
+
+__all__ = ["FORMAT", "current_key", "current_payload", "migrate", "without_removed_settings"]
+
+FORMAT: Final = 2
+"""The format that is written today."""
+
+_TOPICS: Final = {"wish": "nominal"}
+"""Last part of a bus key."""
+
+_FIELDS: Final[dict[str, dict[str, str]]] = {
+    "state": {"reversed_way": "distance_reversed"},
+    "surroundings": {"amiss": "problems"},
+    "takeover": {"foretold": "expected_effect"},
+    "verdict": {"wish": "nominal", "stands": "stationary_for", "standstill": "stationary_reason"},
+}
+"""Fields of a message, by topic."""
+
+_SETTINGS: Final = {"plausible_wish": "plausible_nominal"}
+_REMOVED_SETTINGS: Final = ("slack_tolerance", "slack_quadratic", "slack_linear")
+"""The scale of each barrier gives the tolerances today."""
+
+_ROBOT_TABLES: Final = {"wish": "nominal"}
+_MARGIN_PREFIXES: Final = {"ceiling.": "clip.", "drive.ceiling.": "drive.clip."}
+
+
+def current_key(key: str) -> str:
+    """The bus key of today for one of either format: ``safedpa/f/r/wish`` is ``safedpa/f/r/nominal``."""
+    head, _, topic = key.rpartition("/")
+    return f"{head}/{_TOPICS[topic]}" if head and topic in _TOPICS else key
+
+
+def current_payload(topic: str, payload: bytes) -> bytes:
+    """A recorded message of ``topic``, with the field names of today; anything else is returned as it is."""
+    names = _FIELDS.get(topic, {})
+    if topic != "setup" and not any(name.encode() in payload for name in names):
+        return payload  # most messages: nothing in them was renamed
+    try:
+        fields = msgpack.unpackb(payload)
+    except (ValueError, msgpack.UnpackException):
+        return payload  # the decoder reports what is wrong with it
+    if not isinstance(fields, dict) or fields.get("version", FORMAT) >= FORMAT:
+        return payload
+    renamed = {names.get(name, name): value for name, value in fields.items()}
+    renamed["version"] = FORMAT
+    if topic == "setup":
+        renamed["settings"] = _settings(_text(renamed.get("settings")))
+        renamed["margin"] = _margin(_text(renamed.get("margin")))
+    packed: bytes = msgpack.packb(renamed)
+    return packed
+
+
+def without_removed_settings(text: str) -> tuple[str, list[str]]:
+    """Settings of the filter without the keys that were removed, and those keys."""
+    removed = [key for key in _REMOVED_SETTINGS if re.search(rf"(?m)^{key}\s*=", text)]
+    return re.sub(rf"(?m)^(?:{'|'.join(_REMOVED_SETTINGS)})\s*=.*\n?", "", text), removed
+
+
+def _settings(text: str) -> str:
+    for earlier, current in _SETTINGS.items():
+        text = re.sub(rf"(?m)^{earlier}(\s*=)", rf"{current}\1", text)
+    return _numbered(text)
+
+
+def _margin(text: str) -> str:
+    for earlier, current in _MARGIN_PREFIXES.items():
+        text = re.sub(rf'(?m)^"{re.escape(earlier)}', f'"{current}', text)
+    return _numbered(text)
+
+
+def _robot_file(text: str) -> str:
+    for earlier, current in _ROBOT_TABLES.items():
+        text = re.sub(rf"(?m)^(\[{earlier})(\]|\.)", rf"[{current}\2", text)
+    return _numbered(text)
+
+
+def _numbered(text: str) -> str:
+    return re.sub(r"(?m)^format(\s*)=(\s*)1\b", rf"format\1=\g<2>{FORMAT}", text)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def migrate(path: Path, target: Path) -> str:
+    """Writes a file of format 1 to ``target`` in format 2 and returns what kind of file it is.
+
+    Filter settings, a robot's file, a margin and a recording are converted. Models and column maps are the same in
+    both formats and are copied. Raises InputError for any other file, and where ``target`` exists.
+    """
+    if target.exists():
+        raise InputError(f"{target}: exists already; name a file that does not")
+    if path.suffix == ".mcap":
+        _migrate_recording(path, target)
+        return "recording"
+    text = text_of_file(path, "toml_bytes")
+    kind, converted = _converted(path, text)
+    target.write_text(converted, encoding="utf-8")
+    return kind
+
+
+def _converted(path: Path, text: str) -> tuple[str, str]:
+    table = parse_toml(text)
+    if "base" in table:
+        return "model", text
+    if "columns" in table:
+        return "column map", text
+    if "epsilon" in table and "transitions" in table:
+        return "margin", _margin(text)
+    if "robot" in table:
+        return "robot file", _robot_file(text)
+    from safedpa.safety.settings import parse_settings  # the filter's package lies above the records'
+
+    converted, _ = without_removed_settings(_settings(text))
+    try:
+        parse_settings(converted)
+    except InputError as error:
+        raise InputError(
+            f"{path}: no settings, model, column map, margin or robot file ({error}); wanted one of format 1"
+        ) from error
+    return "settings", converted
+
+
+def _migrate_recording(path: Path, target: Path) -> None:
+    from mcap.records import Channel, Message, Metadata
+
+    from safedpa.bus.messages.topics import topic_of
+    from safedpa.records.readers.mcap_recovery import DamageError, records_of
+    from safedpa.records.writers.mcap import McapRecorder
+
+    keys: dict[int, str] = {}
+    recorder: McapRecorder | None = None
+    about: dict[str, str] = {}
+    try:
+        for record in records_of(path):
+            if isinstance(record, Metadata) and record.name == "safedpa":
+                about = dict(record.metadata)
+            elif isinstance(record, Channel) and record.message_encoding == "msgpack":
+                keys[record.id] = current_key(record.topic)
+            elif isinstance(record, Message) and (key := keys.get(record.channel_id)):
+                recorder = recorder or McapRecorder(target, {**about, "format": str(FORMAT)})
+                payload = current_payload(topic_of(key)[2].name, record.data)
+                recorder.write(key, payload, record.log_time, record.publish_time)
+    except DamageError as damage:
+        raise InputError(
+            f"{path}: damaged at byte {damage.offset} of {damage.size}; what lies before is converted"
+        ) from damage
+    finally:
+        if recorder is not None:
+            recorder.close()
+    if recorder is None:
+        raise InputError(f"{path}: holds no message of the bus; wanted a recording of safedpa")

@@ -1,0 +1,105 @@
+"""Files of format 1 convert to format 2 and mean the same; recordings of format 1 are also read directly."""
+
+from pathlib import Path
+
+import msgpack
+import pytest
+
+from safedpa.bus import TakeoverMessage, VerdictMessage, decode
+from safedpa.errors import InputError
+from safedpa.records.earlier_format import current_key, current_payload, migrate
+from safedpa.records.readers.mcap import read_messages
+from safedpa.safety import load_settings
+from safedpa.safety.margins.calibration import MarginCalibration
+from safedpa_services.command_line.group import safedpa
+
+SAMPLES = Path(__file__).parent / "samples"
+MODELS = Path(__file__).parents[2] / "shared" / "safedpa" / "dynamics" / "models"
+RECORDING = SAMPLES / "format_1.mcap"
+MARGIN = """format = 1
+coverage = 0.99
+transitions = 500
+date = "2026-11-21"
+fingerprint = "abc"
+[epsilon]
+"obstacle" = 0.02
+[constants]
+"ceiling.obstacle" = 0.5
+"drive.ceiling.obstacle" = 1.0
+"""
+
+
+def test_a_recording_is_read_directly_and_converted_to_the_same_messages(tmp_path: Path) -> None:
+    findings: list = []
+    direct = list(read_messages(RECORDING, findings))
+    assert findings == []
+    assert migrate(RECORDING, tmp_path / "new.mcap") == "recording"
+    converted = list(read_messages(tmp_path / "new.mcap", findings))
+    assert findings == []
+    assert converted == direct
+    verdicts = [message for _, _, message in direct if isinstance(message, VerdictMessage)]
+    assert sum(len(verdict.nominal) == 1 for verdict in verdicts) == 100
+    assert {key.rsplit("/", 1)[1] for key, _, _ in direct} >= {"nominal", "verdict", "state"}
+    assert b"/wish" not in (tmp_path / "new.mcap").read_bytes()
+
+
+def test_settings_keep_their_values(tmp_path: Path) -> None:
+    source = SAMPLES / "settings_format_1.toml"
+    with pytest.raises(InputError, match="safedpa migrate"):
+        load_settings(source)
+    assert migrate(source, tmp_path / "new.toml") == "settings"
+    settings = load_settings(tmp_path / "new.toml")
+    assert (settings.plausible_nominal, settings.eta, settings.action_high) == (4.0, 0.15, (1.8, 0.34))
+    assert "# ranges" in (tmp_path / "new.toml").read_text(), "comments stay"
+
+
+def test_margins_keep_their_values(tmp_path: Path) -> None:
+    (tmp_path / "margin.toml").write_text(MARGIN)
+    assert migrate(tmp_path / "margin.toml", tmp_path / "new.toml") == "margin"
+    margin = MarginCalibration.load(tmp_path / "new.toml")
+    assert margin.constants == {"clip.obstacle": 0.5, "drive.clip.obstacle": 1.0}
+    assert margin.epsilon == {"obstacle": 0.02}
+
+
+def test_a_robot_file_keeps_its_tables(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text('format = 1\nrobot = "car"\n[wish]\ntopic = "/in"\n')
+    assert migrate(tmp_path / "robot.toml", tmp_path / "new.toml") == "robot file"
+    assert (tmp_path / "new.toml").read_text() == 'format = 2\nrobot = "car"\n[nominal]\ntopic = "/in"\n'
+
+
+def test_models_and_column_maps_are_copied(tmp_path: Path) -> None:
+    column_map = Path(__file__).parents[2] / "shared" / "safedpa" / "records" / "maps" / "dart_car_bag.toml"
+    for source, kind in ((MODELS / "car.toml", "model"), (column_map, "column map")):
+        assert migrate(source, tmp_path / source.name) == kind
+        assert (tmp_path / source.name).read_bytes() == source.read_bytes()
+
+
+def test_fields_of_format_1_get_their_current_names_and_others_stay() -> None:
+    stamp = {"version": 1, "epoch": 1, "tick": 2, "robot_time": 0.1, "publish_time": 1.0}
+    answer = {"service": "policy", "change": 1, "fingerprint": "ab", "state": "ready", "foretold": "wider"}
+    message = decode(TakeoverMessage, current_payload("takeover", msgpack.packb({**stamp, **answer})))
+    assert message.expected_effect == "wider"
+    newer = msgpack.packb({**stamp, "version": 2, "foretold": "unknown field of a newer program"})
+    assert current_payload("takeover", newer) is newer
+    assert current_payload("takeover", b"foretold, but no msgpack") == b"foretold, but no msgpack"
+    assert current_key("safedpa/f/r/wish") == "safedpa/f/r/nominal"
+    assert current_key("safedpa/f/wish/state") == "safedpa/f/wish/state", "a robot may have that name"
+
+
+def test_nothing_is_overwritten_and_what_is_no_file_of_the_project_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.toml").write_text("a = 1\n")
+    with pytest.raises(InputError, match="no settings, model, column map, margin or robot file"):
+        migrate(tmp_path / "other.toml", tmp_path / "new.toml")
+    assert not (tmp_path / "new.toml").exists()
+    with pytest.raises(InputError, match="exists already"):
+        migrate(RECORDING, tmp_path / "other.toml")
+
+
+def test_the_command_converts_what_it_can_and_reports_the_rest(tmp_path: Path, capsys) -> None:
+    (tmp_path / "margin.toml").write_text(MARGIN)
+    (tmp_path / "other.toml").write_text("a = 1\n")
+    assert safedpa.run(["migrate", str(tmp_path / "margin.toml"), str(tmp_path / "other.toml")]) == 2
+    said = capsys.readouterr()
+    assert "margin, written to" in said.out
+    assert "1 of 2 files were not converted" in said.err
+    assert MarginCalibration.load(tmp_path / "margin.format2.toml").coverage == 0.99
