@@ -80,8 +80,8 @@ class CompilingHook(BuildHookInterface[Any]):
         done = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False, env=flags)
         made = sorted(path for path in work.rglob("*.so") if "build" not in path.relative_to(work).parts)
         if done.returncode != 0 or len(made) <= len(files):
-            words = (done.stdout + done.stderr).strip().splitlines()
-            return f"mypyc: {words[-1] if words else 'no modules came out'}"
+            phrase = (done.stdout + done.stderr).strip().splitlines()
+            return f"mypyc: {phrase[-1] if phrase else 'no modules came out'}"
         build_data["force_include"].update({str(path): str(path.relative_to(work)) for path in made})
         build_data["pure_python"], build_data["infer_tag"] = False, True
         return None

@@ -72,8 +72,8 @@ def _is_good(certificate: Path, authority: Path, days: float) -> bool:
     """Whether it is there, of this authority, and two thirds of its time are not over."""
     from cryptography import x509
 
-    beside = certificate.with_name("authority.pem")
-    if not certificate.exists() or not beside.exists() or beside.read_bytes() != authority.read_bytes():
+    alongside = certificate.with_name("authority.pem")
+    if not certificate.exists() or not alongside.exists() or alongside.read_bytes() != authority.read_bytes():
         return False
     ends = x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_after_utc
     return ends - datetime.datetime.now(datetime.UTC) > datetime.timedelta(days=days / 3.0)

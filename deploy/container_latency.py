@@ -96,8 +96,8 @@ def _chain(image: str, seconds: float, rate: float) -> dict[str, float]:
     links = [_started(image, f"bare/{_HOPS[place]}", f"bare/{_HOPS[place + 1]}") for place in range(len(_HOPS) - 1)]
     try:
         ends = ("send", f"bare/{_HOPS[0]}", f"bare/{_HOPS[-1]}", f"{seconds:g}", f"{rate:g}")
-        said = _run("docker", "run", "--rm", *_guest(image), *ends).splitlines()
-        found: dict[str, float] = json.loads(said[-1])
+        notice = _run("docker", "run", "--rm", *_guest(image), *ends).splitlines()
+        found: dict[str, float] = json.loads(notice[-1])
         return found
     finally:
         _run("docker", "rm", "--force", *links)
@@ -118,15 +118,15 @@ def _container(compose: Sequence[str], service: str) -> str:
     return _run(*compose, "ps", "-q", service).splitlines()[0]
 
 
-def _answers(*words: str) -> bool:
-    return subprocess.run(words, capture_output=True, check=False).returncode == 0
+def _answers(*phrase: str) -> bool:
+    return subprocess.run(phrase, capture_output=True, check=False).returncode == 0
 
 
-def _run(*words: str) -> str:
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+def _run(*phrase: str) -> str:
+    done = subprocess.run(phrase, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        said = (done.stderr or done.stdout).strip().splitlines() or [f"exit code {done.returncode}"]
-        raise RuntimeError(f"{' '.join(words[:2])} ...: {said[-1]}")
+        notice = (done.stderr or done.stdout).strip().splitlines() or [f"exit code {done.returncode}"]
+        raise RuntimeError(f"{' '.join(phrase[:2])} ...: {notice[-1]}")
     return done.stdout.strip()
 
 

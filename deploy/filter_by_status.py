@@ -65,13 +65,13 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
     model: Any = load_model(model_name)
     safe = SafetyFilter.for_model(model, FilterSettings())
     drawn = problems(safe, model.latent, seed, scenes)
-    compiled, told = len(compiled_modules()), list[tuple[str, list[float], float]]()
+    compiled, reported = len(compiled_modules()), list[tuple[str, list[float], float]]()
     with looked_at(counts := not compiled) as looks:
         for state, nominal, latent, barriers in drawn:
             before = len(looks)
             verdict = safe.decide(state, nominal, latent, barriers=barriers)
-            told.append((verdict.status.value, verdict.action.tolist(), len(looks) - before if counts else -1))
-    sys.stdout.write(json.dumps([compiled, told]) + "\n")
+            reported.append((verdict.status.value, verdict.action.tolist(), len(looks) - before if counts else -1))
+    sys.stdout.write(json.dumps([compiled, reported]) + "\n")
     sys.stdout.flush()
     for _ in sys.stdin:
         times = []
@@ -110,12 +110,12 @@ class Tree:
         where = {**os.environ, "PYTHONPATH": folder, "OMP_NUM_THREADS": "1"}
         self.name = name
         self._process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        compiled, told = self._answer()
-        self.words = f"{name} ({compiled} modules compiled)"
-        self.statuses = np.array([status for status, _, _ in told])
-        self.actions = np.array([action for _, action, _ in told])
-        self.looks = np.array([looks for _, _, looks in told], dtype=float)
-        self.best = np.full(len(told), np.inf)
+        compiled, reported = self._answer()
+        self.phrase = f"{name} ({compiled} modules compiled)"
+        self.statuses = np.array([status for status, _, _ in reported])
+        self.actions = np.array([action for _, action, _ in reported])
+        self.looks = np.array([looks for _, _, looks in reported], dtype=float)
+        self.best = np.full(len(reported), np.inf)
 
     def round(self) -> None:
         """All problems once more."""
@@ -145,7 +145,7 @@ def report(trees: list[Tree]) -> list[str]:
         apart = np.abs(tree.actions - first.actions).max(axis=1)
         other = int((tree.statuses != first.statuses).sum())
         lines.append(
-            f"{tree.words}: {other} of {len(apart)} statuses differ, actions by {apart.max():.1e} at most, "
+            f"{tree.phrase}: {other} of {len(apart)} statuses differ, actions by {apart.max():.1e} at most, "
             f"{int((apart > 1e-6).sum())} by more than 1e-6"
         )
     alike = np.all([tree.statuses == first.statuses for tree in trees], axis=0)

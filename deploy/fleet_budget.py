@@ -71,7 +71,7 @@ def total(flows: dict[str, Flow], copies: dict[str, int], overhead: float) -> Fl
     return Flow(payload.messages, payload.octets + overhead * payload.messages)
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     sys.stdout.write(f"{line}\n")
 
 
@@ -89,11 +89,11 @@ def main() -> None:
     centre = {name: readers(name, CENTRE) for name in flows}
     link = {name: min(1, centre[name]) for name in flows}
     each = options.robots / options.regions
-    _tell("one robot and what serves it, payload:")
+    _report("one robot and what serves it, payload:")
     for name, flow in flows.items():
         read_by = f"readers {inside[name]} beside it, {centre[name]} in the centre"
-        _tell(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
-    _tell(f"{options.robots} robots in {options.regions} regions, on the wire:")
+        _report(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
+    _report(f"{options.robots} robots in {options.regions} regions, on the wire:")
     for label, copies, robots in (
         (f"a region's {ROUTER} takes", once, each),
         (f"a region's {ROUTER} hands on inside", inside, each),
@@ -102,7 +102,7 @@ def main() -> None:
         (f"the centre's {ROUTER} hands on", centre, options.robots),
     ):
         flow = total(flows, copies, options.overhead).times(robots)
-        _tell(f"  {label:34} {flow.messages:9.0f} messages/s {8e-6 * flow.octets:9.1f} Mbit/s")
+        _report(f"  {label:34} {flow.messages:9.0f} messages/s {8e-6 * flow.octets:9.1f} Mbit/s")
 
 
 if __name__ == "__main__":

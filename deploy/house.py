@@ -42,7 +42,7 @@ class Module:
     path: Path
     lines: int = 0
     blank: int = 0
-    told: int = 0
+    reported: int = 0
     importers: set[str] = field(default_factory=set)
     measured: bool = False
     """Whether the laboratory imports it."""
@@ -76,8 +76,8 @@ def modules(root: Path) -> dict[str, Module]:
             if asked != name and not asked.startswith(f"{name}.") | (not found[asked].asked):
                 found[asked].importers.add(name)
     for name, tree in trees.items():  # a package that uses what it imports itself is an importer like any other
-        for asked, words in handed[name].items():
-            if asked in found and not _only_handed_on(tree, words):
+        for asked, phrase in handed[name].items():
+            if asked in found and not _only_handed_on(tree, phrase):
                 found[asked].importers.add(name)
     for path in sorted((root / "sim" / LABORATORY).rglob("*.py")):
         for asked in _asked_for(ast.parse(path.read_text(encoding="utf-8")), LABORATORY, found, handed):
@@ -88,15 +88,15 @@ def modules(root: Path) -> dict[str, Module]:
 def _counted(module: Module) -> Module:
     text = module.path.read_text(encoding="utf-8")
     rows = text.splitlines()
-    told: set[int] = set()
+    reported: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT and rows[token.start[0] - 1].lstrip().startswith("#"):
-            told.add(token.start[0])
+            reported.add(token.start[0])
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            told.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+            reported.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     blank = {number for number, row in enumerate(rows, 1) if not row.strip()}
-    module.lines, module.blank, module.told = len(rows), len(blank - told), len(told)
+    module.lines, module.blank, module.reported = len(rows), len(blank - reported), len(reported)
     return module
 
 
@@ -119,9 +119,9 @@ def _handed_on(tree: ast.Module, name: str, found: dict[str, Module]) -> dict[st
     return taken
 
 
-def _only_handed_on(tree: ast.Module, words: set[str]) -> bool:
+def _only_handed_on(tree: ast.Module, phrase: set[str]) -> bool:
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
-    return not words & used
+    return not phrase & used
 
 
 def _asked_for(
@@ -133,7 +133,7 @@ def _asked_for(
         elif module in found:
             yield module
             yield from (
-                part for part, words in handed[module].items() if word in words and part in found and part != name
+                part for part, phrase in handed[module].items() if word in phrase and part in found and part != name
             )
 
 
@@ -256,16 +256,16 @@ def table(found: dict[str, Module]) -> str:
     fragments = {module.name for module in alone(found)}
     for module in found.values():
         row = rooms.setdefault(module.room, Counter())
-        row.update(lines=module.lines, blank=module.blank, told=module.told, modules=int(module.asked))
+        row.update(lines=module.lines, blank=module.blank, reported=module.reported, modules=int(module.asked))
         row.update(alone=int(module.name in fragments))
     everything: Counter[str] = Counter()
     for row in rooms.values():
         everything.update(row)
     rows = ["| room | lines | code | told | blank | modules | with one importer |", "|---|---|---|---|---|---|---|"]
     for room, row in [*sorted(rooms.items(), key=lambda item: -item[1]["lines"]), ("all", everything)]:
-        code = row["lines"] - row["told"] - row["blank"]
+        code = row["lines"] - row["reported"] - row["blank"]
         rows.append(
-            f"| {room} | {row['lines']} | {code} | {row['told']} | {row['blank']} | {row['modules']} | {row['alone']} |"
+            f"| {room} | {row['lines']} | {code} | {row['reported']} | {row['blank']} | {row['modules']} | {row['alone']} |"
         )
     return "\n".join(rows)
 
@@ -296,9 +296,12 @@ def _alone_lines(found: dict[str, Module]) -> list[str]:
         together = module.lines + found[importer].lines
         besides = ", and the laboratory" if module.measured else ""
         rows.append((together, f"{together:5d} {module.lines:5d} {module.name} <- {importer}{besides}: {reason}"))
-    told = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    reported = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     besides = sum(module.measured for module in alone(found))
-    return [*(row for _, row in sorted(rows)), f"{len(rows)}: {told}; {besides} of them the laboratory imports, too"]
+    return [
+        *(row for _, row in sorted(rows)),
+        f"{len(rows)}: {reported}; {besides} of them the laboratory imports, too",
+    ]
 
 
 def _name_lines(found: dict[str, Module]) -> list[str]:

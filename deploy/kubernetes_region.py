@@ -134,8 +134,8 @@ def _deployment(name: str, service: Mapping[str, Any]) -> Document:
         container["volumeMounts"].append({"name": source, "mountPath": place, "readOnly": source.endswith("-key")})
         pod["volumes"].append(_volume(source))
     if name != ROUTER and _of_the_loop(service):
-        beside = {"labelSelector": {"matchLabels": {"app": ROUTER}}, "topologyKey": "kubernetes.io/hostname"}
-        pod["affinity"] = {"podAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": [beside]}}
+        alongside = {"labelSelector": {"matchLabels": {"app": ROUTER}}, "topologyKey": "kubernetes.io/hostname"}
+        pod["affinity"] = {"podAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": [alongside]}}
     spec = {
         "replicas": 1,
         "strategy": {"type": "Recreate"},
@@ -207,8 +207,8 @@ def _container(name: str, service: Mapping[str, Any]) -> Document:
 
 
 def _probe(check: Mapping[str, Any]) -> Document:
-    kind, *words = check["test"]
-    command = ["/bin/sh", "-c", *words] if kind == "CMD-SHELL" else words
+    kind, *phrase = check["test"]
+    command = ["/bin/sh", "-c", *phrase] if kind == "CMD-SHELL" else phrase
     return {
         "exec": {"command": [_resolved(word) for word in command]},
         "initialDelaySeconds": _seconds(check["start_period"]),

@@ -78,10 +78,10 @@ def main() -> None:
     arguments = sys.argv[1:]
     name = os.environ.get("SAFEDPA_NAME") or f"robot-{number_in(container_at(own_address()))}"
     NAME_FILE.write_text(name, encoding="utf-8")
-    words = command(os.environ, name, arguments)
+    phrase = command(os.environ, name, arguments)
     if "--certificates" in arguments:
         enrol(f"robot.{name}", Path(arguments[arguments.index("--certificates") + 1]))
-    os.execv(words[0], words)
+    os.execv(phrase[0], phrase)
 
 
 if __name__ == "__main__":

@@ -92,9 +92,9 @@ def main() -> None:
         )
         for number in range(options.peers + 1)
     ]
-    told = [json.loads(peer.communicate(timeout=options.seconds + 60.0)[0]) for peer in peers]
-    took = [seconds for one in told for seconds in one["took"]]
-    failed = [one["failed"] for one in told if one["failed"]]
+    reported = [json.loads(peer.communicate(timeout=options.seconds + 60.0)[0]) for peer in peers]
+    took = [seconds for one in reported for seconds in one["took"]]
+    failed = [one["failed"] for one in reported if one["failed"]]
     middle, longest = statistics.median(took), max(took)
     sys.stdout.write(
         f"{len(took)} sessions, closed within {middle:.2f} s in the median, {longest:.2f} s at most\n"

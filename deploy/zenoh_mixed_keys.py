@@ -34,24 +34,24 @@ class Heard:
     def __init__(self, transport: ZenohTransport) -> None:
         import zenoh
 
-        self.count = self.wrong = self.told = self.told_wrong = 0
+        self.count = self.wrong = self.reported = self.reported_wrong = 0
         handler: Any = zenoh.handlers.Callback(self._take, indirect=False)
-        self._kept = [transport._session.declare_subscriber(pattern, handler) for pattern in PATTERNS]
-        transport.subscribe("safedpa/f/**", self._tell)
+        self._retained = [transport._session.declare_subscriber(pattern, handler) for pattern in PATTERNS]
+        transport.subscribe("safedpa/f/**", self._report)
 
     def _take(self, sample: Any) -> None:
         self.count += 1
         self.wrong += str(sample.key_expr) != sample.payload.to_string()
 
-    def _tell(self, key: str, payload: bytes) -> None:
-        self.told += 1
-        self.told_wrong += key.encode() != payload
+    def _report(self, key: str, payload: bytes) -> None:
+        self.reported += 1
+        self.reported_wrong += key.encode() != payload
 
     def numbers(self) -> str:
         """They begin anew."""
-        said = f"{self.wrong} of {self.count}, of the bus {self.told_wrong} of {self.told}"
-        self.count = self.wrong = self.told = self.told_wrong = 0
-        return said
+        notice = f"{self.wrong} of {self.count}, of the bus {self.reported_wrong} of {self.reported}"
+        self.count = self.wrong = self.reported = self.reported_wrong = 0
+        return notice
 
 
 def spin() -> None:
@@ -72,10 +72,10 @@ def measure(seconds: float, sessions: int) -> list[str]:
         members = [
             ZenohTransport(ZenohSettings("client", (), (endpoint,), card, patience=30.0)) for _ in range(sessions)
         ]
-        return said(router, members, seconds)
+        return notice(router, members, seconds)
 
 
-def said(router: ZenohTransport, members: list[ZenohTransport], seconds: float) -> list[str]:
+def notice(router: ZenohTransport, members: list[ZenohTransport], seconds: float) -> list[str]:
     """The lines, of sessions that are open, and then closed."""
     heard = [Heard(member) for member in members]
     fewest, end = len(members), time.monotonic() + seconds

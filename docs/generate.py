@@ -66,7 +66,7 @@ def topics() -> str:
     for topic in TOPICS.values():
         service = "/{service}" if topic.per_service else ""
         readers = [
-            node.name for node in NODES if topic is STATE or topic in (*node.inputs, *node.senses, *node.listens)
+            node.name for node in NODES if topic is STATE or topic in (*node.inputs, *node.sensor_inputs, *node.listens)
         ]
         readers += ["robot"] if topic.name == "action" else []
         rows.append(

@@ -29,11 +29,11 @@ SWEPT = tuple(name for name in _NAMES if name not in NOT_SWEPT and not name.star
 PAGES = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in SWEPT))
 _LONGEST = 120
 """Letters of a promise in the table."""
-_WORDS = (
+_TEXT = (
     "always", "at least", "at most", "bit for bit", "cannot", "each", "every", "everything", "exactly", "keeps",
-    "never", "no", "nobody", "none", "nothing", "only", "refused", "refuses", "same", "whatever",
+    "never", "no", "no_one", "none", "nothing", "only", "refused", "refuses", "same", "whatever",
 )  # fmt: skip
-_PROMISES = re.compile(rf"\d|\b(?:{'|'.join(_WORDS)})\b", re.IGNORECASE)
+_PROMISES = re.compile(rf"\d|\b(?:{'|'.join(_TEXT)})\b", re.IGNORECASE)
 _HELD = re.compile(r"<!-- held:\s(.*?)\s-->", re.DOTALL)
 _NONE = re.compile(r"<!-- no promise:\s(.*?)\s-->", re.DOTALL)
 _RUN = r"(?:tests/|safedpa (?:compare|experiment|bench|replay)|python deploy/|make test)"
@@ -71,22 +71,22 @@ def promises_of(page: Path) -> Iterator[Promise]:
         if block.startswith("#"):
             level = len(block) - len(block.lstrip("#"))
             own = "\n".join(match.group() for match in _HELD.finditer(block))
-            sections = {above: said for above, said in sections.items() if above < level} | {level: own}
+            sections = {above: notice for above, notice in sections.items() if above < level} | {level: own}
         elif not block.startswith(("    ", "![")):
             rows = _rows(block) if block.startswith("|") else [block]
-            section = next((said for _, said in sorted(sections.items(), reverse=True) if said), "")
+            section = next((notice for _, notice in sorted(sections.items(), reverse=True) if notice), "")
             yield from _of(name, [row if _HELD.search(row) else f"{row}\n{section}" for row in rows])
 
 
 def _of(page: str, blocks: list[str]) -> Iterator[Promise]:
     last: tuple[str, ...] = ()
     for block in blocks:
-        words, none = _plain(block), _NONE.search(block)
-        if _PROMISES.search(words):
+        phrase, none = _plain(block), _NONE.search(block)
+        if _PROMISES.search(phrase):
             held = [" ".join(one.split()) for whole in _HELD.findall(block) for one in re.split(r",\s+", whole)]
             same = block.split("\n")[0].endswith("| the same |")
             last = last if same and last else (*held, *_NAMED.findall(block))
-            yield Promise(page, words, last, none.group(1) if none else "", tuple(_RESULT.findall(block)))
+            yield Promise(page, phrase, last, none.group(1) if none else "", tuple(_RESULT.findall(block)))
 
 
 def _rows(block: str) -> list[str]:
@@ -119,8 +119,8 @@ def table() -> str:
     """
     rows = ["| page | promise | held by | run |", "|---|---|---|---|"]
     for page in PAGES:
-        told = [each for each in promises_of(page) if not each.no_promise]
-        for _, alike in groupby(told, lambda each: (each.held_by, each.results)):
+        reported = [each for each in promises_of(page) if not each.no_promise]
+        for _, alike in groupby(reported, lambda each: (each.held_by, each.results)):
             first, *others = alike
             begun = first.text.strip("| -").replace("|", "/")
             begun = begun if len(begun) <= _LONGEST else begun[:_LONGEST].rsplit(" ", 1)[0] + " ..."
@@ -132,11 +132,11 @@ def table() -> str:
 
 def _when(promise: Promise) -> str:
     """Tests with every change; a command on the day that its file of results bears."""
-    told = ["with every change"] if any(holder.startswith("tests/") for holder in promise.held_by) else []
+    reported = ["with every change"] if any(holder.startswith("tests/") for holder in promise.held_by) else []
     if any(not holder.startswith("tests/") for holder in promise.held_by):
         days = sorted({day for name in promise.results if (day := _day(name))})
-        told.append(f"by command, last on {', '.join(days)}" if days else "by command")
-    return "; ".join(told)
+        reported.append(f"by command, last on {', '.join(days)}" if days else "by command")
+    return "; ".join(reported)
 
 
 def _day(name: str) -> str:

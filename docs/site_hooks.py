@@ -20,13 +20,13 @@ from draw_diagrams import FENCE, picture_of
 __all__ = ["notebook_as_markdown", "on_files", "on_page_markdown"]
 
 ROOT = Path(__file__).resolve().parents[1]
-BESIDE = ("CHANGELOG.md", "CONTRIBUTING.md")
+ALONGSIDE = ("CHANGELOG.md", "CONTRIBUTING.md")
 """Pages that lie where people look for them first, and are shown on the site, too."""
 
 
 def on_files(files: Files, *, config: Any) -> Files:
     """Adds the pages beside the folder, and each notebook as a page."""
-    for name in BESIDE:
+    for name in ALONGSIDE:
         text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](").replace("](LICENSE", "](../LICENSE")
         files.append(File.generated(config, name, content=text))
     for found in [file for file in files if file.src_uri.endswith(".ipynb")]:
@@ -46,7 +46,7 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     out = "../" * (depth + 1)
     markdown = FENCE.sub(lambda found: f"![diagram]({'../' * depth}pictures/{picture_of(found[1])})\n", markdown)
     markdown = markdown.replace(".ipynb)", ".md)")
-    for name in BESIDE:
+    for name in ALONGSIDE:
         markdown = markdown.replace(f"]({out}{name})", f"]({'../' * depth}{name})")
     return re.sub(rf"\[([^\]]+)\]\({re.escape(out)}([^)]+)\)", _outside, markdown)
 

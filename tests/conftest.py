@@ -105,8 +105,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Says at once which test failed: a run that is broken off, or aborts, prints no summary."""
     if report.failed and "PYTEST_XDIST_WORKER" not in os.environ:
         crash = getattr(report.longrepr, "reprcrash", None)
-        said = str(getattr(crash, "message", report.longrepr)).strip().splitlines()[:1]
-        print(f"\n{report.when} of {report.nodeid} failed: {(said or [''])[0][:200]}", flush=True)
+        notice = str(getattr(crash, "message", report.longrepr)).strip().splitlines()[:1]
+        print(f"\n{report.when} of {report.nodeid} failed: {(notice or [''])[0][:200]}", flush=True)
 
 
 def pytest_collection_finish() -> None:
@@ -209,9 +209,9 @@ def _nothing_left() -> Iterator[None]:
     )
     before = [dict(table) for table in tables]
     yield
-    for table, kept in zip(tables, before, strict=True):
+    for table, retained in zip(tables, before, strict=True):
         table.clear()
-        table.update(kept)
+        table.update(retained)
 
 
 @pytest.fixture(scope="session")

@@ -95,8 +95,8 @@ class Copy:
             if name and (root / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(root / name, folder / name)
-        self._beside = folder / "shared"
-        shutil.copyfile(Path(__file__).with_name("reached.py"), self._beside / "reached.py")
+        self._alongside = folder / "shared"
+        shutil.copyfile(Path(__file__).with_name("reached.py"), self._alongside / "reached.py")
 
     def tried(self, fault: Fault, files: Sequence[str], seconds: float) -> Outcome:
         """Whether a test notices.
@@ -147,16 +147,16 @@ class Copy:
         first_only: bool = False,
     ) -> Run:  # fmt: skip
         """Runs tests while the file is as ``text`` says; afterwards it is as the source again."""
-        record, began = self._beside / "reached.jsonl", time.monotonic()
+        record, began = self._alongside / "reached.jsonl", time.monotonic()
         record.unlink(missing_ok=True)
         (self.root / path).write_text(text, encoding="utf-8")
         try:
             ended = self._ended([*(["-m", chosen] if chosen else []), *(["-x"] if first_only else []), *tests], seconds)
         finally:
             (self.root / path).write_text(source, encoding="utf-8")
-        return _told(record, ended, time.monotonic() - began)
+        return _reported(record, ended, time.monotonic() - began)
 
-    def _ended(self, words: Sequence[str], seconds: float) -> bool:
+    def _ended(self, phrase: Sequence[str], seconds: float) -> bool:
         """Whether pytest came to its end in time."""
         paths = [str(self.root / folder) for folder in ("shared", "services", "sim")]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -164,7 +164,7 @@ class Copy:
         with tempfile.TemporaryDirectory(prefix="p-", ignore_cleanup_errors=True) as folder:
             environment["TMPDIR"] = folder
             with subprocess.Popen(
-                [sys.executable, "-m", "pytest", *own, f"--basetemp={folder}/pytest", *words],
+                [sys.executable, "-m", "pytest", *own, f"--basetemp={folder}/pytest", *phrase],
                 cwd=self.root,
                 env=environment,
                 stdout=subprocess.DEVNULL,
@@ -187,7 +187,7 @@ def _turns(files: Sequence[str]) -> Iterator[tuple[str, int, str]]:
             yield from ((chosen, number, file) for number, file in group)
 
 
-def _told(record: Path, ended: bool, wall: float) -> Run:
+def _reported(record: Path, ended: bool, wall: float) -> Run:
     """What a run wrote. A test has run where it was taken down; its s are those of all its parts."""
     lines = record.read_text(encoding="utf-8").splitlines() if record.exists() else []
     rows = [json.loads(line) for line in lines if line.endswith("}")]

@@ -54,7 +54,7 @@ class FaultClass:
 
     name: str
     where: tuple[str, ...]
-    words: str
+    phrase: str
     changes: tuple[Change, ...]
 
 
@@ -192,7 +192,7 @@ def faults_in(root: Path, kind: FaultClass) -> list[Fault]:
 
 
 def _in_file(root: Path, path: Path, kind: FaultClass) -> Iterator[Fault]:
-    source, words = path.read_text(encoding="utf-8"), re.compile(kind.words)
+    source, phrase = path.read_text(encoding="utf-8"), re.compile(kind.phrase)
     letters = source.encode()
     starts = [0]
     for line in letters.splitlines(keepends=True):
@@ -205,8 +205,8 @@ def _in_file(root: Path, path: Path, kind: FaultClass) -> Iterator[Fault]:
     seen = set[tuple[int, int, str]]()
     for node, statement, function in places(ast.parse(source)):
         changes = [change for make in kind.changes for change in make(node)]
-        said = f"{function.rpartition('.')[2]} {letters[slice(*text(statement))].decode()}" if changes else ""
-        if not words.search(said.lower()):
+        notice = f"{function.rpartition('.')[2]} {letters[slice(*text(statement))].decode()}" if changes else ""
+        if not phrase.search(notice.lower()):
             continue
         first, end = text(node)
         for change in changes:

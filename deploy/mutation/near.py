@@ -85,9 +85,9 @@ class Nearness:
         found = {}
         for path in sorted((self._root / "tests").rglob("test_*.py")):
             if not str(path.relative_to(self._root)).startswith(_ELSEWHERE):
-                words = set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
+                phrase = set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
                 shared = fixtures.get(path.parent, set()) if path.parent.name != "tests" else set[str]()
-                found[path] = (set(self._imported(path)) | shared, words)
+                found[path] = (set(self._imported(path)) | shared, phrase)
         return found
 
     def files(self, path: str, function: str, most: int) -> list[str]:
@@ -105,10 +105,10 @@ class Nearness:
             around |= dict.fromkeys(new, 1 + max(around.values()))
         own = {part for part in function.split(".") if len(part) > 3} | {target.rpartition(".")[2]}
         rated = []
-        for file, (taken, words) in self._of_tests.items():
+        for file, (taken, phrase) in self._of_tests.items():
             distance = min((around[name] for name in taken if name in around), default=_FAR)
             alike = file.parent.name in Path(path).parts
-            if distance < _FAR or alike or own & words:
-                far = 2 * distance - 2 * alike - min(len(own & words), 2)
+            if distance < _FAR or alike or own & phrase:
+                far = 2 * distance - 2 * alike - min(len(own & phrase), 2)
                 rated.append((far, file.stat().st_size, str(file.relative_to(self._root))))
         return [name for *_, name in sorted(rated)][:most]

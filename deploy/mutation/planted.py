@@ -129,8 +129,8 @@ def there_now(root: Path, row: dict[str, Any]) -> Fault | None:
 
 def changed_since(root: Path, former: str) -> set[str]:
     """Files of tests that are new or other than in a commit."""
-    words = ["git", "diff", "--name-only", former, "--", "tests"]
-    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    phrase = ["git", "diff", "--name-only", former, "--", "tests"]
+    done = subprocess.run(phrase, cwd=root, capture_output=True, text=True, check=False)
     return set(done.stdout.split())
 
 
@@ -150,8 +150,8 @@ def read(folder: Path, seed: int) -> dict[str, Any]:
 
 def commit() -> str:
     """Of the working tree, short."""
-    words = ["git", "rev-parse", "--short=9", "HEAD"]
-    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    phrase = ["git", "rev-parse", "--short=9", "HEAD"]
+    return subprocess.run(phrase, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def write(folder: Path, record: dict[str, Any]) -> None:
@@ -189,10 +189,10 @@ def page(record: dict[str, Any]) -> str:
     for row in rows:
         fault = row["fault"]
         before, after = (_cell(fault[name]) for name in ("before", "after"))
-        told = f"`{row['now']['by']}`" if row["now"]["by"] else row["now"]["result"]
+        reported = f"`{row['now']['by']}`" if row["now"]["by"] else row["now"]["result"]
         at_first = row.get("first", row["now"])["result"]
         place = f"{fault['path']}:{fault['line']} {fault['function']}"
-        lines.append(f"| {fault['kind']} | {place} | {before} | {after} | {at_first} | {told} |")
+        lines.append(f"| {fault['kind']} | {place} | {before} | {after} | {at_first} | {reported} |")
     explained = [f"- {row['fault']['path']}:{row['fault']['line']}: {row['why']}" for row in rows if row.get("why")]
     lines += ["", *explained] if explained else []
     return "\n".join(lines) + "\n"

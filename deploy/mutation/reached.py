@@ -1,6 +1,6 @@
 """Which tests reach a place, and how long each takes: lies beside the code of the copy in which faults are planted.
 
-The place calls ``told`` there, in whichever process and thread; pytest loads the file as a plug-in (``-p``). Both write
+The place calls ``reported`` there, in whichever process and thread; pytest loads the file as a plug-in (``-p``). Both write
 lines of JSON into the file of the same name that ends in ``.jsonl``, so that a run that is cut tells what it did.
 """
 
@@ -15,14 +15,14 @@ from typing import Any
 CALL = '__import__("reached").told()'
 """What stands at the place."""
 RECORD = Path(__file__).with_suffix(".jsonl")
-_TOLD = set[str]()
+_REPORTED = set[str]()
 
 
-def told() -> bool:
+def reported() -> bool:
     """True; at the first call within a test that this test was here. A test's processes inherit its name."""
     now = os.environ.get("PYTEST_CURRENT_TEST", "")
-    if now not in _TOLD:
-        _TOLD.add(now)
+    if now not in _REPORTED:
+        _REPORTED.add(now)
         _write({"reached": now})
     return True
 

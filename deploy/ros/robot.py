@@ -30,7 +30,7 @@ class Robot(Node):
         self.x, self.y, self.yaw, self.speed = -2.0, 0.0, 0.0, 0.0
         self.command, self.heard = (0.0, 0.0), -math.inf
         self.counts = {"commands": 0, "diagnostics": 0, "periods_without_a_command": 0}
-        self.said: list[str] = []
+        self.notice: list[str] = []
         self.odometry = self.create_publisher(Odometry, "/odom", 10)
         self.policy = self.create_publisher(AckermannDriveStamped, "/drive_in", 10)
         self.create_subscription(AckermannDriveStamped, "/drive", self.drive, 10)
@@ -46,8 +46,8 @@ class Robot(Node):
         """What gateway and filter say."""
         self.counts["diagnostics"] += 1
         for status in message.status:
-            if status.message not in self.said[-1:]:
-                self.said.append(status.message)
+            if status.message not in self.notice[-1:]:
+                self.notice.append(status.message)
 
     def turn(self) -> None:
         """One period."""
@@ -80,7 +80,7 @@ def main() -> None:
     end = time.monotonic() + float(os.environ.get("SECONDS_TO_DRIVE", "20"))
     while time.monotonic() < end:
         rclpy.spin_once(robot, timeout_sec=0.1)
-    print(json.dumps({**robot.counts, "x": robot.x, "y": robot.y, "speed": robot.speed, "said": robot.said[-8:]}))  # noqa: T201
+    print(json.dumps({**robot.counts, "x": robot.x, "y": robot.y, "speed": robot.speed, "notice": robot.notice[-8:]}))  # noqa: T201
 
 
 if __name__ == "__main__":

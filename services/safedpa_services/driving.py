@@ -60,16 +60,16 @@ def drive_command(
     """
     name = model.system.name
     files = [str(own)] if own else [item for item in os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep) if item]
-    words = ["safedpa", "up"]
+    phrase = ["safedpa", "up"]
     if name != DEFAULT_ROBOT and name not in own_robots():
-        words += ["--robot", name]
+        phrase += ["--robot", name]
     if files:
-        words += ["--robot-file" if name in own_robots() else "--effects", files[0]]
-    words += ["--model", str(path), *(["--margin", str(margin)] if margin else [])]
+        phrase += ["--robot-file" if name in own_robots() else "--effects", files[0]]
+    phrase += ["--model", str(path), *(["--margin", str(margin)] if margin else [])]
     another = period > 0.0 and abs(period / model.period - 1.0) > _SAME_RATE
     if another and RATES[0] <= 1.0 / period <= RATES[1]:
-        words += ["--rate", f"{1.0 / period:.4g}"]
-    return shlex.join(words)
+        phrase += ["--rate", f"{1.0 / period:.4g}"]
+    return shlex.join(phrase)
 
 
 @final
@@ -81,7 +81,7 @@ class CalibratedMargin:
     """None: there is none."""
     period: float = 0.0
     """s, of its steps; 0: there is none."""
-    said: str = ""
+    notice: str = ""
     """Sentences; empty where all is as usual."""
 
 
@@ -111,6 +111,6 @@ def calibrate_margin_file(
         found = log_margin(model, robot.settings(), runs, _COVERAGE, today, estimator=estimator, fewer=fewer)
     except InputError as error:
         why = str(error).removeprefix("margin: ")
-        return CalibratedMargin(said=f"No margin was calibrated: {why}; the filter's settings stand in for it")
+        return CalibratedMargin(notice=f"No margin was calibrated: {why}; the filter's settings stand in for it")
     found.calibration.save(path)
     return CalibratedMargin(path, found.period, log_margin_message(model, found))

@@ -82,8 +82,8 @@ def _take_switches(bus: Bus, robot: str, switches: SensorOverrides) -> None:
     bus.answer_requests(switches.answer, robot, partial(_log_order, "perception"), (SENSE,))
     if switches.lost:
         log_event("order.lost", f"{switches.lost}: no source counts until 'sense' says so", level="error")
-    for name, told in switches.kept.items():
-        log_event("order.kept", f"switched by orders that were kept: {told}", level="warning", robot=name)
+    for name, reported in switches.retained.items():
+        log_event("order.kept", f"switched by orders that were kept: {reported}", level="warning", robot=name)
 
 
 def add_policy_options(parser: argparse.ArgumentParser) -> None:
@@ -142,8 +142,8 @@ def safety_filter(options: argparse.Namespace) -> PreparedService:
 
 def _take_orders(bus: Bus, orders: StopOrders) -> None:
     """An order about any robot is kept, be it heard of or not: one that was not there yet may come."""
-    bus.answer_requests(orders.answer, tell=partial(_log_order, "safety_filter"), kinds=(ORDER,))
-    for robot, reason in orders.kept.items():
+    bus.answer_requests(orders.answer, report_progress=partial(_log_order, "safety_filter"), kinds=(ORDER,))
+    for robot, reason in orders.active.items():
         log_event("order.kept", f"stopped by an order that was kept: {reason}", level="warning", robot=robot)
 
 

@@ -22,32 +22,32 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title)
 
-        def tell(done: int, everything: int) -> None:
+        def report_progress(done: int, everything: int) -> None:
             bar.update(task, completed=done, total=everything)
 
-        yield tell
+        yield report_progress
 
 
 @contextmanager
 def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]:
     """Yields ``tell(done, all, said)`` for work of which nobody knows how much is left: the seconds that passed are
-    shown, none that are to come, and what is ``said`` stands above the bar whenever it changes. Only on a terminal."""
+    shown, none that are to come, and what is ``notice`` stands above the bar whenever it changes. Only on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda _done, _all, _said: None
+        yield lambda _done, _all, _message: None
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task, last = bar.add_task(title), ""
 
-        def tell(done: int, everything: int, said: str) -> None:
+        def report_progress(done: int, everything: int, notice: str) -> None:
             nonlocal last
-            if said != last:
-                bar.console.print(f"{title}: {said}", highlight=False, markup=False)
-                last = said
+            if notice != last:
+                bar.console.print(f"{title}: {notice}", highlight=False, markup=False)
+                last = notice
             bar.update(task, completed=done, total=everything)
 
-        yield tell
+        yield report_progress

@@ -9,7 +9,6 @@ from contextlib import ExitStack
 from functools import partial
 
 from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
-from safedpa.bus.service.journal import ServiceLog
 from safedpa.bus.service.process import (
     StopSignal,
     add_bus_options,
@@ -19,6 +18,7 @@ from safedpa.bus.service.process import (
 )
 from safedpa.bus.service.sandbox import AbstractJobHandle, JobProcess
 from safedpa.bus.service.scheduler import Scheduler
+from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.transport.memory import JointTransport
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.nodes import PreparedService
@@ -87,4 +87,4 @@ def _hand_in(
 
 def _loop(made: PreparedService, bus: Bus, options: argparse.Namespace) -> ServiceLoop:
     """Each has a bus of its own, since each holds back its own outputs until its robots are through."""
-    return ServiceLoop(made.node, bus, options.robot, setup=made.setup, journal=ServiceLog(made.node.name))
+    return ServiceLoop(made.node, bus, options.robot, setup=made.setup, service_log=ServiceLog(made.node.name))

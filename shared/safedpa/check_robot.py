@@ -84,21 +84,21 @@ def _tried(part: str, function: Callable[[], Any]) -> Any:
 
 def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     system = robot.system
-    said = _said_of_deviations(robot)
-    if said:
-        raise _EndError(PartFinding("measurement_deviation", "wrong", said))
+    notice = _message_of_deviations(robot)
+    if notice:
+        raise _EndError(PartFinding("measurement_deviation", "wrong", notice))
     yield PartFinding(
         "system", "fine", f"states {', '.join(system.state_names)}; actions {', '.join(system.action_names)}"
     )
     model: PhysicsModel = _tried("model", lambda: load_model(str(robot.model)))
     if model.system != system:
-        said = f"{robot.model} is of a '{model.system.name}' with {', '.join(model.system.action_names)}"
-        raise _EndError(PartFinding("model", "wrong", f"{said}, wanted this robot's system"))
+        notice = f"{robot.model} is of a '{model.system.name}' with {', '.join(model.system.action_names)}"
+        raise _EndError(PartFinding("model", "wrong", f"{notice}, wanted this robot's system"))
     free = ", ".join(model.latent_names) or "nothing"
     yield PartFinding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
     effects = _tried("effects", lambda: effects_of(robot.name))
-    said = f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS"
-    yield PartFinding("effects", "fine" if effects else "missing", said)
+    notice = f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS"
+    yield PartFinding("effects", "fine" if effects else "missing", notice)
     settings: FilterSettings = _tried("settings", robot.settings)
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
     yield PartFinding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
@@ -108,15 +108,15 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
         yield PartFinding("frame", "wrong", f"got {type(frame).__name__}, wanted a Frame, or None without networks")
     stand_in = _tried("stand_in", lambda: robot.stand_in(seed, {}))
     if not isinstance(stand_in, AbstractStandIn):
-        said = f"got {type(stand_in).__name__}, wanted an AbstractStandIn"
-        raise _EndError(PartFinding("stand_in", "wrong", said))
+        notice = f"got {type(stand_in).__name__}, wanted an AbstractStandIn"
+        raise _EndError(PartFinding("stand_in", "wrong", notice))
     drive = _tried("barriers", lambda: _Drive(robot, model, settings, scene, stand_in).run(_TICKS, seed))
     yield from _driven(robot, model, drive)
     yield _nominal_part(model, drive)
     yield _drawing(robot, drive)
 
 
-def _said_of_deviations(robot: AbstractRobot) -> str:
+def _message_of_deviations(robot: AbstractRobot) -> str:
     """What is wrong with them; empty: nothing."""
     names, given = robot.system.state_names, robot.measurement_deviation
     try:
@@ -240,8 +240,8 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
     median = np.median(np.array(drive.errors), axis=0)
     worst = int(median.argmax())
     name = model.system.state_names[worst]
-    said = f"single steps of {name} missed by {median[worst]:.2g} measurement deviations (median)"
-    yield PartFinding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", said)
+    notice = f"single steps of {name} missed by {median[worst]:.2g} measurement deviations (median)"
+    yield PartFinding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", notice)
 
 
 def _nothing_perceived(drive: _Drive) -> PartFinding:
@@ -258,7 +258,7 @@ def _nothing_perceived(drive: _Drive) -> PartFinding:
 
 def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
     latent = drive.model.latent if drive.model.latent_names else None
-    said: dict[str, str] = {}
+    notice: dict[str, str] = {}
     for message in drive.states[:: max(1, len(drive.states) // _PROBED)]:
         barriers = drive.scene.of(message)
         if isinstance(barriers, str) or not barriers.names:
@@ -272,8 +272,8 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
             ticks=20,
         )
         for issue in report:
-            said.setdefault(issue.subject, str(issue))
-    for sentence in said.values():
+            notice.setdefault(issue.subject, str(issue))
+    for sentence in notice.values():
         yield PartFinding("filter", "wrong", sentence)
 
 

@@ -24,16 +24,16 @@ def write_through(path: Path, text: str) -> None:
 
     Raises OSError; then what was there before stays.
     """
-    beside = path.with_name(path.name + ".new")
+    alongside = path.with_name(path.name + ".new")
     try:
-        with beside.open("w", encoding="utf-8") as file:
+        with alongside.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        beside.replace(path)
+        alongside.replace(path)
     except OSError:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            alongside.unlink()
         raise
     folder = os.open(path.parent, os.O_RDONLY)
     try:

@@ -101,10 +101,10 @@ def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
     Never raises: what cannot be listed has no names.
     """
     try:
-        beside = [item.name for item in path.parent.iterdir() if item.name != path.name]
+        alongside = [item.name for item in path.parent.iterdir() if item.name != path.name]
     except OSError:
-        beside = []
-    near = difflib.get_close_matches(path.name, [*shipped, *beside], n=1)
+        alongside = []
+    near = difflib.get_close_matches(path.name, [*shipped, *alongside], n=1)
     if not near:
         return ""
-    return f"did you mean '{near[0] if near[0] not in beside else path.parent / near[0]}'? "
+    return f"did you mean '{near[0] if near[0] not in alongside else path.parent / near[0]}'? "

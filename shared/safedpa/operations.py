@@ -140,13 +140,13 @@ def torch_operations() -> Operations:
     """The table for torch tensors; plain numbers are allowed beside tensors."""
     import torch
 
-    def tensor(value: Any, beside: Any = None) -> Any:
+    def tensor(value: Any, alongside: Any = None) -> Any:
         # A plain number becomes a tensor without axes, in double precision unless a tensor stands beside it: in what
         # follows the tensors with axes decide the precision.
         if isinstance(value, torch.Tensor):
             return value
-        if isinstance(beside, torch.Tensor):
-            return torch.as_tensor(value, dtype=beside.dtype, device=beside.device)
+        if isinstance(alongside, torch.Tensor):
+            return torch.as_tensor(value, dtype=alongside.dtype, device=alongside.device)
         return torch.tensor(value, dtype=torch.float64)
 
     def unary(function: Callable[..., Any]) -> Callable[[Any], Any]:

@@ -127,9 +127,9 @@ def drive_together(
     drives = [drive(_WaitingRobot(robot), own, ticks) for robot, own in zip(field.robots, nodes, strict=True)]
     try:
         for _ in range(ticks):
-            told = tuple(next(one) for one in drives)
+            reported = tuple(next(one) for one in drives)
             field.advance()
-            yield told
+            yield reported
     finally:
         for one in drives:
             one.close()

@@ -42,7 +42,7 @@ def drive_again(tape: RobotTape, change: WhatIfChange, folders: tuple[Path, ...]
     nodes = [*_perception(tape, options), *(node_of(change.applied(setup), folders) for setup in setups)]
     driven = list(drive(robot_of(options), nodes, len(stamps)))
     return {
-        "robot": " ".join(f"{name}={value}" for name, value in _told(options).items()),
+        "robot": " ".join(f"{name}={value}" for name, value in _reported(options).items()),
         "ticks": len(driven),
         "lockstep_then": next(iter(tape.states.values())).lockstep,
         "apart_from_tick": _apart(tape, stamps, driven),
@@ -91,15 +91,15 @@ def _parsed(options: dict[str, Any]) -> argparse.Namespace:
 
     parser.error = refuse  # type: ignore[method-assign]
     defaults = vars(parser.parse_args([]))
-    words = []
+    phrase = []
     for name, value in options.items():
         for item in value if isinstance(value, list) else [value]:
             if item is not None and str(item) != str(defaults.get(name)):
-                words.append(f"--{name.replace('_', '-')}" + ("" if item is True else f"={item}"))
-    return parser.parse_args(words)
+                phrase.append(f"--{name.replace('_', '-')}" + ("" if item is True else f"={item}"))
+    return parser.parse_args(phrase)
 
 
-def _told(options: argparse.Namespace) -> dict[str, Any]:
+def _reported(options: argparse.Namespace) -> dict[str, Any]:
     """What makes the drive this one: the options that are not as they are by default, and the seed."""
     defaults = vars(robot_parser().parse_args([]))
     named = {name: getattr(options, name) for name in ("robot", "seed")}

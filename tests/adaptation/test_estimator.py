@@ -185,12 +185,12 @@ def test_a_model_without_free_parameters_has_nothing_to_estimate() -> None:
 def test_the_lag_of_the_actuators_is_remembered_between_updates() -> None:
     """With the memory a lagged car is predicted to the noise; with the memory thrown away each time it is not."""
     planted = (0.0, 0.2)
-    kept = Drive(LAGGED).run(15.0, planted).estimator.latent[1]
+    retained = Drive(LAGGED).run(15.0, planted).estimator.latent[1]
     drive = Drive(LAGGED)
     for _ in range(round(15.0 / PERIOD)):
         drive.estimator.forget_transient()
         drive.run(PERIOD, planted)
-    assert abs(kept - 0.2) < 0.05
+    assert abs(retained - 0.2) < 0.05
     assert abs(drive.estimator.latent[1] - 0.2) > 0.1
 
 

@@ -30,14 +30,16 @@ def test_a_command_of_another_distribution_runs(stranger: Path, capsys: pytest.C
     assert capsys.readouterr().out == "a stranger says hello\n"
 
 
-@pytest.mark.parametrize(("name", "said"), [("gone", "reinstall stranger"), ("odd", "wanted a click command")])
-def test_a_broken_one_costs_one_line(name: str, said: str, stranger: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("name", "notice"), [("gone", "reinstall stranger"), ("odd", "wanted a click command")])
+def test_a_broken_one_costs_one_line(
+    name: str, notice: str, stranger: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert stranger.exists()
     assert safedpa.run([name]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     assert f"command '{name}' of stranger" in line
-    assert said in line
+    assert notice in line
 
 
 def test_help_lists_every_command_whatever_a_stranger_broke(stranger: Path, capsys: pytest.CaptureFixture[str]) -> None:

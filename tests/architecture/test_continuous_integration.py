@@ -67,8 +67,8 @@ def test_the_last_line_is_a_summary_and_that_of_the_run_that_failed(tmp_path: Pa
     begin = text.index("summary() {")
     function = text[begin : text.index("\n}\n", begin) + 3]
     end = text[text.index("runs=(test-long test)") : text.index("[ ${#failed[@]} -eq 0 ]")]
-    told = f"set -uo pipefail\n{function}\nprograms={tmp_path} failed=({failed})\n{end}"
-    lines = subprocess.run(["bash", "-c", told], capture_output=True, text=True, check=True).stdout.splitlines()
+    reported = f"set -uo pipefail\n{function}\nprograms={tmp_path} failed=({failed})\n{end}"
+    lines = subprocess.run(["bash", "-c", reported], capture_output=True, text=True, check=True).stdout.splitlines()
     assert len(lines) == 2
     assert lines[-1] == f"== 1 passed of {last} in 600.00s =="
 
@@ -80,8 +80,8 @@ def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(t
     found = shutil.which("tee")
     assert found
     (tmp_path / "tee").symlink_to(found)
-    told = f"{function}\nprograms={tmp_path} PATH={tmp_path}\ncompiled_tests"
-    subprocess.run(["/bin/bash", "-c", told], check=True)
+    reported = f"{function}\nprograms={tmp_path} PATH={tmp_path}\ncompiled_tests"
+    subprocess.run(["/bin/bash", "-c", reported], check=True)
     assert not_tested(tmp_path / "compiled.log") == [
         "NOT TESTED: 1: no C compiler, so the filter was tested from source alone"
     ]
@@ -107,8 +107,8 @@ def test_a_part_that_fails_fails_and_its_time_is_told() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("failed=()")
     function = text[begin : text.index("\n}\n", begin) + 3]
-    told = f'{function}\npart first true; part second false; echo "${{spent[*]}} | ${{failed[*]}}"'
-    done = subprocess.run(["bash", "-c", told], capture_output=True, text=True, check=True)
+    reported = f'{function}\npart first true; part second false; echo "${{spent[*]}} | ${{failed[*]}}"'
+    done = subprocess.run(["bash", "-c", reported], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"first \d+ s second \d+ s \| second", done.stdout.splitlines()[-1])
 
 
@@ -117,5 +117,5 @@ def not_tested(*logs: Path) -> list[str]:
     text = SCRIPT.read_text(encoding="utf-8")
     begin = text.index("not_tested() {")
     function = text[begin : text.index("\n}\n", begin) + 3]
-    words = ["bash", "-c", f'{function}\nnot_tested "$@"', "bash", *map(str, logs)]
-    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+    phrase = ["bash", "-c", f'{function}\nnot_tested "$@"', "bash", *map(str, logs)]
+    return subprocess.run(phrase, capture_output=True, text=True, check=True).stdout.splitlines()

@@ -31,10 +31,10 @@ class Process:
     """Of xdist: keeps what it is told to run."""
 
     def __init__(self) -> None:
-        self.told: list[int] = []
+        self.reported: list[int] = []
 
     def send_runtest_some(self, indices: list[int]) -> None:
-        self.told += indices
+        self.reported += indices
 
 
 def test_one_process_has_the_trainings_and_the_others_take_them_last(pytestconfig: pytest.Config) -> None:
@@ -55,8 +55,8 @@ def test_one_process_has_the_trainings_and_the_others_take_them_last(pytestconfi
     scheduler.workqueue = OrderedDict((file, {item: False}) for file, item in zip(files, items, strict=True))
     for process in (first, second, first, second):
         scheduler._assign_work_unit(process)
-    assert [files[index] for index in first.told] == ["tests/training/test_c.py", "tests/bus/test_a.py"]
-    assert [files[index] for index in second.told] == ["tests/records/test_b.py", "tests/ros/test_d.py"]
+    assert [files[index] for index in first.reported] == ["tests/training/test_c.py", "tests/bus/test_a.py"]
+    assert [files[index] for index in second.reported] == ["tests/records/test_b.py", "tests/ros/test_d.py"]
     scheduler.workqueue = OrderedDict([("tests/training/test_c.py", {items[2]: False})])
     scheduler._assign_work_unit(second)
-    assert files[second.told[-1]] == "tests/training/test_c.py", "before it has nothing to do"
+    assert files[second.reported[-1]] == "tests/training/test_c.py", "before it has nothing to do"

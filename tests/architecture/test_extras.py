@@ -82,15 +82,15 @@ def test_a_core_without_any_extra_names_the_extra_that_a_command_needs(tmp_path:
     done = subprocess.run(program, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     answers = [json.loads(line) for line in done.stdout.splitlines()]
-    for (line, extra), (code, said) in zip(CASES, answers, strict=True):
+    for (line, extra), (code, notice) in zip(CASES, answers, strict=True):
         if extra is None:
-            assert (code, said) == (0, ""), line
+            assert (code, notice) == (0, ""), line
             continue
-        assert code == 2, (line, code, said)
-        assert said.count("\n") == 1, (line, said)
-        named = re.search(r"pip install 'safedpa\[([a-z,]+)\]'", said)
-        assert named, (line, said)
-        assert named[1] == extra, (line, said)
+        assert code == 2, (line, code, notice)
+        assert notice.count("\n") == 1, (line, notice)
+        named = re.search(r"pip install 'safedpa\[([a-z,]+)\]'", notice)
+        assert named, (line, notice)
+        assert named[1] == extra, (line, notice)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.db3", "log.csv"]
 
 
@@ -117,8 +117,8 @@ def test_what_is_missing_is_named_with_a_way_on(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setitem(sys.modules, "pymunk", None)
     assert (missing("workbench"), missing("workbench", alone=True)) == (("rerun",), ())
-    words = r"^the view needs pip install 'safedpa\[sim,view\]', or go without; not installed: pymunk, rerun$"
-    with pytest.raises(MissingExtraError, match=words):
+    phrase = r"^the view needs pip install 'safedpa\[sim,view\]', or go without; not installed: pymunk, rerun$"
+    with pytest.raises(MissingExtraError, match=phrase):
         need("sim", "view", "metrics", what="the view", instead="go without")
     need("metrics")
     assert (extra_of("rerun.blueprint"), extra_of("numpy")) == ("view", None)

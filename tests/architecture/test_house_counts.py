@@ -66,7 +66,7 @@ def test_lines_are_code_told_or_blank(house: ModuleType, tmp_path: Path) -> None
     text = '"""What\n\nit is."""\n\n# why\nx = 1  # so\n'
     found = house.modules(written(tmp_path, {"shared/safedpa/a.py": text}))
     module = found["safedpa.a"]
-    assert (module.lines, module.told, module.blank) == (6, 4, 1)
+    assert (module.lines, module.reported, module.blank) == (6, 4, 1)
     assert "| all | 6 | 1 | 4 | 1 | 1 | 0 |" in house.table(found)
 
 

@@ -38,7 +38,7 @@ PACKAGES = sorted(
 class Facts:
     """What is looked at of a file; its syntax tree, a hundred times as large, is not kept."""
 
-    told: bool
+    reported: bool
     """Whether it begins with a docstring."""
     names: frozenset[str]
     """That it assigns."""
@@ -58,7 +58,7 @@ def facts_of(path: Path) -> Facts:
     imported = (node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module != "__future__")
     functions = (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
     return Facts(
-        told=bool(ast.get_docstring(tree)),
+        reported=bool(ast.get_docstring(tree)),
         names=frozenset(target.id for target in assigned if isinstance(target, ast.Name)),
         defined=frozenset(node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))),
         brought_in=frozenset(alias.asname or alias.name for node in imported for alias in node.names),
@@ -105,7 +105,7 @@ def wrong_in_package(name: str) -> str:
 
 def wrong_in_module(path: Path) -> str:
     facts = facts_of(path)
-    if not facts.told:
+    if not facts.reported:
         return "a module begins with what it is"
     if not has_all(path):
         return ""

@@ -63,7 +63,7 @@ def test_a_batch_takes_a_thirtieth_of_the_shortest_period_or_is_not_worth_it(per
     assert batch_interval([0.1] * 20 + [period], coalescing=True) == pytest.approx(quantum)
 
 
-class Kept(Subscription):
+class Retained(Subscription):
     """A subscription that can gather, filled by the test."""
 
     def __init__(self, inbox: Inbox) -> None:
@@ -90,17 +90,17 @@ class Kept(Subscription):
 
 def test_an_inbox_that_makes_batches_takes_all_that_was_gathered(samples: dict[str, Message]) -> None:
     inbox = Inbox()
-    kept = Kept(inbox)
-    inbox.fill_from(kept)
+    retained = Retained(inbox)
+    inbox.fill_from(retained)
     inbox.coalesce(0.002)
     for robot in "abc":
-        kept.send(f"safedpa/f/{robot}/action", encode(samples["action"]))
-    assert kept.gathered, "nothing was kept outside"
+        retained.send(f"safedpa/f/{robot}/action", encode(samples["action"]))
+    assert retained.gathered, "nothing was kept outside"
     assert inbox.waiting
     assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["a", "b", "c"]
-    kept.send("safedpa/f/d/action", encode(samples["action"]))
+    retained.send("safedpa/f/d/action", encode(samples["action"]))
     inbox.coalesce(0.0)
-    kept.send("safedpa/f/e/action", encode(samples["action"]))
+    retained.send("safedpa/f/e/action", encode(samples["action"]))
     assert [item.robot for item in inbox.take(0.0) if isinstance(item, ReceivedMessage)] == ["d", "e"]
 
 
@@ -108,14 +108,14 @@ def test_a_batch_is_not_taken_before_its_quantum_is_over(
     samples: dict[str, Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inbox = Inbox()
-    kept = Kept(inbox)
-    inbox.fill_from(kept)
+    retained = Retained(inbox)
+    inbox.fill_from(retained)
     slept: list[float] = []
     monkeypatch.setattr("time.sleep", slept.append)
     inbox.coalesce(0.05)
     inbox.take(0.0)
     assert slept == [], "it waited although it should not"
-    kept.send("safedpa/f/a/action", encode(samples["action"]))
+    retained.send("safedpa/f/a/action", encode(samples["action"]))
     assert len(inbox.take(1.0)) == 1
     assert len(slept) == 1
     assert 0.0 < slept[0] <= 0.05
@@ -163,21 +163,21 @@ class TestZenohGathers:
         heard: list[bytes] = []
         subscription = receiver.subscribe(self.KEY, lambda _key, payload: heard.append(payload))
 
-        def said(word: bytes) -> None:
+        def notice(word: bytes) -> None:
             sender.put(self.KEY, word, never_drop=True)
 
         def arrives() -> bool:
-            said(b"are you there")
+            notice(b"are you there")
             return bool(heard)
 
         assert until(arrives)
-        said(b"before")
+        notice(b"before")
         assert until(lambda: heard[-1] == b"before")
         heard.clear()
         subscription.gather()
         subscription.gather()  # asked twice, it is one
         for number in range(50):
-            said(b"%d" % number)
+            notice(b"%d" % number)
 
         def collected() -> bool:
             subscription.collect()
@@ -185,9 +185,9 @@ class TestZenohGathers:
 
         assert heard == [], "it called although it gathers"
         assert until(collected)
-        said(b"on the way back")
+        notice(b"on the way back")
         assert until(lambda: (subscription.collect(), b"on the way back" in heard)[1])
         subscription.pass_on()
-        said(b"after")
+        notice(b"after")
         assert until(lambda: heard[-1] == b"after")
         assert heard == [*(b"%d" % number for number in range(50)), b"on the way back", b"after"]

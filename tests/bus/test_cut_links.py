@@ -26,7 +26,7 @@ def test_a_guest_from_the_network_is_cut_off_and_one_at_the_socket_of_this_user_
         guests.append(ZenohTransport(ZenohSettings("client", connect=(doors[1],))))
         (at_the_socket,) = linked(listening, 1)
         assert listening.cut_off({at_the_socket}) == 0
-        assert listening.cut_off({"nobody"}) == 0
+        assert listening.cut_off({"no_one"}) == 0
         guests.append(ZenohTransport(ZenohSettings("client", connect=(doors[0],))))
         both = linked(listening, 2)
         assert listening.cut_off(both) == 1

@@ -46,10 +46,10 @@ class Curious(AbstractNode):
     share = 0.2
 
     def __init__(self) -> None:
-        self.told: list[Any] = []
+        self.reported: list[Any] = []
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        self.told.append((robot, state.tick, isinstance(inputs[LATENT], LatentMessage)))
+        self.reported.append((robot, state.tick, isinstance(inputs[LATENT], LatentMessage)))
         stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
         takeover = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="x", state="ready")
         return {NOMINAL: NominalMessage(**stamp, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
@@ -58,10 +58,10 @@ class Curious(AbstractNode):
         assert isinstance(message, ModelMessage)
         if message.change == 13:
             raise InputError("change 13: unlucky")
-        self.told.append((robot, message.step, message.change))
+        self.reported.append((robot, message.step, message.change))
 
     def welcome(self, robot: str, status: Answer | None) -> None:
-        self.told.append((robot, None if status is None else status.fingerprint))
+        self.reported.append((robot, None if status is None else status.fingerprint))
 
     def model_of(self, robot: str) -> str:
         return f"model of {robot}"
@@ -122,7 +122,7 @@ def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state
         robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
         loop.turn(0.0)
     assert asked == [("r", Request(do="status", who="policy"))]
-    assert node.told == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
+    assert node.reported == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
 
 
 def test_without_a_diagnosis_other_services_tell_what_they_agreed_on(
@@ -135,7 +135,7 @@ def test_without_a_diagnosis_other_services_tell_what_they_agreed_on(
     robot.publish(STATE, "r", state_at(0))
     robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
     loop.turn(0.0)
-    assert node.told == [("r", "of r"), ("r", 0, True)]
+    assert node.reported == [("r", "of r"), ("r", 0, True)]
 
 
 def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samples: Any) -> None:
@@ -143,7 +143,7 @@ def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samp
     robot.publish(STATE, "r", state_at(0))
     robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
     loop.turn(0.0)
-    assert node.told == [("r", None), ("r", 0, True)]
+    assert node.reported == [("r", None), ("r", 0, True)]
 
 
 def test_messages_that_came_while_it_waited_are_not_lost(
@@ -155,12 +155,12 @@ def test_messages_that_came_while_it_waited_are_not_lost(
         robot.publish(STATE, "r", state_at(tick))
         robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
         loop.turn(0.0)
-    assert node.told == [], "it is still waiting"
+    assert node.reported == [], "it is still waiting"
     inbox, *asked = bus.asked
     assert asked == ["r", "policy"]
     inbox.keep_answer(RequestOutcome("r", Answer(ok=True, sentence="", fingerprint="agreed")))
     loop.turn(0.0)
-    assert node.told == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
+    assert node.reported == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
 
 
 class Asked:
@@ -186,30 +186,30 @@ def test_a_robot_waits_for_the_answer_or_for_nine_tenths_of_a_second(
 ) -> None:
     """The newest message of each topic waits, the state first; later messages do not wait, until the robot leaves."""
     node, bus, inbox = Curious(), Asked(), Inbox()
-    greeting = ModelHandshake(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
+    handshake_ = ModelHandshake(node, bus, inbox, clock, lambda *_: None)  # type: ignore[arg-type]
     latent = received(LATENT, latent_of(samples, state_at(2)))
-    assert greeting.deadline() == float("inf")
-    assert not greeting.holds(latent), "a robot is met by its state"
+    assert handshake_.deadline() == float("inf")
+    assert not handshake_.holds(latent), "a robot is met by its state"
     older, newer, other = (received(STATE, state_at(tick), robot) for tick, robot in ((1, "r"), (2, "r"), (1, "q")))
-    assert all(greeting.holds(item) for item in (older, newer, latent, other))
+    assert all(handshake_.holds(item) for item in (older, newer, latent, other))
     assert [robot for robot, _ in bus.about] == ["r", "q"]
     assert all(0.1 <= timeout <= 0.5 for _, timeout in bus.about)
-    assert greeting.deadline() == pytest.approx(0.9)
+    assert handshake_.deadline() == pytest.approx(0.9)
     served: list[ReceivedMessage] = []
     while not served and clock.now < 5.0:
         if answered_at is not None and clock.now >= answered_at:
             inbox.keep_answer(RequestOutcome("r", Answer(ok=True, sentence="", fingerprint="a")))
-        served = greeting.ready()
+        served = handshake_.ready()
         clock.now += 0.0 if served else 0.05
     assert served == ([newer, latent] if answered_at is not None else [newer, latent, other])
     assert clock.now == pytest.approx(served_at, abs=0.051)
-    assert node.told[0] == ("r", None if answered_at is None else "a")
-    assert not greeting.holds(received(STATE, state_at(3)))
-    assert not greeting.holds(latent)
-    assert greeting.ready() == []
-    assert greeting.holds(other) is (answered_at is not None), "an answer about one robot is none about another"
-    greeting.forget("r")
-    assert greeting.holds(received(STATE, state_at(4)))
+    assert node.reported[0] == ("r", None if answered_at is None else "a")
+    assert not handshake_.holds(received(STATE, state_at(3)))
+    assert not handshake_.holds(latent)
+    assert handshake_.ready() == []
+    assert handshake_.holds(other) is (answered_at is not None), "an answer about one robot is none about another"
+    handshake_.forget("r")
+    assert handshake_.holds(received(STATE, state_at(4)))
     assert [robot for robot, _ in bus.about] == ["r", "q", "r"]
 
 
@@ -223,7 +223,7 @@ def test_without_any_answer_the_loop_wakes_up_when_the_patience_ends(broker: Any
     assert loop.patience(1.0) == pytest.approx(0.1)
     for clock.now in (0.91, 1.0):
         loop.turn(0.0)
-    assert node.told == [("r", None), ("r", 0, False)]
+    assert node.reported == [("r", None), ("r", 0, False)]
 
 
 def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_at: Any, samples: Any) -> None:
@@ -235,7 +235,7 @@ def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_
         loop.turn(0.0)
         clock.now += 40.0
         loop.turn(0.0)
-    assert node.told == [("r", None), ("r", 0, True)] * 2
+    assert node.reported == [("r", None), ("r", 0, True)] * 2
 
 
 def test_a_node_that_holds_no_model_asks_for_none(broker: Any, clock: Clock, state_at: Any, samples: Any) -> None:
@@ -245,7 +245,7 @@ def test_a_node_that_holds_no_model_asks_for_none(broker: Any, clock: Clock, sta
     robot.publish(STATE, "r", state_at(0))
     robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
     loop.turn(0.0)
-    assert node.told == [("r", 0, True)]
+    assert node.reported == [("r", 0, True)]
 
 
 def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(
@@ -255,7 +255,7 @@ def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(
     for change in (1, 13, 2):
         robot.publish(MODEL, "r", dataclasses.replace(samples["model"], change=change, tick=0))
     loop.turn(0.0)
-    assert node.told == [("r", "offer", 1), ("r", "offer", 2)]
+    assert node.reported == [("r", "offer", 1), ("r", "offer", 2)]
 
 
 def test_answers_go_out_under_the_service_s_name_and_health_names_the_model(

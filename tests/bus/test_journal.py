@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import STATE, Message
-from safedpa.bus.service.journal import ServiceLog
+from safedpa.bus.service.service_log import ServiceLog
 
 
 class Book:
@@ -15,7 +15,7 @@ class Book:
     def __init__(self) -> None:
         self.events: list[tuple[str, str]] = []
         self.levels: list[str] = []
-        self.journal = ServiceLog("policy", self.log)
+        self.service_log = ServiceLog("policy", self.log)
 
     def log(self, kind: str, sentence: str, *, level: str, service: str, **_: Any) -> None:
         assert service == "policy"
@@ -24,7 +24,7 @@ class Book:
 
     def written_of(self, message: Message, robot: str = "r1", **changes: Any) -> list[str]:
         before = len(self.events)
-        self.journal.said(robot, {STATE: dataclasses.replace(message, **changes)})
+        self.service_log.notice(robot, {STATE: dataclasses.replace(message, **changes)})
         return [kind for kind, _ in self.events[before:]]
 
 
@@ -40,7 +40,7 @@ def test_a_stage_of_the_diagnosis_is_written_when_it_changes(book: Book, samples
     assert book.levels == ["info", "warning", "info"]
     assert book.written_of(samples["finding"], "r2", stage="learning") == []
     assert book.written_of(samples["finding"], "r2", stage="raised") == ["finding.changed"]
-    book.journal.forgot("r2")
+    book.service_log.forgot("r2")
     assert book.written_of(samples["finding"], "r2", stage="raised") == ["finding.changed"]
 
 

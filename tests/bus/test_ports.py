@@ -34,19 +34,19 @@ def test_no_port_is_handed_out_twice_and_each_can_be_listened_on() -> None:
         listening.listen()
 
 
-def system_says(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def system_reports(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The operating system's range of ports for outgoing connections, as its file says it."""
     monkeypatch.setattr(Path, "read_text", lambda self, **_: text)
 
 
 def test_no_outgoing_connection_can_take_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    system_says("25000\t60999\n", monkeypatch)
+    system_reports("25000\t60999\n", monkeypatch)
     assert all(20000 <= free_port() < 25000 for _ in range(50))
 
 
 @pytest.mark.parametrize("text", ["1024 65535", "20500 60999", "", "none"])
 def test_a_system_that_says_nothing_useful_still_gets_ports(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    system_says(text, monkeypatch)
+    system_reports(text, monkeypatch)
     given = {free_port() for _ in range(600)}
     assert len(given) == 600
     assert all(20000 <= port < 32768 for port in given)

@@ -31,20 +31,20 @@ def test_a_short_answer_has_empty_defaults() -> None:
 def test_a_request_and_its_answer_are_published_in_one_message() -> None:
     request = Request(do="accept", effect="towed_load", model="0123456789ab", finding=2, who="engineer")
     before = time.time()
-    told = asked_message(request, Answer(ok=False, sentence="not now", change=3))
-    assert before <= told.publish_time <= time.time()
-    assert (told.do, told.effect, told.model, told.finding, told.who) == (
+    report = asked_message(request, Answer(ok=False, sentence="not now", change=3))
+    assert before <= report.publish_time <= time.time()
+    assert (report.do, report.effect, report.model, report.finding, report.who) == (
         "accept", "towed_load", "0123456789ab", 2, "engineer",
     )  # fmt: skip
-    assert (told.ok, told.sentence, told.change) == (False, "not now", 3)
-    assert (told.epoch, told.tick, told.robot_time) == (0, 0, 0.0), "it belongs to no tick"
+    assert (report.ok, report.sentence, report.change) == (False, "not now", 3)
+    assert (report.epoch, report.tick, report.robot_time) == (0, 0, 0.0), "it belongs to no tick"
 
 
 def test_of_a_payload_that_is_no_request_only_the_answer_is_published() -> None:
-    told = asked_message(None, Answer(ok=True, sentence="no msgpack", change=4))
-    assert (told.do, told.effect, told.model, told.finding, told.who) == ("", "", "", 0, "")
-    assert (told.ok, told.sentence, told.change) == (True, "no msgpack", 4)
-    assert (told.epoch, told.tick, told.robot_time) == (0, 0, 0.0)
+    report = asked_message(None, Answer(ok=True, sentence="no msgpack", change=4))
+    assert (report.do, report.effect, report.model, report.finding, report.who) == ("", "", "", 0, "")
+    assert (report.ok, report.sentence, report.change) == (True, "no msgpack", 4)
+    assert (report.epoch, report.tick, report.robot_time) == (0, 0, 0.0)
 
 
 KINDS = ("request", "status", "order", "sense", "agreed")
@@ -78,7 +78,9 @@ def test_under_the_key_for_status_nothing_else_is_answered(kind: str, do: str, o
         asked.append(f"{robot} {request.do}")
         return Answer(ok=True, sentence="yes")
 
-    Bus(transport, "f").answer_requests(answer, tell=lambda *one: reported.append((one[0], one[1], one[2].ok)))
+    Bus(transport, "f").answer_requests(
+        answer, report_progress=lambda *one: reported.append((one[0], one[1], one[2].ok))
+    )
     given = transport.ask(request_key("f", "r", kind), encode(Request(do=do)), 1.0)
     assert given is not None
     assert decode(Answer, given).ok is ok

@@ -33,7 +33,7 @@ from safedpa.bus import (
     encode,
 )
 from safedpa.bus.messages.service_info import setup_message
-from safedpa.bus.service.journal import ServiceLog
+from safedpa.bus.service.service_log import ServiceLog
 
 
 @pytest.fixture
@@ -596,8 +596,8 @@ def test_a_robot_that_claims_a_period_below_a_millisecond_is_served_as_one_of_a_
 
 def test_the_journal_gets_the_robots_that_the_loop_meets_and_what_it_refuses(state_at: StateAt) -> None:
     events = list[tuple[str, str]]()
-    journal = ServiceLog("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
-    fleet = Fleet(state_at, lockstep=True, journal=journal)
+    service_log = ServiceLog("policy", lambda kind, _, **about: events.append((kind, about["robot"])))
+    fleet = Fleet(state_at, lockstep=True, service_log=service_log)
     fleet.state(5)
     fleet.state(4)
     fleet.state(0, epoch=EPOCH + 1)

@@ -71,9 +71,9 @@ def test_a_message_gone_astray_is_not_delivered_and_that_is_reported(network: Ne
     subscription = other.subscribe(MINE, lambda key, payload: heard.append((key, payload)))
     if gathers:
         subscription.gather()
-    told = counted_events().get("bus.astray", 0)
+    reported = counted_events().get("bus.astray", 0)
 
-    def said() -> bool:
+    def notice() -> bool:
         raw.put(MINE, b"of another robot", attachment=key_stamp(OTHERS))
         raw.delete(MINE)
         raw.put(MINE, b"of a program that knows of no stamps")
@@ -81,8 +81,8 @@ def test_a_message_gone_astray_is_not_delivered_and_that_is_reported(network: Ne
         subscription.collect()
         return {b"of a program that knows of no stamps", b"its own"} <= {payload for _, payload in heard}
 
-    assert until(said)
-    assert until(lambda: subscription.collect() or counted_events().get("bus.astray", 0) > told)
+    assert until(notice)
+    assert until(lambda: subscription.collect() or counted_events().get("bus.astray", 0) > reported)
     assert set(heard) == {(MINE, b"of a program that knows of no stamps"), (MINE, b"its own")}
 
 
@@ -110,12 +110,12 @@ def test_a_question_gone_astray_is_not_answered_and_an_answer_gone_astray_is_not
         with query:
             query.reply(query.key_expr, b"about another robot", attachment=key_stamp("safedpa/f/others/agreed"))
 
-    kept = raw.declare_queryable("safedpa/f/mine/agreed", mistaken)
-    told = counted_events().get("bus.astray", 0)
+    retained = raw.declare_queryable("safedpa/f/mine/agreed", mistaken)
+    reported = counted_events().get("bus.astray", 0)
 
     def refused() -> bool:
         assert one.ask("safedpa/f/mine/agreed", b"?", 1.0) is None
-        return counted_events().get("bus.astray", 0) > told
+        return counted_events().get("bus.astray", 0) > reported
 
     assert until(refused)
-    kept.undeclare()
+    retained.undeclare()

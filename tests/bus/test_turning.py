@@ -288,15 +288,15 @@ def test_all_loops_of_a_process_make_batches_as_soon_as_one_of_them_wants_to() -
 
 
 def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_stay() -> None:
-    agenda = TimerQueue()
+    timers = TimerQueue()
     for when, robot in ((3.0, "c"), (1.0, "a"), (2.0, "b"), (1.5, "a"), (3.0, "d"), (math.inf, "e")):
-        agenda.at(when, robot)
-    assert agenda.due(0.9) == []
-    assert agenda.due(2.0) == ["a", "b"]
-    assert (agenda.next(), len(agenda)) == (3.0, 2)
-    assert agenda.due(2.9) == []
-    assert agenda.due(3.0) == ["c", "d"]
-    assert (agenda.due(9.0), len(agenda)) == ([], 0)
+        timers.at(when, robot)
+    assert timers.due(0.9) == []
+    assert timers.due(2.0) == ["a", "b"]
+    assert (timers.next(), len(timers)) == (3.0, 2)
+    assert timers.due(2.9) == []
+    assert timers.due(3.0) == ["c", "d"]
+    assert (timers.due(9.0), len(timers)) == ([], 0)
 
 
 @pytest.mark.parametrize(
@@ -304,8 +304,8 @@ def test_moments_are_taken_when_they_have_come_earliest_first_and_later_ones_sta
     [(None, 1.0, 4), ("ab", 1.0, 4), ("b", 1.0, 4), ("c", 2.0, 2), ("d", 3.0, 1), ("", math.inf, 0)],
 )
 def test_a_moment_for_which_no_robot_waits_any_more_is_removed(awaited: str | None, earliest: float, left: int) -> None:
-    agenda = TimerQueue()
+    timers = TimerQueue()
     for robot, when in (("a", 1.0), ("d", 3.0), ("b", 1.0), ("c", 2.0)):
-        agenda.at(when, robot)
-    assert agenda.next(None if awaited is None else awaited.__contains__) == earliest
-    assert len(agenda) == left
+        timers.at(when, robot)
+    assert timers.next(None if awaited is None else awaited.__contains__) == earliest
+    assert len(timers) == left

@@ -50,7 +50,7 @@ class Ear:
 
         self.heard: list[tuple[str, bytes, str]] = []
         handler: Any = zenoh.handlers.Callback(self._received, indirect=False)
-        self._kept = [session.declare_subscriber(key, handler) for key in keys]
+        self._retained = [session.declare_subscriber(key, handler) for key in keys]
 
     def _received(self, sample: Any) -> None:
         kind = str(sample.kind).rsplit(".", maxsplit=1)[-1]

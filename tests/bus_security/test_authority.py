@@ -31,10 +31,10 @@ def called(*arguments: str) -> int:
 
 def test_every_role_gets_a_certificate_that_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert called(str(tmp_path), "--fleet", "f", "--robot", "r1", "--robot", "r2", "--host", "far.example") == 0
-    said = capsys.readouterr().out
+    notice = capsys.readouterr().out
     authority = loaded(tmp_path / "authority.pem")
     for role in roles_of(("r1", "r2")):
-        assert f"{role}: made, good for 90 days" in said
+        assert f"{role}: made, good for 90 days" in notice
         card = Certificates(tmp_path, role)
         certificate = loaded(card.certificate)
         certificate.verify_directly_issued_by(authority)

@@ -61,12 +61,12 @@ class Door:
 
     def __init__(self, host: str = "127.0.0.1", *, watches: bool = False) -> None:
         self.now, self.looks, self.inside = 100.0, 0, set[Address]()
-        self.kept = ExitStack()
+        self.retained = ExitStack()
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        self.listening = self.kept.enter_context(socket.create_server((host, 0), family=family, backlog=200))
+        self.listening = self.retained.enter_context(socket.create_server((host, 0), family=family, backlog=200))
         self.address: Address = self.listening.getsockname()[:2]
         self.keeper = ConnectionReaper({self.address[1]}, self.members, lambda: self.now)
-        self.kept.callback(self.keeper.close)
+        self.retained.callback(self.keeper.close)
         if not watches:
             self.keeper.close()
 
@@ -85,8 +85,8 @@ class Door:
     def enter(self, count: int = 1, *, members: bool = False) -> list[Guest]:
         guests = []
         for _ in range(count):
-            link = self.kept.enter_context(socket.create_connection(self.address))
-            guests.append(Guest(link, self.kept.enter_context(self.listening.accept()[0])))
+            link = self.retained.enter_context(socket.create_connection(self.address))
+            guests.append(Guest(link, self.retained.enter_context(self.listening.accept()[0])))
         self.inside |= {guest.address for guest in guests} if members else set()
         return guests
 
@@ -97,14 +97,14 @@ def door(request: pytest.FixtureRequest) -> Iterator[Door]:
         found = Door(request.param)
     except OSError:
         pytest.skip("no IPv6 here")
-    with found.kept:
+    with found.retained:
         yield found
 
 
 @pytest.fixture
 def watched() -> Iterator[Door]:
     found = Door(watches=True)
-    with found.kept:
+    with found.retained:
         yield found
 
 
@@ -135,10 +135,10 @@ def test_a_stranger_that_became_a_member_or_got_the_number_of_another_is_not_cut
     first, second, third = door.enter(3)
     door.look()
     door.now += 2.0
-    waiting = door.kept.enter_context(socket.create_connection(door.address))
+    waiting = door.retained.enter_context(socket.create_connection(door.address))
     number = second.accepted.fileno()
     second.accepted.close()
-    late = Guest(waiting, door.kept.enter_context(door.listening.accept()[0]))
+    late = Guest(waiting, door.retained.enter_context(door.listening.accept()[0]))
     assert late.accepted.fileno() == number
     door.look()
     door.now += 1.5
@@ -154,7 +154,7 @@ def test_a_stranger_that_became_a_member_or_got_the_number_of_another_is_not_cut
 def test_only_connections_to_the_guarded_port_are_cut_off(door: Door, tmp_path: Path) -> None:
     """Neither those that this process opened, nor those to its other ports, nor sockets in the file system."""
     other = Door()
-    with other.kept, socket.socket(socket.AF_UNIX) as local, socket.socket(socket.AF_UNIX) as guest:
+    with other.retained, socket.socket(socket.AF_UNIX) as local, socket.socket(socket.AF_UNIX) as guest:
         local.bind(str(tmp_path / "bus"))
         local.listen()
         guest.connect(str(tmp_path / "bus"))

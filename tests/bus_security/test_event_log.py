@@ -33,7 +33,7 @@ class Bench:
         for work in ready:
             work()
 
-    def say(self, kind: str = "bus.denied", **more: Any) -> None:
+    def send(self, kind: str = "bus.denied", **more: Any) -> None:
         self.log.log({"time": 0.0, "level": "warning", "kind": kind, "sentence": "no", **more})
 
     @property
@@ -81,7 +81,7 @@ def test_a_flood_is_one_line_a_second_with_a_count() -> None:
     bench = Bench()
     for number in range(1000):
         bench.turn_to(number / 1000)
-        bench.say(number=number)
+        bench.send(number=number)
     assert [event["number"] for event in bench.events] == [0]
     bench.turn_to(1.0)
     assert bench.events[1:] == [{**bench.events[0], "number": 999, "repeated": 999}]
@@ -90,18 +90,18 @@ def test_a_flood_is_one_line_a_second_with_a_count() -> None:
 
 def test_what_differs_in_kind_robot_or_service_is_written_at_once() -> None:
     bench = Bench()
-    bench.say(robot="r1")
-    bench.say(robot="r2")
-    bench.say(robot="r1", service="policy")
-    bench.say("bus.other", robot="r1")
+    bench.send(robot="r1")
+    bench.send(robot="r2")
+    bench.send(robot="r1", service="policy")
+    bench.send("bus.other", robot="r1")
     assert len(bench.lines) == 4
 
 
 def test_after_a_quiet_second_a_line_is_written_at_once() -> None:
     bench = Bench()
-    bench.say()
+    bench.send()
     bench.turn_to(1.0)
-    bench.say()
+    bench.send()
     assert len(bench.lines) == 2
     assert not bench.due
 
@@ -112,11 +112,11 @@ def test_no_event_is_lost_and_no_two_lines_come_within_a_second(pauses: list[flo
     for pause in pauses:
         at += pause
         bench.turn_to(at)
-        bench.say()
+        bench.send()
         written += [bench.now] * (len(bench.lines) - len(written))
     bench.turn_to(at + 1.0)
-    told = sum(event.get("repeated", 1) for event in bench.events)
-    assert told == len(pauses) == sum(bench.log.counts().values())
+    reported = sum(event.get("repeated", 1) for event in bench.events)
+    assert reported == len(pauses) == sum(bench.log.counts().values())
     assert all(later - earlier >= 1.0 - 1e-9 for earlier, later in itertools.pairwise(written))
 
 
@@ -124,11 +124,11 @@ def test_a_timer_that_is_late_loses_no_count() -> None:
     bench = Bench()
     for number in range(10):
         bench.now = number / 10
-        bench.say()
+        bench.send()
     bench.now = 1.5
-    bench.say()  # the second is over, its timer not yet
+    bench.send()  # the second is over, its timer not yet
     bench.now = 1.6
-    bench.say()
+    bench.send()
     bench.turn_to(1.7)
     assert [event.get("repeated", 1) for event in bench.events] == [1, 10]
     bench.turn_to(2.6)
@@ -138,12 +138,12 @@ def test_a_timer_that_is_late_loses_no_count() -> None:
 def test_names_from_an_attacker_cost_bounded_memory() -> None:
     bench = Bench()
     for number in range(5000):
-        bench.say(robot=f"r{number}")
+        bench.send(robot=f"r{number}")
     before = len(bench.lines)
-    bench.say(robot="r4999")
-    bench.say(robot="r0")
+    bench.send(robot="r4999")
+    bench.send(robot="r0")
     assert len(bench.lines) == before + 1, "the newest names are remembered, and the oldest are forgotten"
-    bench.say(robot="x" * 100_000)
+    bench.send(robot="x" * 100_000)
     assert len(bench.lines[-1]) < 1000
 
 

@@ -46,14 +46,14 @@ class Run:
         own, parents, lines = {self.launcher.pid}, dict[int, int](), dict[int, str]()
         for path in Path("/proc").glob("[0-9]*"):
             try:
-                words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
-                lines[int(path.name)] = words
+                phrase = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+                lines[int(path.name)] = phrase
                 parents[int(path.name)] = int((path / "stat").read_text().rpartition(")")[2].split()[1])
                 if str(self.folder).encode() in (path / "environ").read_bytes():
                     own.add(int(path.name))
             except OSError:
                 continue
-        own |= {pid for pid, words in self._seen.items() if lines.get(pid) == words}
+        own |= {pid for pid, phrase in self._seen.items() if lines.get(pid) == phrase}
         children = {pid for pid, above in parents.items() if above in own}
         self._seen = {pid: lines[pid] for pid in (own | children) & lines.keys()}
         return dict(self._seen)
@@ -61,7 +61,7 @@ class Run:
     def pid_of(self, service: str) -> int:
         """Of the newest process of a service; 0 without one."""
         return max(
-            (pid for pid, words in self.processes().items() if f"safedpa_services.{service} " in words), default=0
+            (pid for pid, phrase in self.processes().items() if f"safedpa_services.{service} " in phrase), default=0
         )
 
     def files(self) -> list[str]:
@@ -134,8 +134,8 @@ def test_each_service_that_is_killed_comes_back_and_the_robot_brakes_meanwhile(t
         run.launcher.send_signal(signal.SIGINT)
         output, errors = run.launcher.communicate(timeout=120)
         assert run.launcher.returncode == 0, errors
-        told = json.loads(output)
-        assert told["collisions"] == 0
-        assert {entry["name"] for entry in told["services"] if entry["restarts"]} >= set(KILLED)
+        reported = json.loads(output)
+        assert reported["collisions"] == 0
+        assert {entry["name"] for entry in reported["services"] if entry["restarts"]} >= set(KILLED)
         assert until(lambda: not run.processes())
         assert run.files() == []

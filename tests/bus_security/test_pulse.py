@@ -11,9 +11,9 @@ import pytest
 
 from safedpa.bus import Bus
 from safedpa.bus.transport.memory import MemoryBroker, MemoryTransport
-from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Router
+from safedpa_services.router.watchdog import LoopWatchdog
 
 
 def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,8 +25,8 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
 
     with Bus(MemoryTransport(MemoryBroker()), "f") as bus:
         router = Router(bus, Refusals(), members)
-        pulse = LoopWatchdog(stationary_for.set, look_seconds=0.01)
-        thread = threading.Thread(target=router.run, args=(never.is_set, pulse), daemon=True)
+        watchdog = LoopWatchdog(stationary_for.set, look_seconds=0.01)
+        thread = threading.Thread(target=router.run, args=(never.is_set, watchdog), daemon=True)
         thread.start()
         assert stationary_for.wait(20.0)
         assert "stood still" in json.loads(capsys.readouterr().err)["sentence"]
@@ -36,11 +36,11 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
 
 def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
     stationary_for = threading.Event()
-    pulse = LoopWatchdog(stationary_for.set, look_seconds=0.02, looks=50)
+    watchdog = LoopWatchdog(stationary_for.set, look_seconds=0.02, looks=50)
     for _ in range(60):
-        pulse.beat()
+        watchdog.beat()
         time.sleep(0.02)
-    pulse.end()
+    watchdog.end()
     assert not stationary_for.is_set()
     assert not capsys.readouterr().err
 
@@ -50,7 +50,7 @@ def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
     program = (
         "import sys, threading, time\n"
-        "from safedpa_services.router.pulse import LoopWatchdog\n"
+        "from safedpa_services.router.watchdog import LoopWatchdog\n"
         "pulse, told = LoopWatchdog(look_seconds=0.05, looks=20), threading.Event()\n"
         "threading.Thread(target=lambda: (sys.stdin.readline(), told.set()), daemon=True).start()\n"
         "while not told.is_set():\n"
@@ -69,6 +69,6 @@ def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() 
         process.send_signal(signal.SIGCONT)
         for _ in range(20):
             assert process.stdout.readline() == "1\n", "it goes on"
-        _, told = process.communicate("hang\n", timeout=120.0)
+        _, reported = process.communicate("hang\n", timeout=120.0)
     assert process.returncode == 1
-    assert json.loads(told)["kind"] == "router.stands"
+    assert json.loads(reported)["kind"] == "router.stands"

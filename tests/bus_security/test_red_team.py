@@ -55,12 +55,12 @@ def may_write(network: Any, role: str, topic: Topic, robot: str, service: str) -
 def test_the_right_to_put_is_exactly_the_writer_column(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     ear = network.ear(network.raw("recorder"), *(key_of(network.fleet, "*", topic, "*") for topic in ALL))
-    said = {key_of(network.fleet, "r1", topic, "any") for topic in ALL}
+    notice = {key_of(network.fleet, "r1", topic, "any") for topic in ALL}
 
     def listens() -> bool:  # to every topic: what attackers say, each once, is lost before that
-        for key in said - ear.keys:
+        for key in notice - ear.keys:
             network.router.put(key, b"fence", never_drop=False)
-        return said <= ear.keys
+        return notice <= ear.keys
 
     assert network.until(listens)
     expected = set()
@@ -115,7 +115,7 @@ def may_read(role: str, topic: Topic, robot: str) -> bool:
         return topic.name in ("state", "action", "verdict") and role == f"robot.{robot}"
     node = next((node for node in NODES if node.name == kind), None)
     if node is not None:
-        return topic is STATE or topic in (*node.inputs, *node.senses, *node.listens)
+        return topic is STATE or topic in (*node.inputs, *node.sensor_inputs, *node.listens)
     return kind in OBSERVERS or (kind == "healthcheck" and topic.name == "health")
 
 
@@ -136,10 +136,10 @@ def test_each_role_hears_exactly_what_it_needs(network: Any, guarded: bool) -> N
 
     def heard(role: str, word: str = "") -> set[str]:
         """Keys of messages that came, as they say themselves: after a lost link Zenoh may tell another one."""
-        said = (payload.decode().partition(" ") for _, payload, _ in list(ears[role].heard))
-        return {key for own, _, key in said if not word or own == word}
+        notice = (payload.decode().partition(" ") for _, payload, _ in list(ears[role].heard))
+        return {key for own, _, key in notice if not word or own == word}
 
-    def told(word: str, role: str) -> bool:
+    def reported(word: str, role: str) -> bool:
         """Whether a role has heard all that it may; else what it misses is said again, and nothing else.
 
         Who says everything again and again fills the way to a slow ear with the first keys, and the last ones never
@@ -152,7 +152,7 @@ def test_each_role_hears_exactly_what_it_needs(network: Any, guarded: bool) -> N
 
     for word in ("first", "last"):  # of what came the first time, nothing is on its way any more the second time
         for role in ("recorder", *ears):  # it may hear everything
-            assert network.until(lambda word=word, role=role: told(word, role), every=0.05), role
+            assert network.until(lambda word=word, role=role: reported(word, role), every=0.05), role
     for role in ears:
         assert heard(role) == allowed[role], role
 

@@ -124,10 +124,10 @@ def test_handshakes(capsys: pytest.CaptureFixture[str]) -> None:
     refusals.hear(head.format("DEBUG", joined))
     assert refusals.total == 0
     refusals.hear(head.format(" WARN", "peer sent no certificates. Hint: increase the system open file limit."))
-    told = events(capsys)
-    assert told[0]["sentence"] == "denial-7 connects from 127.0.0.1:52214"
-    assert [event["kind"] for event in told] == ["bus.joined", "bus.handshake_refused"]
-    assert told[1]["sentence"] == "a connection was refused: peer sent no certificates"
+    reported = events(capsys)
+    assert reported[0]["sentence"] == "denial-7 connects from 127.0.0.1:52214"
+    assert [event["kind"] for event in reported] == ["bus.joined", "bus.handshake_refused"]
+    assert reported[1]["sentence"] == "a connection was refused: peer sent no certificates"
 
 
 @given(st.lists(st.one_of(st.text(), st.just(END.format("1")), st.just(decision(FRESH, "un", "Put (ingress)")))))

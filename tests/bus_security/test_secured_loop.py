@@ -41,7 +41,7 @@ class Process:
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         self.running = subprocess.Popen(command, text=True, **pipes)
         self.events: list[dict[str, Any]] = []
-        self.said: list[str] = []
+        self.notice: list[str] = []
         self._readers = [
             threading.Thread(target=self._hear, args=(pipe,), daemon=True)
             for pipe in (self.running.stdout, self.running.stderr)
@@ -51,7 +51,7 @@ class Process:
 
     def _hear(self, pipe: Any) -> None:
         for line in pipe:
-            self.said.append(line)
+            self.notice.append(line)
             if line.startswith('{"time"'):
                 self.events.append(json.loads(line))
 
@@ -83,7 +83,7 @@ def router(stack: ExitStack, network: Any) -> Process:
     robots = [option for robot in network.robots for option in ("--robot", robot)]
     options = ("--listen", network.endpoint, "--certificates", str(network.folder), "--fleet", network.fleet, *robots)
     process = start(stack, "safedpa_services.router", *options)
-    assert network.until(lambda: process.of("router.open")), process.said
+    assert network.until(lambda: process.of("router.open")), process.notice
     return process
 
 
@@ -125,9 +125,9 @@ def test_it_drives_as_without_an_attack(network: Any, stack: ExitStack) -> None:
     inbox = operator.inbox((HEALTH,), "-")
     drives = ("--name", "r1", "--lockstep", "--seconds", str(SECONDS), "--seed", str(SEED))
     robot = start(stack, "safedpa_sim.robots", *member(network, "robot.r1"), *drives)
-    assert robot.running.wait(PATIENCE) == 0, robot.said
-    assert network.until(lambda: any(line.startswith('{"ticks"') for line in robot.said))
-    account = next(json.loads(line) for line in robot.said if line.startswith('{"ticks"'))
+    assert robot.running.wait(PATIENCE) == 0, robot.notice
+    assert network.until(lambda: any(line.startswith('{"ticks"') for line in robot.notice))
+    account = next(json.loads(line) for line in robot.notice if line.startswith('{"ticks"'))
     assert account["trajectory_sha256"] == undisturbed()
     # A robot in lockstep that waits for long repeats its state, which is answered again: that answer alone may be late.
     assert set(account["refusals"]) <= {"late", "repeated"}, "nothing of it reached the robot"
@@ -162,11 +162,11 @@ def test_no_role_is_denied_what_it_needs(network: Any, stack: ExitStack, tmp_pat
     start(stack, "safedpa_services.recorder", *member(network, "recorder"), *record)
     drives = ("--name", "r1", "--lockstep", "--seconds", "2")
     robot = start(stack, "safedpa_sim.robots", *member(network, "robot.r1"), *drives)
-    assert robot.running.wait(PATIENCE) == 0, robot.said
+    assert robot.running.wait(PATIENCE) == 0, robot.notice
     check = start(stack, "safedpa_services.healthcheck", "router", *member(network, "healthcheck"), "--seconds", "60")
-    assert check.running.wait(PATIENCE) == 0, check.said
+    assert check.running.wait(PATIENCE) == 0, check.notice
     everybody = {*SERVICES, "diagnosis", "recorder", "robot.r1", "healthcheck"}
-    assert network.until(lambda: everybody <= {event["service"] for event in routing.of("bus.joined")}), routing.said
+    assert network.until(lambda: everybody <= {event["service"] for event in routing.of("bus.joined")}), routing.notice
     assert not routing.of("bus.denied"), routing.of("bus.denied")
     assert not routing.of("bus.too_large")
     assert not routing.of("bus.handshake_refused")

@@ -21,12 +21,12 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         log = tmp_path / "runs"
 
-        def said() -> list[dict[str, Any]]:
+        def notice() -> list[dict[str, Any]]:
             lines = [line for path in log.glob("*/router.log") for line in path.read_text().splitlines()]
             return [json.loads(line) for line in lines if line.startswith("{")]
 
-        assert network.until(lambda: any(event["kind"] == "router.open" for event in said()))
-        opened = next(event for event in said() if event["kind"] == "router.open")
+        assert network.until(lambda: any(event["kind"] == "router.open" for event in notice()))
+        opened = next(event for event in notice() if event["kind"] == "router.open")
         endpoint = str(opened["sentence"]).split(" on ")[1]
         foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), patience=3.0)
         with pytest.raises(BusError, match="could not open"):
@@ -34,7 +34,7 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
         output, errors = running.communicate(timeout=180)
     assert running.returncode == 0, errors
     assert json.loads(output)["ticks"] == 120
-    kinds = [event["kind"] for event in said()]
+    kinds = [event["kind"] for event in notice()]
     assert "bus.denied" not in kinds, "everybody may do what he has to do"
     assert "bus.handshake_refused" in kinds
 

@@ -155,11 +155,11 @@ def test_an_offer_that_is_dropped_changes_nothing(changing_node: Any, untouched:
 
 def longest_stand(run: Drive) -> float:
     """s without a speed of 2 cm/s."""
-    stationary_for = (sum(1 for _ in group) for still, group in itertools.groupby(run.ticks, key=_stands) if still)
+    stationary_for = (sum(1 for _ in group) for still, group in itertools.groupby(run.ticks, key=_stationary) if still)
     return 0.05 * max(stationary_for, default=0)
 
 
-def _stands(tick: Tick) -> bool:
+def _stationary(tick: Tick) -> bool:
     return abs(tick.state.values[3]) < 0.02
 
 

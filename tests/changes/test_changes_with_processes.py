@@ -91,7 +91,7 @@ class Loop:
         self._inbox = self.bus.inbox((MODEL, TAKEOVER, HEALTH), keep_all=True)
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.using: dict[str, str] = {}
-        self.said: list[ModelMessage | TakeoverMessage] = []
+        self.notice: list[ModelMessage | TakeoverMessage] = []
 
     def drive(self) -> None:
         for name in (*SERVICES, "diagnosis"):
@@ -124,7 +124,7 @@ class Loop:
                     self.using[item.message.service] = item.message.model
             elif isinstance(item, ReceivedMessage):
                 assert isinstance(item.message, (ModelMessage, TakeoverMessage))
-                self.said.append(item.message)
+                self.notice.append(item.message)
 
     def until(self, condition: Any) -> None:
         end = time.monotonic() + PATIENCE
@@ -132,7 +132,7 @@ class Loop:
             self.listen()
             assert time.monotonic() < end, (
                 self.using,
-                [getattr(m, "step", getattr(m, "state", "")) for m in self.said],
+                [getattr(m, "step", getattr(m, "state", "")) for m in self.notice],
             )
 
     def ask(self, do: str) -> Answer | None:
@@ -150,12 +150,12 @@ class Loop:
         """
         end = time.monotonic() + PATIENCE
         while True:
-            self.said.clear()
+            self.notice.clear()
             number = self.begun(do)
             self.until(lambda: self.steps_of(number) & {moment, "drop"})  # noqa: B023  asked before the next turn
             if moment in self.steps_of(number):
                 return
-            assert time.monotonic() < end, self.said
+            assert time.monotonic() < end, self.notice
             self.until(self.agreed)
 
     def begun(self, do: str) -> int:
@@ -172,7 +172,7 @@ class Loop:
 
     def steps_of(self, change: int) -> set[str]:
         """What the coordinator has told of a change since it began."""
-        return {item.step for item in self.said if isinstance(item, ModelMessage) and item.change == change}
+        return {item.step for item in self.notice if isinstance(item, ModelMessage) and item.change == change}
 
     def status(self) -> Answer:
         """What the coordinator answers once it is heard."""
@@ -267,12 +267,12 @@ def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> Non
     options = ["--fleet", "changes", "--json", "--who", "test", "--connect", loop._options[-1]]
     loop.until(loop.agreed)
 
-    def run(*words: str) -> tuple[int, Any, str]:
-        said = [*command, *words, *options]
-        done = subprocess.run(said, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    def run(*phrase: str) -> tuple[int, Any, str]:
+        notice = [*command, *phrase, *options]
+        done = subprocess.run(notice, capture_output=True, text=True, timeout=PATIENCE, check=False)
         return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
-    def taken(*words: str) -> tuple[int, Any, str]:
+    def taken(*phrase: str) -> tuple[int, Any, str]:
         """Asked again where a trial, which runs behind everybody else, outlasted the offer on a busy machine.
 
         Or where no answer came through in the command's two seconds. Then nothing has changed: all agree on the model
@@ -280,29 +280,29 @@ def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> Non
         """
         before, end = dict(loop.using), time.monotonic() + PATIENCE
         while True:
-            code, told, errors = run(*words)
-            late = any(reason in f"{told}{errors}" for reason in ("did not answer", "no diagnosis answers"))
+            code, reported, errors = run(*phrase)
+            late = any(reason in f"{reported}{errors}" for reason in ("did not answer", "no diagnosis answers"))
             if code == 0 or not late or time.monotonic() > end:
-                return code, told, errors
+                return code, reported, errors
             loop.until(loop.agreed)
             assert {name: loop.using[name] for name in SERVICES} == {name: before[name] for name in SERVICES}
 
-    def refused(*words: str) -> tuple[int, str]:
+    def refused(*phrase: str) -> tuple[int, str]:
         """The answer to what is refused, however often it is asked."""
         end = time.monotonic() + PATIENCE
         while True:
-            code, _, errors = run(*words)
+            code, _, errors = run(*phrase)
             if "no diagnosis answers" not in errors or time.monotonic() > end:
                 return code, errors
 
-    code, told, errors = taken("accept", "r1", "steering_offset")
-    assert (code, told["model"]) == (0, loop.candidate["fingerprint"]), errors
-    assert "taken by everyone" in told["sentence"]
+    code, reported, errors = taken("accept", "r1", "steering_offset")
+    assert (code, reported["model"]) == (0, loop.candidate["fingerprint"]), errors
+    assert "taken by everyone" in reported["sentence"]
     loop.until(loop.agreed)
     assert refused("accept", "r1", "wind")[0] == 2, "nothing is proposed for the new model"
     assert "no candidate" in refused("reject", "r1", "drag")[1]
-    code, told, errors = taken("roll-back", "r1")
-    assert (code, told["model"]) == (0, loop._first["fingerprint"]), errors
+    code, reported, errors = taken("roll-back", "r1")
+    assert (code, reported["model"]) == (0, loop._first["fingerprint"]), errors
     code, errors = refused("roll-back", "r1")
     assert code == 2
     assert "none to go back to" in errors

@@ -49,13 +49,13 @@ def test_an_answer_that_is_late_or_lost_does_not_end_the_waiting(
 
 
 @pytest.mark.parametrize(
-    ("last", "said", "least", "most"),
+    ("last", "notice", "least", "most"),
     [(None, "no diagnosis answers", 8, 30), (UNDER_WAY, "does the robot drive", 60, 300)],
 )
 def test_it_gives_up_after_ten_silent_seconds_or_two_minutes(
-    last: Answer | None, said: str, least: int, most: int, monkeypatch: pytest.MonkeyPatch
+    last: Answer | None, notice: str, least: int, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(SafedpaError, match=said) as failed:
+    with pytest.raises(SafedpaError, match=notice) as failed:
         accept(monkeypatch, UNDER_WAY, last)
     assert least <= int(str(failed.value).split()[1]) <= most
 

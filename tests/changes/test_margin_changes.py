@@ -200,8 +200,8 @@ def test_command_and_page_report_the_margin_before_it_is_used(changing_node: Any
     offered = changes.step(dataclasses.replace(state, tick=1))
     stamp = {"epoch": 1, "tick": 1, "robot_time": 0.0, "publish_time": 0.0, "change": 1, "fingerprint": NEW}
     for service in ("adaptation", "policy", "safety_filter"):
-        told = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
-        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", expected_effect=told))
+        reported = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
+        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", expected_effect=reported))
     take = changes.step(dataclasses.replace(state, tick=2))
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
@@ -215,7 +215,7 @@ def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None
 
 
 @pytest.mark.parametrize(
-    ("old", "h", "told"),
+    ("old", "h", "reported"),
     [
         ({}, 5.0, ["goes from 0 to 0.125 where h is 5, at once"]),
         ({"a": 0.1}, 0.375, ["goes from 0.1 to 0.125 where h is 0.375, at once"]),
@@ -224,11 +224,11 @@ def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None
         ({"a": 0.125}, 0.1, []),
     ],
 )
-def test_the_sentence_about_a_change_at_its_limits(old: dict[str, float], h: float, told: list[str]) -> None:
+def test_the_sentence_about_a_change_at_its_limits(old: dict[str, float], h: float, reported: list[str]) -> None:
     """With eta = 1/2 a robot may stand from h = 0.25 on, and the margin is in force as a whole from 0.375 on."""
     text = margin_change(old, {"a": 0.125}, {"a": h}, 0.5)
-    assert all(words in text for words in told)
-    assert bool(text) == bool(told)
+    assert all(phrase in text for phrase in reported)
+    assert bool(text) == bool(reported)
 
 
 def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:

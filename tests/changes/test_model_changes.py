@@ -218,12 +218,12 @@ def test_a_service_killed_at_any_moment_ends_on_the_model_of_the_others(fleet: A
     assert all(len(set(models)) <= 2 for models in fleet.used)
 
 
-@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("retained", [True, False])
 @pytest.mark.parametrize("after", range(12))
 def test_a_coordinator_killed_at_any_moment_leaves_one_model(
-    fleet_of: Any, tmp_path: Path, after: int, kept: bool
+    fleet_of: Any, tmp_path: Path, after: int, retained: bool
 ) -> None:
-    fleet = fleet_of(tmp_path if kept else None)
+    fleet = fleet_of(tmp_path if retained else None)
     fleet.turn()
     fleet.propose("drag")
     fleet.ask("accept", "drag")
@@ -233,7 +233,7 @@ def test_a_coordinator_killed_at_any_moment_leaves_one_model(
     fleet.turn(SOON)
     assert len(fleet.models) == 1
     assert fleet.models == {fleet.changes.fingerprint}
-    if kept:
+    if retained:
         assert fleet.models == {"print drag" if decided else "first"}, "what was decided stays decided"
 
 
@@ -329,13 +329,13 @@ def test_a_service_that_missed_the_decision_hears_it_again(fleet: Any) -> None:
     assert "taken by everyone" in fleet.changes.sentence
 
 
-@pytest.mark.parametrize(("room_for", "told"), [(0, ["drop"]), (1, ["offer", "drop"])])
+@pytest.mark.parametrize(("room_for", "reported"), [(0, ["drop"]), (1, ["offer", "drop"])])
 def test_nothing_is_decided_that_cannot_be_kept(
-    fleet_of: Any, monkeypatch: pytest.MonkeyPatch, room_for: int, told: list[str]
+    fleet_of: Any, monkeypatch: pytest.MonkeyPatch, room_for: int, reported: list[str]
 ) -> None:
     room = iter(range(room_for))
 
-    def full(self: VersionFolder, kept: PersistedState) -> None:
+    def full(self: VersionFolder, retained: PersistedState) -> None:
         if next(room, None) is None:
             raise RecordingError("folder: cannot be written (No space left on device); free space there")
 
@@ -345,7 +345,7 @@ def test_nothing_is_decided_that_cannot_be_kept(
     fleet.propose("drag")
     fleet.ask("accept", "drag")
     fleet.turn(30)
-    assert steps(fleet) == told
+    assert steps(fleet) == reported
     assert "No space left" in fleet.changes.sentence
     assert fleet.models == {"first"}
 
@@ -355,9 +355,9 @@ def test_versions_survive_on_disk_as_files_that_a_person_can_read(fleet: Any, tm
     fleet.turn(30)
     assert (tmp_path / "model-001-print drag.toml").read_text() == "document drag"
     assert (tmp_path / "model-001-print drag.margin.json").read_text() == "margin drag"
-    kept = VersionFolder(tmp_path).load()
-    assert kept is not None
-    assert kept.versions == fleet.changes.versions
+    retained = VersionFolder(tmp_path).load()
+    assert retained is not None
+    assert retained.versions == fleet.changes.versions
     assert not list(tmp_path.glob("*.new"))
 
 

@@ -108,10 +108,10 @@ def test_a_broken_document_is_refused_with_the_reason(ticking: Ticking, case: st
     except (InputError, RecursionError):
         own = NEW
     ticking.node.hear("r1", offer(document, own, ""))
-    state, told = ticking.answer()
+    state, reported = ticking.answer()
     assert state == "refused"
-    assert reason in told
-    assert "\n" not in told
+    assert reason in reported
+    assert "\n" not in reported
     ticking.node.hear("r1", decision("take"))
     assert ticking.answer()[0] == "refused"
     assert ticking.node.model_of("r1") == fingerprint(CAR)
@@ -154,9 +154,9 @@ def test_the_filter_refuses_a_margin_that_promises_less_or_nothing(driving_state
     ticking.turn()
     margin, reason = BROKEN_MARGINS[case]
     ticking.node.hear("r1", offer(margin=margin))
-    state, told = ticking.answer()
+    state, reported = ticking.answer()
     assert state == "refused"
-    assert reason in told
+    assert reason in reported
 
 
 def test_a_margin_survives_the_bus() -> None:
@@ -277,10 +277,10 @@ def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
     assert ticking.node.agreed("r1") is None, "an offer is no agreement"
     ticking.node.hear("r1", decision("take"))
     ticking.turn()
-    told = ticking.node.agreed("r1")
-    assert (told.ok, told.change, told.fingerprint, told.document) == (True, 1, NEW, DOCUMENT)
+    reported = ticking.node.agreed("r1")
+    assert (reported.ok, reported.change, reported.fingerprint, reported.document) == (True, 1, NEW, DOCUMENT)
     other = Ticking(node_named(ticking.node.name), ticking.state_of)
-    other.node.welcome("r1", told)
+    other.node.welcome("r1", reported)
     assert other.node.model_of("r1") == NEW
     other.node.hear("r1", decision("take"))
     assert other.answer()[0] == "taken", "and knows which change it was"

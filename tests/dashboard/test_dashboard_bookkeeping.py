@@ -7,8 +7,8 @@ import pytest
 
 from safedpa.bus import LATENT, STATE, VERDICT, ReceivedMessage
 from safedpa.robots.car.system import CAR
-from safedpa_services.dashboard.books import ResidualHistory
 from safedpa_services.dashboard.fleet_view import DrawingRate, DrawingThrottle, FleetView, TimeLine
+from safedpa_services.dashboard.histories import ResidualHistory
 from safedpa_services.dashboard.palette import UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import MarkdownPage, Note, States
@@ -162,7 +162,7 @@ def test_a_stretch_of_the_trail_has_a_verdicts_colour_for_four_ticks_and_no_long
         kinds = (STATE, VERDICT) if k < 10 else (STATE,)
         items = [received(topic, message, 0.05 * k) for topic, message in tick_of(k) if topic in kinds]
         for frame in view.take(items, 0.05 * k):
-            colours += [entry.shape.colours for entry in frame.entries if entry.path[-1] == "trail"]
+            colours += [entry.shape.colours for entry in frame.entries if entry.path[-1] == "history"]
     newest = VERDICT_COLOURS["passed"] if known else UNKNOWN_STATUS
     assert colours[5] == (VERDICT_COLOURS["passed"],)
     assert colours[-1] == (newest,)

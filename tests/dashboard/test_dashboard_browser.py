@@ -87,11 +87,11 @@ import rerun as rr
 from safedpa.bus import ReceivedMessage, STATE, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.doors import DataProxy, private_loopback
+from safedpa_services.dashboard.http_proxy import DataProxy, private_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import display_settings
 from safedpa_services.dashboard.painter import RerunRecording
-from safedpa_services.dashboard.doors import ViewerServer, choose_port
+from safedpa_services.dashboard.http_proxy import ViewerServer, choose_port
 
 look = display_settings(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")

@@ -62,7 +62,7 @@ def test_the_lane_of_models_changes_with_the_model_and_goes_back_with_it(look, t
 def test_every_step_of_a_change_is_logged_with_its_author_and_reason(look, tick_of):
     view = FleetView(look)
     _entries(view, *tick_of(0))
-    for step, words in (("offer", "offered"), ("take", "from tick 50 on"), ("drop", "dropped")):
+    for step, phrase in (("offer", "offered"), ("take", "from tick 50 on"), ("drop", "dropped")):
         message = ModelMessage(
             **_stamp(40),
             step=step,
@@ -74,6 +74,6 @@ def test_every_step_of_a_change_is_logged_with_its_author_and_reason(look, tick_
             why="accept wind",
         )
         text = _entries(view, (MODEL, message))["log"].text
-        assert words in text
+        assert phrase in text
         assert "Ada" in text
         assert "accept wind" in text

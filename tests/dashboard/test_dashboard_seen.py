@@ -14,7 +14,7 @@ from safedpa_services.dashboard.world import holding_entry, seen_entries
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 SEEN = SurroundingsMessage(
     epoch=1,
@@ -30,7 +30,7 @@ SEEN = SurroundingsMessage(
 
 def state() -> StateMessage:
     scene = Scene(0, None, (-4.0, 4.0, -4.0, 4.0), (), (0.0, 0.0, 0.0))
-    return CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
+    return CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings()),))).state_message()
 
 
 def test_every_disc_is_drawn_with_the_radius_of_its_message() -> None:
@@ -94,9 +94,9 @@ def test_zones_are_drawn_by_their_kind_and_listed_with_the_person_who_switched_o
     page = NowPage(display_settings(load_model("car"), settings_named("car")))
     page.take(state(), 0.0)
     page.take(MARKED, 0.0)
-    said = page.page(0.1).text
-    assert "zones: closed wet\\_floor, ignored arm, closed far" in said
-    assert "switched: zone wet\\_floor on, by Ada" in said
+    notice = page.page(0.1).text
+    assert "zones: closed wet\\_floor, ignored arm, closed far" in notice
+    assert "switched: zone wet\\_floor on, by Ada" in notice
     page.take(SEEN, 0.2)
     assert "switched" not in page.page(0.3).text
 

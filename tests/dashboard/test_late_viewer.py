@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import FINDING, FindingMessage, ReceivedMessage
-from safedpa_services.dashboard.doors import choose_port
 from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.http_proxy import choose_port
 from safedpa_services.dashboard.painter import SERVER_MEMORY
 
 pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
@@ -71,16 +71,16 @@ class Viewer:
 
     def __init__(self, address, path):
         program = Path(find_spec("rerun_cli").origin).parent / "rerun"
-        self._path, self._said = path, path.with_suffix(".log")
+        self._path, self._message = path, path.with_suffix(".log")
         command = [str(program), address, "--port", "auto", "--save", str(path)]
-        with self._said.open("w") as said:
-            self._process = subprocess.Popen(command, stdout=said, stderr=said)
+        with self._message.open("w") as notice:
+            self._process = subprocess.Popen(command, stdout=notice, stderr=notice)
 
     def chunks(self, enough, patience=_PATIENCE_SECONDS):
         """What has come once ``enough`` of it is there."""
         until = time.monotonic() + patience
         while not enough(found := self._read()):
-            assert time.monotonic() < until, f"it got {len(found)} chunks; it said: {self._said.read_text()[-2000:]}"
+            assert time.monotonic() < until, f"it got {len(found)} chunks; it said: {self._message.read_text()[-2000:]}"
             time.sleep(0.3)
         return found
 
@@ -150,8 +150,8 @@ def test_a_late_viewer_has_the_present_among_the_first_chunks(look, tick_of, fre
     missing = {f"/robots/{robot}/{path}" for robot in robots for path in _NEEDED} - {c.entity_path for c in first}
     assert not missing
     for robot in robots:
-        told = " ".join(_texts(chunk) for chunk in first if chunk.entity_path == f"/robots/{robot}/now")
-        assert "0.0 s: passed: The nominal action was passed" in told, (
+        reported = " ".join(_texts(chunk) for chunk in first if chunk.entity_path == f"/robots/{robot}/now")
+        assert "0.0 s: passed: The nominal action was passed" in reported, (
             "the last sentence of the log was said at the start"
         )
 
@@ -171,7 +171,7 @@ def test_a_viewer_learns_that_the_drive_has_ended(look, tick_of, free_port, view
 
 @pytest.mark.long
 def test_a_dashboard_that_ends_while_it_waits_reports_it_to_its_viewer(free_port, view_of):
-    command = [sys.executable, "-m", "safedpa_services.dashboard", "--fleet", "nobody", "--grpc-port", str(free_port)]
+    command = [sys.executable, "-m", "safedpa_services.dashboard", "--fleet", "no_one", "--grpc-port", str(free_port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert process.stdout.readline().startswith("dashboard: http")

@@ -44,28 +44,28 @@ def test_without_a_robot_the_page_lists_services_and_refused_messages(look, tick
     view.take(
         [_received(HEALTH, heartbeat, NO_ROBOT), RejectedMessage("safedpa/depot/r1/state", "r1", "version 9")], 0.0
     )
-    [told] = _pages(view.take([], 0.1), "waiting")
-    assert "fleet **depot**" in told
-    assert "policy (running)" in told
-    assert "version 9" in told
+    [report] = _pages(view.take([], 0.1), "waiting")
+    assert "fleet **depot**" in report
+    assert "policy (running)" in report
+    assert "version 9" in report
     assert _pages(view.take([], 0.2), "waiting") == [], "said once, as long as nothing changes"
 
 
 def test_what_is_missing_is_named_with_what_it_is_for(look, tick_of):
     view = FleetView(look)
-    told = _pages(_drive(view, tick_of, range(100), state={}))
-    assert "Waiting for" not in told[0]
-    assert "a verdict of the safety filter" in told[-1]
-    assert "the diagnosis" in told[-1]
-    told = _pages(view.take([_received(HEALTH, tick_of(0)[3][1], at=9.0)], 9.0))
-    assert "silent for 4 s" in told[-1]
+    report = _pages(_drive(view, tick_of, range(100), state={}))
+    assert "Waiting for" not in report[0]
+    assert "a verdict of the safety filter" in report[-1]
+    assert "the diagnosis" in report[-1]
+    report = _pages(view.take([_received(HEALTH, tick_of(0)[3][1], at=9.0)], 9.0))
+    assert "silent for 4 s" in report[-1]
 
 
 def test_a_stationary_robot_is_shown_with_the_reason_and_the_cure(look, tick_of):
     stood = {"stands": 7.0, "standstill": "boxed in: obstacle_0 allow no action that would move it"}
-    told = _pages(_drive(FleetView(look), tick_of, range(30), state={}, verdict=stood))[-1]
-    assert "**Stands for 7 s**, boxed in: obstacle\\_0" in told
-    assert "another goal or more room" in told
+    report = _pages(_drive(FleetView(look), tick_of, range(30), state={}, verdict=stood))[-1]
+    assert "**Stands for 7 s**, boxed in: obstacle\\_0" in report
+    assert "another goal or more room" in report
 
 
 def test_the_end_is_shown_until_a_state_arrives_again(look, tick_of):

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from safedpa.bus import HEALTH, Bus, HealthMessage, Inbox, MemoryBroker, MemoryTransport
-from safedpa_services.dashboard.books import HealthHistory
 from safedpa_services.dashboard.dashboard import Dashboard
+from safedpa_services.dashboard.histories import HealthHistory
 from safedpa_services.dashboard.shapes import Curves
 
 
@@ -21,9 +21,9 @@ def beat(service: str, state: str = "running") -> HealthMessage:
 def test_four_heartbeats_missed_are_silence(silent_for: float, shown: str) -> None:
     book = HealthHistory()
     book.add(beat("policy"), 100.0)
-    told = book.silences(100.0 + silent_for)
+    reported = book.silences(100.0 + silent_for)
     assert book.states == {"policy": shown}
-    assert [entry.path for entry in told] == ([("services", "policy")] if shown == "silent" else [])
+    assert [entry.path for entry in reported] == ([("services", "policy")] if shown == "silent" else [])
     assert book.silences(100.0 + silent_for) == [], "once each time"
 
 

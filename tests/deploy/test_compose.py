@@ -41,16 +41,16 @@ from robot import command as robot_command  # noqa: E402
 DOCKERFILE = (ROOT / "deploy" / "Dockerfile").read_text(encoding="utf-8")
 LOOP = ("router", "safety_filter", "adaptation", "policy", "diagnosis", "recorder", "robot")
 PAGES = ("dashboard", "metrics", "workbench")
-SENSES = ("perception",)
+SENSOR_INPUTS = ("perception",)
 GATEWAYS = ("ros_gateway",)
 WRITES = {"recorder": ["recordings:/recordings"], "diagnosis": ["versions:/versions"]}
 
 each_service = pytest.mark.parametrize("name", sorted(SERVICES))
-each_role = pytest.mark.parametrize("name", sorted({*LOOP, *PAGES, *SENSES} - {"robot"}))
+each_role = pytest.mark.parametrize("name", sorted({*LOOP, *PAGES, *SENSOR_INPUTS} - {"robot"}))
 
 
 def test_the_whole_loop_is_there() -> None:
-    assert set(SERVICES) == {*LOOP, *PAGES, *SENSES, *GATEWAYS, "authority"}
+    assert set(SERVICES) == {*LOOP, *PAGES, *SENSOR_INPUTS, *GATEWAYS, "authority"}
     assert SERVICES["perception"]["profiles"] == ["laser"], "only where a robot has sensors"
 
 
@@ -111,9 +111,9 @@ def test_the_authority_gives_every_role_a_place_of_its_own() -> None:
 
 @each_service
 def test_nothing_speaks_plain_text_and_the_bus_has_no_way_out(name: str) -> None:
-    words = " ".join([*SERVICES[name]["command"], *map(str, SERVICES[name]["healthcheck"]["test"])])
-    assert "tcp/" not in words
-    assert "--plain" not in words
+    phrase = " ".join([*SERVICES[name]["command"], *map(str, SERVICES[name]["healthcheck"]["test"])])
+    assert "tcp/" not in phrase
+    assert "--plain" not in phrase
     assert COMPOSE["networks"]["bus"] == COMPOSE["networks"]["enrolment"] == {"internal": True}
 
 
@@ -121,24 +121,24 @@ def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
     assert set(PLAIN["services"]) == set(SERVICES) - {"authority"}
     for name, service in PLAIN["services"].items():
         assert set(service) <= {"command", "healthcheck"}
-        kept = [word for word in service["command"] if not word.startswith("tcp/")]
-        plain = [word for word in kept if word not in ("--mode", "client", "--plain")]
-        assert plain == [word for word in SERVICES[name]["command"] if word in kept]
+        retained = [word for word in service["command"] if not word.startswith("tcp/")]
+        plain = [word for word in retained if word not in ("--mode", "client", "--plain")]
+        assert plain == [word for word in SERVICES[name]["command"] if word in retained]
 
 
 def test_the_centre_may_look_and_speaks_for_no_robot() -> None:
     linked = _read("deploy/linked-routers.yml")["services"]
     assert _value(linked["router"]["command"], "--link") == "router.centre=nobody"
-    assert "nobody" not in linked["router"]["command"]
+    assert "no_one" not in linked["router"]["command"]
     assert _value(linked["centre"]["command"], "--role") == "router.centre"
     assert set(linked["centre"]["networks"]).isdisjoint(COMPOSE["networks"])
-    words = " ".join(word for service in linked.values() for word in service["command"])
-    assert "tcp/" not in words
-    assert "--plain" not in words
+    phrase = " ".join(word for service in linked.values() for word in service["command"])
+    assert "tcp/" not in phrase
+    assert "--plain" not in phrase
 
 
-def _value(words: list[str], option: str) -> Any:
-    return words[words.index(option) + 1] if option in words else None
+def _value(phrase: list[str], option: str) -> Any:
+    return phrase[phrase.index(option) + 1] if option in phrase else None
 
 
 @each_service
@@ -224,16 +224,16 @@ class OutsideContainers:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self._environment = {**os.environ, "PATH": path, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1"}
 
-    def _words(self, command: list[str]) -> list[str]:
+    def _text(self, command: list[str]) -> list[str]:
         for pattern, place in self._places.items():
             command = [re.sub(pattern, place, word) for word in command]
         return command
 
     def start(self, name: str) -> subprocess.Popen[str]:
         """The process of a service; killed at the end of the test if it lives then."""
-        words = self._words(SERVICES[name]["command"])
+        phrase = self._text(SERVICES[name]["command"])
         module = [sys.executable, "-m", f"safedpa_services.{name}"]
-        command = robot_command({"SAFEDPA_LOAD": "box"}, "robot-1", words) if name == "robot" else [*module, *words]
+        command = robot_command({"SAFEDPA_LOAD": "box"}, "robot-1", phrase) if name == "robot" else [*module, *phrase]
         with (self._folder / f"{name}.err").open("w") as errors:
             process = subprocess.Popen(command, env=self._environment, stdout=subprocess.PIPE, stderr=errors, text=True)
         self._stack.enter_context(process)
@@ -242,10 +242,10 @@ class OutsideContainers:
 
     def health(self, name: str) -> tuple[int, str]:
         """Exit code and words of the health check of a service."""
-        kind, *words = SERVICES[name]["healthcheck"]["test"]
-        command = ["sh", "-c", *words] if kind == "CMD-SHELL" else words
+        kind, *phrase = SERVICES[name]["healthcheck"]["test"]
+        command = ["sh", "-c", *phrase] if kind == "CMD-SHELL" else phrase
         done = subprocess.run(
-            self._words(command), env=self._environment, capture_output=True, text=True, timeout=60, check=False
+            self._text(command), env=self._environment, capture_output=True, text=True, timeout=60, check=False
         )
         return done.returncode, done.stdout + done.stderr
 
@@ -258,10 +258,10 @@ def test_the_commands_of_the_file_make_a_loop_that_is_healthy_and_drives(tmp_pat
         processes = {name: outside.start(name) for name in LOOP}
         patience = time.monotonic() + 180.0  # seven processes begin at once
         for name in LOOP:
-            code, said = outside.health(name)
+            code, notice = outside.health(name)
             while code != 0 and processes[name].poll() is None and time.monotonic() < patience:
-                code, said = outside.health(name)
-            assert code == 0, f"{name}: {said} {(tmp_path / f'{name}.err').read_text(encoding='utf-8')}"
+                code, notice = outside.health(name)
+            assert code == 0, f"{name}: {notice} {(tmp_path / f'{name}.err').read_text(encoding='utf-8')}"
         processes["policy"].kill()
         processes["policy"].wait()
         assert outside.health("policy")[0] == 1, "healthy without a process"

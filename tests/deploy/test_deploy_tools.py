@@ -68,10 +68,10 @@ def test_another_container_has_no_robots_role(name: str) -> None:
 
 
 def test_loads_are_taken_in_turn_and_scenes_differ() -> None:
-    words = command({"SAFEDPA_LOAD": "none, box", "SAFEDPA_SEED": "5"}, "robot-4", ["--certificates", "/tmp/c"])
-    assert words[words.index("--load") + 1] == "box"
-    assert words[words.index("--seed") + 1] == "8"
-    assert words[words.index("--role") + 1] == "robot.robot-4"
+    phrase = command({"SAFEDPA_LOAD": "none, box", "SAFEDPA_SEED": "5"}, "robot-4", ["--certificates", "/tmp/c"])
+    assert phrase[phrase.index("--load") + 1] == "box"
+    assert phrase[phrase.index("--seed") + 1] == "8"
+    assert phrase[phrase.index("--role") + 1] == "robot.robot-4"
     assert "--role" not in command({}, "robot-1", [])
 
 
@@ -152,28 +152,30 @@ def test_the_account_is_the_last_one_of_the_log_or_its_last_words_are_reported()
 def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_containers(monkeypatch):
     ran: list[list[str]] = []
 
-    def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
-        ran.append(list(words))
-        said = "container"
-        if "send" in words:
-            said = json.dumps({"p50": 800.0, "p99": 1500.0, "p999": 2000.0, "late_share": 0.0})
-        elif "logs" in words:
-            said = json.dumps(ACCOUNT)
-        return subprocess.CompletedProcess(words, 0, said, "")
+    def run(phrase: Any, **_: Any) -> subprocess.CompletedProcess[str]:
+        ran.append(list(phrase))
+        notice = "container"
+        if "send" in phrase:
+            notice = json.dumps({"p50": 800.0, "p99": 1500.0, "p999": 2000.0, "late_share": 0.0})
+        elif "logs" in phrase:
+            notice = json.dumps(ACCOUNT)
+        return subprocess.CompletedProcess(phrase, 0, notice, "")
 
     monkeypatch.setattr(container_latency.subprocess, "run", run)
     monkeypatch.setattr(container_latency.time, "sleep", lambda _: None)
     monkeypatch.setattr(container_latency.os, "environ", dict(container_latency.os.environ))
     found = container_latency.measured(600.0, 20.0)
     assert (found["ratio_p99"], found["watchdog_ticks"]) == (2.0, 2)
-    what = ["send" if "send" in words else "robot" if words[-1] == "robot" and "up" in words else "" for words in ran]
+    what = [
+        "send" if "send" in phrase else "robot" if phrase[-1] == "robot" and "up" in phrase else "" for phrase in ran
+    ]
     assert [each for each in what if each] == ["send", "robot", "send"]
     services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
-    sent = next(words for words in ran if "send" in words)
+    sent = next(phrase for phrase in ran if "send" in phrase)
     for option, key in (("--cpus", "cpus"), ("--cpu-shares", "cpu_shares"), ("--memory", "mem_limit")):
         assert sent[sent.index(option) + 1] == str(services["adaptation"][key])
     assert sent[-2:] == ["60", "20"]
-    relays = [words[-2:] for words in ran if "relay" in words]
+    relays = [phrase[-2:] for phrase in ran if "relay" in phrase]
     assert relays[:3] == [
         ["bare/state", "bare/latent"],
         ["bare/latent", "bare/nominal"],
@@ -183,8 +185,8 @@ def test_the_chain_runs_before_and_after_the_loop_with_the_limits_of_its_contain
 
 
 def test_an_error_of_the_engine_is_one_line(monkeypatch, capsys):
-    def run(words: Any, **_: Any) -> subprocess.CompletedProcess[str]:
-        return subprocess.CompletedProcess(words, 1, "", "Traceback\n  line\nno engine answers\n")
+    def run(phrase: Any, **_: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(phrase, 1, "", "Traceback\n  line\nno engine answers\n")
 
     monkeypatch.setattr(container_latency.subprocess, "run", run)
     monkeypatch.setattr(container_latency.os, "environ", dict(container_latency.os.environ))
@@ -192,10 +194,10 @@ def test_an_error_of_the_engine_is_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         container_latency.main()
     assert end.value.code == 1
-    said = capsys.readouterr().err
-    assert said.startswith("container_latency: ")
-    assert said.endswith("no engine answers\n")
-    assert said.count("\n") == 1
+    notice = capsys.readouterr().err
+    assert notice.startswith("container_latency: ")
+    assert notice.endswith("no engine answers\n")
+    assert notice.count("\n") == 1
 
 
 @pytest.mark.parametrize(("seconds", "rate"), [(float("nan"), 20.0), (-1.0, 20.0), (0.0, 20.0), (5.0, 0.0), (5.0, 2e3)])
@@ -213,14 +215,14 @@ def test_without_messages_there_is_no_percentile() -> None:
         container_latency.account_in([json.dumps(nothing)])
 
 
-def told(*arguments: str) -> subprocess.CompletedProcess[str]:
+def reported(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "deploy" / "filter_by_status.py"), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 def test_a_tree_compared_with_itself_decides_alike_and_every_status_is_counted() -> None:
     tree = str(ROOT / "shared")
-    found = told(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
+    found = reported(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
     assert found.returncode == 0, found.stderr
     lines = found.stdout.splitlines()
     assert [line.partition(" (")[0] for line in lines[:2]] == ["before", "after"]
@@ -239,7 +241,7 @@ def test_a_tree_compared_with_itself_decides_alike_and_every_status_is_counted()
 
 
 def test_a_tree_without_a_name_is_refused() -> None:
-    found = told("somewhere")
+    found = reported("somewhere")
     assert found.returncode == 2
     assert "got somewhere, wanted NAME=FOLDER" in found.stderr
 
@@ -258,7 +260,7 @@ SILENT = "policy: no two heartbeats within 0 s"
 
 
 @pytest.mark.parametrize(
-    ("beats", "said"),
+    ("beats", "notice"),
     [
         ([(1.0, 10, {}), (1.25, 15, {})], ""), ([(1.0, 0, READY), (1.25, 0, READY)], ""), ([], SILENT),
         ([(1.0, 10, {}), (1.0, 10, {})], SILENT),
@@ -272,22 +274,22 @@ SILENT = "policy: no two heartbeats within 0 s"
         "two processes", "another service",
     ],
 )  # fmt: skip
-def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(beats, said):
+def test_only_progress_between_two_heartbeats_of_one_process_is_healthy(beats, notice):
     broker = MemoryBroker()
     check, bus = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy"), Bus(MemoryTransport(broker), "fleet")
     for at, steps, other in beats:
         beat(bus, at, steps, **other)
-    assert check.run(0.0) == said
+    assert check.run(0.0) == notice
 
 
 def test_another_robot_does_not_count() -> None:
     broker = MemoryBroker()
     bus = Bus(MemoryTransport(broker), "fleet")
     check = HealthCheck(Bus(MemoryTransport(broker), "fleet"), "policy", "r2")
-    for robot, said in (("r1", SILENT), ("r2", "")):
+    for robot, notice in (("r1", SILENT), ("r2", "")):
         beat(bus, 1.0, 10, robot=robot)
         beat(bus, 1.25, 15, robot=robot)
-        assert check.run(0.0) == said
+        assert check.run(0.0) == notice
 
 
 @pytest.mark.processes

@@ -24,8 +24,8 @@ PIP = (sys.executable, "-m", "pip", "--quiet", "--no-input")
 def _run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     plain |= {"SAFEDPA_COMPILE": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-    words = [str(part) for part in command]
-    return subprocess.run(words, capture_output=True, text=True, check=False, cwd=cwd, env=plain)
+    phrase = [str(part) for part in command]
+    return subprocess.run(phrase, capture_output=True, text=True, check=False, cwd=cwd, env=plain)
 
 
 @pytest.fixture(scope="module")

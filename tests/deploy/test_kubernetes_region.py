@@ -56,8 +56,8 @@ def _pod(documents: list[Document], name: str) -> tuple[Document, Document]:
 @each_service
 def test_image_command_and_health_check_are_those_of_the_compose_file(documents: list[Document], name: str) -> None:
     _, container = _pod(documents, name)
-    words = [word.replace("${SAFEDPA_ROS_NAME:-ros-1}", "ros-1") for word in COMPOSE[name]["command"]]
-    assert (container["image"], container["args"]) == (COMPOSE[name]["image"], words)
+    phrase = [word.replace("${SAFEDPA_ROS_NAME:-ros-1}", "ros-1") for word in COMPOSE[name]["command"]]
+    assert (container["image"], container["args"]) == (COMPOSE[name]["image"], phrase)
     assert container["livenessProbe"]["exec"]["command"] == COMPOSE[name]["healthcheck"]["test"][1:]
     assert container["livenessProbe"]["timeoutSeconds"] == 8
 
@@ -108,11 +108,11 @@ def test_of_each_service_there_is_one_and_the_loop_has_whole_cores_on_one_node(d
     limits, asked = container["resources"]["limits"], container["resources"]["requests"]
     assert limits["memory"] == COMPOSE[name]["mem_limit"].replace("m", "Mi").replace("g", "Gi")
     assert (limits == asked) == (name in LOOP)
-    beside = [each["topologyKey"] for each in _beside(pod)]
-    assert beside == (["kubernetes.io/hostname"] if name in LOOP[1:] else [])
+    alongside = [each["topologyKey"] for each in _alongside(pod)]
+    assert alongside == (["kubernetes.io/hostname"] if name in LOOP[1:] else [])
 
 
-def _beside(pod: Document) -> list[Document]:
+def _alongside(pod: Document) -> list[Document]:
     found: list[Document] = (
         pod.get("affinity", {}).get("podAffinity", {}).get("requiredDuringSchedulingIgnoredDuringExecution", [])
     )
@@ -166,7 +166,7 @@ def test_a_robot_that_has_its_certificate_does_not_ask_for_one(keys: Path, monke
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("phrase", "notice"),
     [
         (["--robots", "17"], "--robots 17: wanted 0 to as many as docker-compose.yml tells its router to let join"),
         (["--robots", "-1"], "--robots -1"), (["--namespace", "West_1"], "--namespace 'West_1'"),
@@ -174,11 +174,11 @@ def test_a_robot_that_has_its_certificate_does_not_ask_for_one(keys: Path, monke
         (["--robots-from", "10.20.0.1/16"], "10.20.0.1/16"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_in_a_line(words: list[str], said: str) -> None:
-    command = [sys.executable, str(ROOT / "deploy" / "kubernetes_region.py"), *words]
+def test_what_cannot_be_is_refused_in_a_line(phrase: list[str], notice: str) -> None:
+    command = [sys.executable, str(ROOT / "deploy" / "kubernetes_region.py"), *phrase]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert said in done.stderr
+    assert notice in done.stderr
     assert "Traceback" not in done.stderr
 
 

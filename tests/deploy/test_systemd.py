@@ -50,15 +50,15 @@ def test_every_service_understands_its_options(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(ROBOT, encoding="utf-8")
     for name in SERVICES:
         values = _values("loop") | _values(name)
-        words = re.sub("/(etc|var/lib)/safedpa", str(tmp_path), f"{values['LOOP']} {values['OPTIONS']}").split()
-        words.remove("--realtime") if "--realtime" in words else None  # not on a machine that runs tests
-        command = [sys.executable, "-m", f"safedpa_services.{name}", *words]
+        phrase = re.sub("/(etc|var/lib)/safedpa", str(tmp_path), f"{values['LOOP']} {values['OPTIONS']}").split()
+        phrase.remove("--realtime") if "--realtime" in phrase else None  # not on a machine that runs tests
+        command = [sys.executable, "-m", f"safedpa_services.{name}", *phrase]
         started[name] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     for name, process in started.items():
-        said, _ = process.communicate(timeout=60)
-        assert process.returncode == 2, (name, said)
-        assert "usage:" not in said, (name, said)
-        assert str(tmp_path / "certificates") in said, (name, said)  # what stops it is that nobody made any
+        notice, _ = process.communicate(timeout=60)
+        assert process.returncode == 2, (name, notice)
+        assert "usage:" not in notice, (name, notice)
+        assert str(tmp_path / "certificates") in notice, (name, notice)  # what stops it is that nobody made any
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")

@@ -37,10 +37,10 @@ def log(tmp_path_factory):
 def test_diagnose_prints_a_summary_and_writes_its_files(log, tmp_path, capsys):
     paths = [str(path) for path in log.runs]
     assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
-    assert "The model lacks quadratic_drag" in told
-    assert "quadratic_drag: coefficient 0.1" in told
-    assert "given model" in told
+    reported = capsys.readouterr().out
+    assert "The model lacks quadratic_drag" in reported
+    assert "quadratic_drag: coefficient 0.1" in reported
+    assert "given model" in reported
     assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["added"] == ["quadratic_drag"]
     for name in ("report.html", "diagnosis.rrd"):
         assert (tmp_path / name).stat().st_size > 1000
@@ -54,9 +54,9 @@ def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys, monkeypatch)
     document = json.loads(capsys.readouterr().out)
     assert document["robot"] == "car"
     margin, model = tmp_path / "margin.toml", tmp_path / "model.toml"
-    told = document.pop("margin")
-    assert told.pop("period") == pytest.approx(0.05)
-    assert told == {"file": str(margin), "said": "", "drive": f"safedpa up --model {model} --margin {margin}"}
+    reported = document.pop("margin")
+    assert reported.pop("period") == pytest.approx(0.05)
+    assert reported == {"file": str(margin), "notice": "", "drive": f"safedpa up --model {model} --margin {margin}"}
     assert document == json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
 
 
@@ -179,15 +179,15 @@ def test_too_few_rows_are_refused_with_the_number_wanted(tmp_path: Path, rows: i
 
 
 @pytest.mark.parametrize(
-    ("variable", "said"),
+    ("variable", "notice"),
     [
         (Variable("heading", "deg", -360.0, 360.0, angle=True), "got an angle in 'deg', wanted 'rad'"),
         (Variable("speed", "m/s", 5.0, -5.0), "got bounds 5 to -5"),
         (Variable("speed", "m/s", float("nan"), 5.0), "got bounds nan to 5"),
     ],
 )
-def test_a_system_with_wrong_units_or_bounds_is_refused(variable: Variable, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_system_with_wrong_units_or_bounds_is_refused(variable: Variable, notice: str) -> None:
+    with pytest.raises(InputError, match=notice):
         add_system(System("odd_one", (variable,), ()))
 
 
@@ -207,12 +207,12 @@ def test_without_out_a_new_folder_is_made(command, in_use, capsys):
     before = {path.name: path.read_bytes() for path in in_use.iterdir()}
     for _ in range(2):
         assert safedpa.run([command, "model.toml", "run.csv"]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert {path.name: path.read_bytes() for path in in_use.iterdir() if path.is_file()} == before
     made = sorted(path.name for path in in_use.iterdir() if path.is_dir())
     assert len(made) == 2
     assert all(name.startswith(f"{command}-model-20") for name in made)
-    assert all(name in told for name in made)
+    assert all(name in reported for name in made)
 
 
 @pytest.mark.parametrize(
@@ -228,9 +228,9 @@ def test_without_out_a_new_folder_is_made(command, in_use, capsys):
 def test_an_input_is_not_replaced(arguments, in_use, capsys):
     before = {path.name: path.read_bytes() for path in in_use.iterdir()}
     assert safedpa.run(arguments) == 2
-    told = capsys.readouterr().err
-    assert "is an input of this command" in told
-    assert told.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert "is an input of this command" in reported
+    assert reported.count("\n") == 1
     assert {path.name: path.read_bytes() for path in in_use.iterdir()} == before
 
 
@@ -350,7 +350,7 @@ def constant(table):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "notice"),
     [
         (lambda table: {name: values[:40] for name, values in table.items()}, "too little to judge"),
         (constant, "no input ever changes"), (swap("x", "y"), "x and y look swapped"), (swap("yaw", "speed"), "yaw"),
@@ -361,17 +361,17 @@ def constant(table):
     ids=["two_seconds", "constant", "x_and_y", "yaw_and_speed", "steer_flipped", "steer_elsewhere", "km_per_hour"],
 )  # fmt: skip
 @pytest.mark.usefixtures("few")
-def test_no_verdict_and_the_reason(change, said, log, tmp_path, capsys):
+def test_no_verdict_and_the_reason(change, notice, log, tmp_path, capsys):
     code, report, _ = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)
     assert code == 0
-    assert report["verdict"] == ("undecided" if said in TOO_LITTLE else "unexplained")
+    assert report["verdict"] == ("undecided" if notice in TOO_LITTLE else "unexplained")
     assert (report["added"], report["unexplained"]["depends_on"]) == ([], [])
-    assert said in report["unexplained"]["expression"]
+    assert notice in report["unexplained"]["expression"]
     assert not (tmp_path / "margin.toml").exists()
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "notice"),
     [
         (scale(180.0 / np.pi, "steer"), "looks like degrees"), (scale(180.0 / np.pi, "yaw"), "read as degrees"),
         (swap("target_speed", "steer"), "steer reaches"), (scale(1000.0, "t"), "looks like ms, not seconds"),
@@ -379,10 +379,10 @@ def test_no_verdict_and_the_reason(change, said, log, tmp_path, capsys):
     ids=["steer_in_degrees", "yaw_in_degrees", "actions_swapped", "milliseconds"],
 )  # fmt: skip
 @pytest.mark.usefixtures("few")
-def test_unusable_recordings_are_one_line_and_exit_code_2(change, said, log, tmp_path, capsys):
+def test_unusable_recordings_are_one_line_and_exit_code_2(change, notice, log, tmp_path, capsys):
     code, report, error = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)
     assert (code, report) == (2, None)
-    assert said in error
+    assert notice in error
     assert error.count("\n") == 1
 
 

@@ -123,23 +123,23 @@ def test_findings_are_listed_and_a_repeated_recording_counts_once(preparing: Any
 
 
 def test_thinned_rows_are_counted_and_reported(preparing: Any) -> None:
-    def kept(found: Any) -> int:
+    def retained(found: Any) -> int:
         return sum(len(part) for run in found.runs for part in run.stretches)
 
     runs = [driving("one", 1000), driving("two", 1001)]
     whole = preparing(runs, 2001)
-    assert (kept(whole), whole.quality) == (2001, [])
+    assert (retained(whole), whole.quality) == (2001, [])
     found = preparing(runs, 500)
-    assert kept(found) < 1000
-    (told,) = found.quality
-    assert (told["run"], told["kind"], told["count"]) == ("all", "thinned", 2001 - kept(found))
-    assert told["message"].startswith(f"of 2001 rows, {kept(found)} in evenly spread pieces")
+    assert retained(found) < 1000
+    (reported,) = found.quality
+    assert (reported["run"], reported["kind"], reported["count"]) == ("all", "thinned", 2001 - retained(found))
+    assert reported["message"].startswith(f"of 2001 rows, {retained(found)} in evenly spread pieces")
 
 
 def test_without_a_limit_an_hour_at_10_rows_a_second_is_used_whole_and_three_hours_are_not(preparing: Any) -> None:
     assert preparing([driving("hour", 36_000)]).quality == []
-    (told,) = preparing([driving("hours", 108_000)]).quality
-    assert told["kind"] == "thinned"
+    (reported,) = preparing([driving("hours", 108_000)]).quality
+    assert reported["kind"] == "thinned"
 
 
 @pytest.mark.parametrize(
@@ -424,8 +424,8 @@ def test_a_range_holds_both_its_ends_and_a_gap_its_lower_one():
     system = load_model("dart_car").system
     found = [CoveredRange("throttle", "1", 0.0, 1.0, 200.0, (CoverageGap(0.4, 0.6, 1.0),))]
     tried = np.array([-1e-9, 0.0, 0.4 - 1e-9, 0.4, 0.6 - 1e-9, 0.6, 1.0, 1.0 + 1e-9])
-    said = within_coverage(found, system, np.zeros((8, 4)), np.column_stack([tried, 0 * tried]))
-    assert said.tolist() == [False, True, True, False, False, True, True, False]
+    notice = within_coverage(found, system, np.zeros((8, 4)), np.column_stack([tried, 0 * tried]))
+    assert notice.tolist() == [False, True, True, False, False, True, True, False]
 
 
 def test_the_first_sentence_names_the_widest_gaps():

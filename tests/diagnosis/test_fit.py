@@ -206,7 +206,7 @@ def test_a_base_that_is_worse_than_no_change_is_reported_first(plain, runs, monk
     assert not report_text(as_document(diagnose(plain, runs))).lead.startswith("The given model")
 
 
-ROWS, KEPT, PERIOD = 9, 0.8, 0.1
+ROWS, RETAINED, PERIOD = 9, 0.8, 0.1
 MEASURED, PUSH, SECONDS = 0.3, 0.7, 0.5
 
 
@@ -216,7 +216,7 @@ def track():
     random = np.random.default_rng(3)
     shape = (2, ROWS, 1)
     return LinearizedTrajectory(
-        transition=np.full((*shape, 1), KEPT), drift=random.normal(size=shape),
+        transition=np.full((*shape, 1), RETAINED), drift=random.normal(size=shape),
         columns=random.normal(size=(*shape, 1)), seen=random.normal(size=shape), period=np.full((2, ROWS), PERIOD),
         inside=np.ones((2, ROWS), dtype=bool), counted=np.ones((2, ROWS), dtype=bool), doubt=np.ones(shape),
         bent=np.zeros(shape), disturbed=np.array([0]),
@@ -227,7 +227,7 @@ def joint_of(track, piece, shift=0.0):
     """Measurements of a piece less their means, and their covariance; all rows at once."""
     decay = np.exp(-PERIOD / SECONDS)
     starts = np.diag([(30.0 * MEASURED) ** 2, PUSH**2])
-    step = np.array([[KEPT, PERIOD], [0.0, decay]])
+    step = np.array([[RETAINED, PERIOD], [0.0, decay]])
     noise = np.diag([(1e-5 * MEASURED) ** 2, (1.0 - decay**2) * PUSH**2])
     mean, means = np.array([track.seen[piece, 0, 0], 0.0]), []
     joint = np.zeros((2 * ROWS, 2 * ROWS))

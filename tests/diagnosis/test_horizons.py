@@ -124,9 +124,9 @@ def test_a_carpet_is_reported_with_its_position(hidden):
     laws = {"rolling_resistance": "where circle"}
     report = hidden({"rolling_resistance": CARPET}, laws=laws, seconds=40.0, seed=194365079)
     assert (report.verdict, report.added) == ("effect_missing", ("rolling_resistance",))
-    (told,) = report.conditions
-    assert (told.kind, told.words) == ("where", "circle")
-    assert "inside the circle of 1.5" in told.sentence
+    (reported,) = report.conditions
+    assert (reported.kind, reported.phrase) == ("where", "circle")
+    assert "inside the circle of 1.5" in reported.sentence
     for name, value in CARPET.items():
         assert report.parameters[f"rolling_resistance.{name}"].value == pytest.approx(value, abs=0.1)
     model = report.models[-1]
@@ -192,9 +192,9 @@ def test_with_too_little_data_the_verdict_is_undecided_and_the_closest_effect_is
     assert nearest.parameters["rolling_resistance.deceleration"].value == pytest.approx(0.5, abs=0.25)
     assert nearest.drive
     assert "rolling_resistance" in report_text(as_document(report)).lead
-    told = [line for line, _ in story_lines(report)]
-    assert any(line.strip().startswith("Likely, not proven: rolling_resistance") for line in told)
-    assert any(nearest.drive in line for line in told)
+    reported = [line for line, _ in story_lines(report)]
+    assert any(line.strip().startswith("Likely, not proven: rolling_resistance") for line in reported)
+    assert any(nearest.drive in line for line in reported)
 
 
 @pytest.mark.long
@@ -257,9 +257,9 @@ def test_the_same_recording_twice_is_no_more_evidence(logs, few):
     once, again = diagnose(model, runs), diagnose(model, twice)
     assert decided(once) == decided(again)
     assert once.parameters == again.parameters
-    (said,) = [item for item in again.data_quality if item["kind"] == "same_recording"]
-    assert "copy" in (said["run"], said["message"])
-    assert "used once" in said["message"]
+    (notice,) = [item for item in again.data_quality if item["kind"] == "same_recording"]
+    assert "copy" in (notice["run"], notice["message"])
+    assert "used once" in notice["message"]
 
 
 LIBRARY = ("rolling_resistance", "understeer", "viscous_drag", "speed_command_gain")
@@ -323,11 +323,11 @@ def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
 
 def test_the_check_reports_which_effects_show_and_which_only_as_a_sum(given):
     found = check_identifiability(*given)
-    assert {item.effect for item in found.told()} == {"rolling_resistance", "understeer"}
+    assert {item.effect for item in found.reported()} == {"rolling_resistance", "understeer"}
     assert {item.effect for item in found.as_sums()} == {"viscous_drag", "speed_command_gain"}
-    told = "\n".join(check_lines(found))
-    assert "only as a sum" in told
-    assert "together with viscous_drag" in told
+    reported = "\n".join(check_lines(found))
+    assert "only as a sum" in reported
+    assert "together with viscous_drag" in reported
 
 
 @pytest.mark.long

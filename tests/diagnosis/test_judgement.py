@@ -155,8 +155,8 @@ class Drifting:
         return state * 0.0 + self.size * self.times[int(action[0])] * np.array([0.1, -2.0]), None
 
 
-@pytest.mark.parametrize(("times", "told"), [((0.5, 0.75), ""), ((0.5, 3.0), "second"), ((3.0, 0.5), "first")])
-def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, told, monkeypatch):
+@pytest.mark.parametrize(("times", "reported"), [((0.5, 0.75), ""), ((0.5, 3.0), "second"), ((3.0, 0.5), "first")])
+def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, reported, monkeypatch):
     """Noise 0.1 and 2: the root mean square of the difference over it is the same in both states."""
     start, rows = np.zeros(2), np.zeros((8, 1))
     monkeypatch.setattr(choice, "manoeuvres", lambda _: {"first": (start, rows), "second": (start, rows + 1.0)})
@@ -169,8 +169,8 @@ def test_the_next_experiment_separates_models_most_in_units_of_the_noise(times, 
     assert found == [best if most * size >= 1.0 else "" for size in (1.0, 0.3, 4.0)]
     experiment = choice.choose_experiment(models, noise)
     assert experiment is not None
-    assert (experiment.manoeuvre == told) is bool(told)
-    assert (f"differ there by {most:.0f} times the noise" in experiment.why) is bool(told)
+    assert (experiment.manoeuvre == reported) is bool(reported)
+    assert (f"differ there by {most:.0f} times the noise" in experiment.why) is bool(reported)
     assert choice.choose_experiment({"one": own}, noise) is None
 
 
@@ -293,7 +293,7 @@ def nearest(
 
 
 @pytest.mark.parametrize(
-    ("errors", "value", "count", "told"),
+    ("errors", "value", "count", "reported"),
     [
         ([0.44, 0.46, 0.1, 0.3, float("inf")], 0.5, 3, ["2", "3", "0"]),
         ([0.06, 0.05, 0.04, 0.03, 0.02, 0.01, 0.0], 0.5, 3, ["5", "4", "3", "2", "1", "0"]),  # the first six are tried
@@ -302,12 +302,12 @@ def nearest(
     ],
 )  # fmt: skip
 def test_with_too_little_data_the_effects_that_take_a_tenth_off_are_reported_best_first(
-    errors: list[float], value: float, count: int, told: list[str], monkeypatch: pytest.MonkeyPatch
+    errors: list[float], value: float, count: int, reported: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = nearest(monkeypatch, errors, value, count)
-    assert names(found) == told
-    assert [item.gain for item in found] == [100.0 + float(name) for name in told]
-    assert [item.error.value for item in found if item.error] == [errors[int(name)] for name in told]
+    assert names(found) == reported
+    assert [item.gain for item in found] == [100.0 + float(name) for name in reported]
+    assert [item.error.value for item in found if item.error] == [errors[int(name)] for name in reported]
     for item in found:
         assert (item.stage, item.decision, item.reason, item.before) == (0, "suspected", "too little data", value)
 
@@ -358,10 +358,12 @@ def test_the_undecided_sentence_names_what_helps_and_the_open_size() -> None:
         "added": ["viscous_drag", "understeer"],
         "closest": [{"effect": "viscous_drag", "parameters": {"viscous_drag.coefficient": value}}],
     }
-    said = unsure_sentence(document, "viscous_drag and understeer", 0.55, 0.12)
-    assert said.startswith("Undecided: with viscous_drag and understeer the error on such driving falls from 0.55 to ")
-    assert "coefficient 0.8 +- 6.2 1/s" in said
-    assert "understeer (" not in said
+    notice = unsure_sentence(document, "viscous_drag and understeer", 0.55, 0.12)
+    assert notice.startswith(
+        "Undecided: with viscous_drag and understeer the error on such driving falls from 0.55 to "
+    )
+    assert "coefficient 0.8 +- 6.2 1/s" in notice
+    assert "understeer (" not in notice
 
 
 class Model:
@@ -386,7 +388,7 @@ def heldout_error(errors: Any) -> HeldoutError:
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> Any:
+def reported(monkeypatch: pytest.MonkeyPatch) -> Any:
     """told(table, added, shown=None) -> (what is reported, effects in their order).
 
     A model has the errors of the table by the letters of its effects; on the windows that are shown, those of
@@ -419,15 +421,15 @@ def listed(found: Any) -> list[str]:
     return ["".join(stage.effects) for stage in found.stages]
 
 
-def test_each_stage_adds_one_effect_with_its_error_and_the_runs_that_it_improves(told: Any) -> None:
-    found, added = told({"": 1.0, "a": 0.8, "ab": 0.5}, "ab")
+def test_each_stage_adds_one_effect_with_its_error_and_the_runs_that_it_improves(reported: Any) -> None:
+    found, added = reported({"": 1.0, "a": 0.8, "ab": 0.5}, "ab")
     assert [(stage.effects, stage.heldout_error) for stage in found.stages] == [
         ((), 1.0), (("a",), 0.8), (("a", "b"), 0.5),
     ]  # fmt: skip
     assert [stage.per_state for stage in found.stages] == [{"x": e, "y": e} for e in (1.0, 0.8, 0.5)]
     assert [stage.runs_improved for stage in found.stages] == ["", "2/2", "2/2"]
     assert [model.names for model in found.models] == ["", "a", "ab"]
-    assert ((found.worse, added), listed(told({"": 1.0}, "")[0])) == (((), "ab"), [""])
+    assert ((found.worse, added), listed(reported({"": 1.0}, "")[0])) == (((), "ab"), [""])
 
 
 @pytest.mark.parametrize(
@@ -439,9 +441,9 @@ def test_each_stage_adds_one_effect_with_its_error_and_the_runs_that_it_improves
         (([0.5, 0.5], [0.4, 0.4], [0.4, 0.6]), ["", "a", "ab"]), (([0.5, 0.5], [0.6, 0.6], [0.7, 0.7]), ["", "ab"]),
     ],
 )  # fmt: skip
-def test_a_stage_improves_some_run_or_is_the_last(told: Any, errors: Any, stages_listed: list[str]) -> None:
+def test_a_stage_improves_some_run_or_is_the_last(reported: Any, errors: Any, stages_listed: list[str]) -> None:
     names = ["", "a", "ab"][: len(errors)]
-    assert listed(told(dict(zip(names, errors, strict=True)), names[-1])[0]) == stages_listed
+    assert listed(reported(dict(zip(names, errors, strict=True)), names[-1])[0]) == stages_listed
 
 
 @pytest.mark.parametrize(
@@ -449,8 +451,8 @@ def test_a_stage_improves_some_run_or_is_the_last(told: Any, errors: Any, stages
     [([0.5, 0.5, 0.5], [0.4, 0.5, 0.3], "2/3"), ([0.5, NAN, 0.5], [0.4, 0.5, 0.6], "1/2"),
      ([0.5, 0.5, 0.5], [0.6, 0.4, NAN], "1/2")],
 )  # fmt: skip
-def test_runs_with_windows_in_both_stages_are_counted(told: Any, before: Any, after: Any, improved: str) -> None:
-    assert told({"": before, "a": after}, "a")[0].stages[1].runs_improved == improved
+def test_runs_with_windows_in_both_stages_are_counted(reported: Any, before: Any, after: Any, improved: str) -> None:
+    assert reported({"": before, "a": after}, "a")[0].stages[1].runs_improved == improved
 
 
 @pytest.mark.parametrize(
@@ -462,8 +464,8 @@ def test_runs_with_windows_in_both_stages_are_counted(told: Any, before: Any, af
          [("r2", "y", 2.0, 2.3), ("r2", "x", 0.5, 0.6)]),  # a twentieth and a hundredth are reached and not passed
     ],
 )  # fmt: skip
-def test_states_that_got_worse_by_a_twentieth_and_a_hundredth_are_reported_most_first(told, before, after, worse):
-    found, _ = told({"": before, "a": [[0.0, 0.0]] * 3, "ab": after}, "ab")
+def test_states_that_got_worse_by_a_twentieth_and_a_hundredth_are_reported_most_first(reported, before, after, worse):
+    found, _ = reported({"": before, "a": [[0.0, 0.0]] * 3, "ab": after}, "ab")
     assert [(item.run, item.state, item.before, item.after) for item in found.worse] == worse
     assert {item.stage for item in found.worse} == {2}
 
@@ -481,15 +483,15 @@ TABLE = {"": 1.0, "a": 1.2, "ab": 0.5, "abc": 0.3, "b": 0.6, "c": 0.9, "ba": 0.5
         (TABLE, "ab", "ab"),  # of two, one stage is made
     ],
 )
-def test_the_order_is_kept_unless_one_of_three_helps_only_together_with_a_later_one(told, table, added, order):
-    found, now = told(table, added)
+def test_the_order_is_kept_unless_one_of_three_helps_only_together_with_a_later_one(reported, table, added, order):
+    found, now = reported(table, added)
     assert now == order
     if added == "ab":
         assert listed(found) == ["", "ab"]
 
 
-def test_errors_are_those_of_the_windows_that_are_shown_in_the_order_of_the_search(told: Any) -> None:
-    found, added = told({"": 1.0, "a": 0.8, "ab": 0.5}, "ab", {"": 2.0, "a": 1.5, "ab": 2.4})
+def test_errors_are_those_of_the_windows_that_are_shown_in_the_order_of_the_search(reported: Any) -> None:
+    found, added = reported({"": 1.0, "a": 0.8, "ab": 0.5}, "ab", {"": 2.0, "a": 1.5, "ab": 2.4})
     assert [stage.heldout_error for stage in found.stages] == [2.0, 1.5, 2.4]
     assert [stage.runs_improved for stage in found.stages] == ["", "2/2", "0/2"]
     assert {(item.stage, item.before, item.after) for item in found.worse} == {(2, 2.0, 2.4)}

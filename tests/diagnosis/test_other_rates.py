@@ -102,27 +102,27 @@ def thinned(path: Path, every: int, out: Path) -> str:
     return str(out)
 
 
-def diagnosed(log, rates, folder, capsys, monkeypatch, *words: str) -> str:
+def diagnosed(log, rates, folder, capsys, monkeypatch, *phrase: str) -> str:
     """The output for the log's runs, every n-th row of each."""
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     paths = [thinned(path, every, folder / path.name) for path, every in zip(log.runs, rates, strict=True)]
-    assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(folder / "out"), *words]) == 0
+    assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(folder / "out"), *phrase]) == 0
     return str(capsys.readouterr().out)
 
 
 def test_slower_logs_give_a_margin_of_their_steps(log, tmp_path, capsys, monkeypatch) -> None:
-    said = diagnosed(log, (2, 2, 2), tmp_path, capsys, monkeypatch)
+    notice = diagnosed(log, (2, 2, 2), tmp_path, capsys, monkeypatch)
     margin = MarginCalibration.load(tmp_path / "out" / "margin.toml")
     assert margin.period == pytest.approx(0.1)
     assert margin.fingerprint == fingerprint(load_model(str(tmp_path / "out" / "model.toml")))
-    assert "The margin is of steps of 0.1 s, as the recordings have them" in said
-    assert f"--margin {tmp_path / 'out' / 'margin.toml'} --rate 10\n" in said
+    assert "The margin is of steps of 0.1 s, as the recordings have them" in notice
+    assert f"--margin {tmp_path / 'out' / 'margin.toml'} --rate 10\n" in notice
 
 
 def test_logs_of_several_rates_give_no_margin_and_the_reason(log, tmp_path, capsys, monkeypatch) -> None:
     margin = json.loads(diagnosed(log, (2, 4, 4), tmp_path, capsys, monkeypatch, "--json"))["margin"]
     assert not (tmp_path / "out" / "margin.toml").exists()
-    line = margin.pop("said")
+    line = margin.pop("notice")
     assert line.startswith("No margin was calibrated: got steps of 0.1 to 0.2 s, none of the model's own 0.05 s, ")
     assert line.endswith("; the filter's settings stand in for it")
     assert margin == {"file": None, "period": None, "drive": None}
@@ -134,7 +134,7 @@ def every_nth(run: Run, every: int) -> Run:
     return replace(run, t=t, states=run.states[rows], actions=run.actions[rows], stretches=(Stretch(0, len(t)),))
 
 
-def kept(log, rates, folder) -> str:
+def retained(log, rates, folder) -> str:
     model = load_model(str(log.model))
     given = zip(log.runs, rates, strict=True)
     runs = [every_nth(load_run(path, model.system), every) for path, every in given]
@@ -142,22 +142,22 @@ def kept(log, rates, folder) -> str:
 
 
 def test_the_workbench_saves_a_margin_of_the_logs_steps(log, tmp_path) -> None:
-    said = kept(log, (4, 4, 4), tmp_path)
+    notice = retained(log, (4, 4, 4), tmp_path)
     assert MarginCalibration.load(tmp_path / "margin.toml").period == pytest.approx(0.2)
-    assert f"and margin.toml: safedpa up --model {tmp_path / 'model.toml'} --margin" in said
-    assert "--rate 5. The margin is of steps of 0.2 s, as the recordings have them" in said
+    assert f"and margin.toml: safedpa up --model {tmp_path / 'model.toml'} --margin" in notice
+    assert "--rate 5. The margin is of steps of 0.2 s, as the recordings have them" in notice
 
 
 def test_the_reason_for_a_missing_margin_is_printed(log, tmp_path) -> None:
     (tmp_path / "margin.toml").write_text("of an earlier model")
-    said = kept(log, (2, 2, 4), tmp_path)
+    notice = retained(log, (2, 2, 4), tmp_path)
     assert not (tmp_path / "margin.toml").exists()
-    assert ". No margin was calibrated: got steps of 0.1 to 0.2 s" in said
-    assert said.endswith("; the filter's settings stand in for it")
+    assert ". No margin was calibrated: got steps of 0.1 to 0.2 s" in notice
+    assert notice.endswith("; the filter's settings stand in for it")
 
 
 def test_at_the_rate_of_the_model_the_output_is_unchanged(log, tmp_path) -> None:
-    said = kept(log, (1, 1, 2), tmp_path)
-    assert said.endswith("is of the model's own steps of 0.05 s; 199 steps of other lengths tell nothing of it.")
-    assert "--rate" not in said
-    assert kept(log, (1, 1, 1), tmp_path).endswith(f"--margin {tmp_path / 'margin.toml'}")
+    notice = retained(log, (1, 1, 2), tmp_path)
+    assert notice.endswith("is of the model's own steps of 0.05 s; 199 steps of other lengths tell nothing of it.")
+    assert "--rate" not in notice
+    assert retained(log, (1, 1, 1), tmp_path).endswith(f"--margin {tmp_path / 'margin.toml'}")

@@ -127,7 +127,7 @@ def embedded(text):
     return json.loads(re.search(r'id="data">(.*?)</script>', text, re.S).group(1))
 
 
-def asks_nobody(text):
+def asks_no_one(text):
     assert re.search(r"<(script|img|link|iframe|source)[^>]+(src|href)\s*=", text.replace("\n", " ")[:30000]) is None
     own = text[: text.index("plotly.js v")] + text[text.index('<script type="application/json"') :]
     assert not re.search("https?://", own)
@@ -139,7 +139,7 @@ def test_page_asks_no_other_host(files, tmp_path):
     assert _run("compare", model, *paths, "--out", tmp_path, "--json") == 0
     text = (tmp_path / "compare.html").read_text()
     assert len(text) < 6e6
-    asks_nobody(text)
+    asks_no_one(text)
     data = embedded(text)
     assert [figure["id"] for figure in data["figures"]] == ["horizon", "where", "time", "place", "residuals"]
     for figure in data["figures"] + data["overlays"]:
@@ -343,7 +343,7 @@ def test_the_page_has_the_whole_story(diagnosed, tmp_path):
     document, runs, models = diagnosed
     path = write_report(document, runs, models, tmp_path, "my model")
     text = path.read_text(encoding="utf-8")
-    words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text[: text.index("plotly.js v")]))
+    phrase = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text[: text.index("plotly.js v")]))
     assert path.name == "report.html"
     first, last = document["stages"][0]["heldout_error"], document["stages"][-1]["heldout_error"]
     for expected in (
@@ -359,7 +359,7 @@ def test_the_page_has_the_whole_story(diagnosed, tmp_path):
         "It is a formula that fits, not a physical effect with a name",
         "x jumped &lt;once&gt; &amp; was cut",
     ):
-        assert expected in words
+        assert expected in phrase
     assert [figure["id"] for figure in embedded(text)["figures"]] == ["falling", "where", "residuals", "maps"]
     for figure in embedded(text)["figures"]:
         assert f'id="{figure["id"]}"' in text
@@ -369,7 +369,7 @@ def test_the_page_asks_no_other_host(diagnosed):
     document, runs, models = diagnosed
     text = report_page({**document, "added": ["</script><b>x", "y"]}, runs, models, "<model>")
     assert len(text) < 6e6
-    asks_nobody(text)
+    asks_no_one(text)
     assert text.count("</script") == 4
     assert "&lt;model&gt;" in text
 
@@ -422,8 +422,8 @@ def test_nothing_missing_is_a_page_too(diagnosed):
 def test_a_stage_lists_what_it_changed():
     names = [["drag"], ["drag", "lag", "offset"], ["lag", "offset"], ["lag", "offset"]]
     stages = [{"effects": effects} for effects in names]
-    told = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
-    assert told == ["given model", "+ lag + offset", "− drag", "refitted"]
+    reported = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
+    assert reported == ["given model", "+ lag + offset", "− drag", "refitted"]
 
 
 def test_numbers_that_are_not_finite_leave_gaps(diagnosed):
@@ -637,8 +637,8 @@ def test_the_sentences_state_shares_sides_and_sizes() -> None:
     """The state y is off by 1.0 times 4 m; its median of -0.5 m is less than 0.3 of that."""
     share = "its error there is 2.00, 4.0 times the average of 0.50 (25 % of the squared error in 5 % of the windows)"
     assert share in where_sentence(comparison())
-    said = state_sentence(comparison())
-    assert said.startswith("The state predicted worst is y: off by 4 m after 1 s (to either side), 1.00 times")
+    notice = state_sentence(comparison())
+    assert notice.startswith("The state predicted worst is y: off by 4 m after 1 s (to either side), 1.00 times")
     biased = state_sentence(comparison(errors=np.array([[0.0, -1.0], [0.0, -1.5], [0.0, -2.0]])))
     assert "(in the median 1.5 m too low)" in biased
 
@@ -650,10 +650,10 @@ def test_the_sentences_state_shares_sides_and_sizes() -> None:
 )  # fmt: skip
 def test_the_model_is_compared_with_predictors_without_physics(errors: tuple[float, ...], verdict: str) -> None:
     found = comparison(horizons=(HorizonError(0.5, errors_of(9.0, 9.0, 9.0)), HorizonError(1.0, errors_of(*errors))))
-    said = naive_sentence(found)
+    notice = naive_sentence(found)
     model, still, steady = errors
-    assert f"error is {model:.2f}; assuming no change gives {still:.2f}, constant velocity {steady:.2f}" in said
-    assert said.endswith(f": {verdict}.")
+    assert f"error is {model:.2f}; assuming no change gives {still:.2f}, constant velocity {steady:.2f}" in notice
+    assert notice.endswith(f": {verdict}.")
 
 
 @pytest.mark.parametrize(
@@ -667,9 +667,9 @@ def test_the_model_is_compared_with_predictors_without_physics(errors: tuple[flo
     ],
 )  # fmt: skip
 def test_a_run_that_stands_out_or_loses_to_no_change_is_named(runs: dict[str, float], odd: str, lost: str) -> None:
-    said = run_sentence(comparison(runs=tuple(run_error(name, x=error) for name, error in runs.items())))
+    notice = run_sentence(comparison(runs=tuple(run_error(name, x=error) for name, error in runs.items())))
     text = "; ".join(part for part in (odd, f"worse than assuming no change: {lost}" if lost else "") if part)
-    assert said == (text[0].upper() + text[1:] + "." if text else "")
+    assert notice == (text[0].upper() + text[1:] + "." if text else "")
 
 
 @pytest.mark.parametrize("runs", [(run_error("a"), run_error("b")), (run_error("a", x=2.0, y=0.25),)])
@@ -678,12 +678,12 @@ def test_no_sentence_is_made_about_runs_without_change_or_about_a_single_run(run
 
 
 @pytest.mark.parametrize(
-    ("after", "told"),
+    ("after", "reported"),
     [((0.25, 0.25), ""), ((0.26, 0.25), ""), ((0.27, 0.25), "x in a (0.25 to 0.27)"),
      ((0.3, 0.5), "x in b (0.25 to 0.5), x in a (0.25 to 0.3)")],
 )  # fmt: skip
-def test_states_that_get_worse_are_named_most_first(after: tuple[float, float], told: str) -> None:
+def test_states_that_get_worse_are_named_most_first(after: tuple[float, float], reported: str) -> None:
     before = comparison(runs=(run_error("a", x=0.25), run_error("b", x=0.25)))
     later = comparison(runs=tuple(run_error(name, x=x) for name, x in zip("ab", after, strict=True)))
-    said = worse_sentence(before, later)
-    assert said.endswith(f"what gets worse: {told}." if told else "no state gets worse in any run.")
+    notice = worse_sentence(before, later)
+    assert notice.endswith(f"what gets worse: {reported}." if reported else "no state gets worse in any run.")

@@ -73,8 +73,8 @@ def test_as_many_are_left_out_as_a_twentieth_holds_whole(count):
     """By sorting: floor(0.05 n) of n. Of many, since what is left unsorted by one place is seldom out of place."""
     for seed in range(40):
         errors = np.random.default_rng(seed).normal(size=(count, 3)) * [1.0, 10.0, 0.1]
-        kept = np.sort(errors**2, axis=0)[: count - count // 20]
-        np.testing.assert_allclose(trimmed_rms(errors), np.sqrt(kept.mean(axis=0)), rtol=1e-12)
+        retained = np.sort(errors**2, axis=0)[: count - count // 20]
+        np.testing.assert_allclose(trimmed_rms(errors), np.sqrt(retained.mean(axis=0)), rtol=1e-12)
 
 
 def test_angles_go_by_the_short_way_round():

@@ -304,8 +304,8 @@ def test_an_effect_that_predicts_the_same_next_to_the_others_is_reported(searchi
     names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
     search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
     mark_equivalent_rivals(search, of_car([*names, *rivals]), heldout)
-    (told,) = [item.equals for item in search.candidates if item.decision == "accepted"]
-    assert (told, search.added) == (("viscous_drag",), names)
+    (reported,) = [item.equals for item in search.candidates if item.decision == "accepted"]
+    assert (reported, search.added) == (("viscous_drag",), names)
 
 
 def test_a_single_effect_has_no_equals(searching):

@@ -121,7 +121,7 @@ def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
 @pytest.mark.long
 def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
     assert (strip.verdict, strip.added) == ("effect_missing", ("rolling_resistance",))
-    assert [item.words for item in strip.conditions] == ["strip"]
+    assert [item.phrase for item in strip.conditions] == ["strip"]
     numbers = {path.split(".")[1]: value.value for path, value in strip.parameters.items()}
     assert abs(numbers["deceleration"] - 1.0) < 0.15
     # the strip's normal and offset, whichever of its two directions was found
@@ -173,7 +173,7 @@ def log(tmp_path_factory):
     return write_case(case, tmp_path_factory.mktemp("carpet"))
 
 
-def said(arguments, capsys):
+def notice(arguments, capsys):
     assert safedpa.run([str(item) for item in arguments]) == 0
     return json.loads(capsys.readouterr().out)
 
@@ -181,14 +181,14 @@ def said(arguments, capsys):
 @pytest.mark.long
 def test_add_fits_number_and_border(log, tmp_path, capsys):
     out = tmp_path / "with.toml"
-    words = ["--where", "x above", "--out", out, "--json"]
-    document = said(["add", log.model, "rolling_resistance", *log.runs, *words], capsys)
+    phrase = ["--where", "x above", "--out", out, "--json"]
+    document = notice(["add", log.model, "rolling_resistance", *log.runs, *phrase], capsys)
     assert document["sentence"] == "rolling resistance 0.9 m/s2 beyond x = 0.40 m"
     for name, value in FLOOR.items():
         entry = document["parameters"][f"rolling_resistance.{name}"]
         assert abs(entry["value"] - value) < 3.0 * entry["std"]
     assert document["after"] < 0.15 * document["before"]
-    assert said(["compare", out, *log.runs, "--out", tmp_path / "compared", "--json"], capsys)["error"] < 0.02
+    assert notice(["compare", out, *log.runs, "--out", tmp_path / "compared", "--json"], capsys)["error"] < 0.02
     bounds = {"action_low": (-3.0, -0.4), "action_high": (3.0, 0.4), "backup_action": (0.0, 0.0)}
     settings = FilterSettings(system="car", **bounds, eta=0.3)
     filtered = SafetyFilter.for_model(load_model(out), settings, [FunctionBarrier(lambda x: 1.0 - x[3])])
@@ -210,14 +210,14 @@ def test_a_strip_open_to_one_side_is_all_beyond_a_line(log):
 
 
 def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
-    words = ["--varies", "deceleration with time", "--out", tmp_path / "sag.toml", "--json"]
-    document = said(["add", log.model, "rolling_resistance", *log.runs, *words], capsys)
+    phrase = ["--varies", "deceleration with time", "--out", tmp_path / "sag.toml", "--json"]
+    document = notice(["add", log.model, "rolling_resistance", *log.runs, *phrase], capsys)
     assert "rolling_resistance.deceleration_per_time" in document["parameters"]
     assert "a second" in document["sentence"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("phrase", "reported"),
     [
         (["--where", "z above"], "where: got 'z'"),
         (["--where", "x"], "wanted 'VARIABLE above|below|between'"),
@@ -226,12 +226,12 @@ def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
         (["--where", "x above", "--edge", "0"], "wanted a width above 0 m"),
     ],
 )
-def test_unknown_words_are_refused_in_one_line(words, told, log, tmp_path, capsys):
+def test_unknown_words_are_refused_in_one_line(phrase, reported, log, tmp_path, capsys):
     out = tmp_path / "none.toml"
-    arguments = ["add", log.model, "rolling_resistance", *log.runs, "--out", out, *words]
+    arguments = ["add", log.model, "rolling_resistance", *log.runs, "--out", out, *phrase]
     assert safedpa.run([str(item) for item in arguments]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert reported in error
     assert error.count("\n") == 1
     assert not out.exists()
 
@@ -239,16 +239,16 @@ def test_unknown_words_are_refused_in_one_line(words, told, log, tmp_path, capsy
 @pytest.mark.long
 @pytest.mark.slow
 def test_diagnose_reports_the_law_on_the_correct_side(log, tmp_path, capsys):
-    document = said(["diagnose", log.model, *log.runs, "--out", tmp_path, "--json"], capsys)
+    document = notice(["diagnose", log.model, *log.runs, "--out", tmp_path, "--json"], capsys)
     assert (document["verdict"], document["added"]) == ("effect_missing", ["rolling_resistance"])
-    (told,) = document["conditions"]
-    assert told["sentence"] == "rolling resistance 0.9 m/s2 beyond x = 0.40 m"
-    assert told["sentence"] in (tmp_path / "report.html").read_text(encoding="utf-8")
+    (reported,) = document["conditions"]
+    assert reported["sentence"] == "rolling resistance 0.9 m/s2 beyond x = 0.40 m"
+    assert reported["sentence"] in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert 'where = "x above"' in (tmp_path / "model.toml").read_text(encoding="utf-8")
     costs = {"robot": "a", "status": "diagnosed", "reason": "", "unreadable_files": []}
     outcome = outcome_of(costs, document)
     assert outcome.found == ()  # a fleet does not pool it with what acts everywhere
-    assert outcome.unexplained == told["sentence"]
+    assert outcome.unexplained == reported["sentence"]
 
 
 @pytest.mark.long
@@ -264,7 +264,7 @@ def test_the_law_is_found_and_nothing_else(suite, seed, name, tmp_path):
     (effect,) = case.effects
     assert document["added"] == [effect]
     (condition,) = document["conditions"]
-    assert condition["words"] == case.laws[effect].removeprefix("where ")
+    assert condition["phrase"] == case.laws[effect].removeprefix("where ")
     for path, value in case.effects[effect].items():
         assert document["parameters"][f"{effect}.{path}"]["value"] == pytest.approx(value, rel=0.1, abs=0.1)
 

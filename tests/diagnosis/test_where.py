@@ -426,9 +426,9 @@ def test_windows_of_long_logs_start_farther_apart_and_a_finding_says_so(plain, d
     found = compare_model(plain, [drive(plain, 10.0, seed, name=f"run {seed}") for seed in range(3)], 1.0)
     apart = np.diff(found.windows.t[found.windows.start])
     assert np.median(apart) == pytest.approx(0.3 if most == 100 else 0.1)
-    told = [finding.message for name, finding in found.findings if finding.kind == "thinned"]
-    assert len(told) == (most == 100)
-    assert all("start every 0.29" in text and "instead of every 0.1 s" in text for text in told)
+    received = [finding.message for name, finding in found.findings if finding.kind == "thinned"]
+    assert len(received) == (most == 100)
+    assert all("start every 0.29" in text and "instead of every 0.1 s" in text for text in received)
 
 
 @pytest.mark.parametrize(
@@ -441,8 +441,8 @@ def test_a_recording_of_20_rows_is_a_copy_if_more_than_half_of_them_are_in_anoth
     own = {"t": other.t[:rows], "states": states, "actions": actions, "stretches": (Stretch(0, rows),)}
     piece = replace(other, name="piece", **own)
     for runs in ([piece, whole], [whole, piece]):
-        kept, findings = without_duplicates(runs)
-        assert [run.name for run in kept] == [run.name for run in runs if not (copy and run.name == "piece")]
+        retained, findings = without_duplicates(runs)
+        assert [run.name for run in retained] == [run.name for run in runs if not (copy and run.name == "piece")]
         assert [(name, finding.count) for name, finding in findings] == ([("piece", shared)] if copy else [])
 
 
@@ -509,9 +509,9 @@ def test_the_command_compares_with_an_earlier_model(tmp_path, capsys):
     later.write_text(log.model.read_text(encoding="utf-8") + extra, encoding="utf-8")
     arguments = ["compare", str(later), *map(str, log.runs), "--before", str(log.model), "--out", str(tmp_path / "out")]
     assert safedpa.run(arguments) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "what gets worse: " in told
-    assert "Error by run and state" in told
+    received = " ".join(capsys.readouterr().out.split())
+    assert "what gets worse: " in received
+    assert "Error by run and state" in received
     assert safedpa.run([*arguments, "--json"]) == 0
     assert "gets worse" in json.loads(capsys.readouterr().out)["change"]
 

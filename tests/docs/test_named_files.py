@@ -62,8 +62,8 @@ def test_what_is_gone_is_noticed() -> None:
     assert _unknown_files("`margin.py`, `safety/margins/conformal.py`, `my_robot.py`, `safety/gone.py`") == [
         "safety/gone.py"
     ]
-    said = (
+    notice = (
         "safedpa.safety.margins.conformal, safedpa.safety.margins.conformal.OnlineMargin.update, "
         "safedpa.safety.gone, safedpa.gone.margin"
     )
-    assert list(_unknown_names(said)) == ["safedpa.safety.gone", "safedpa.gone.margin"]
+    assert list(_unknown_names(notice)) == ["safedpa.safety.gone", "safedpa.gone.margin"]

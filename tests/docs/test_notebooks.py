@@ -26,8 +26,8 @@ def test_a_notebook_runs_and_holds_what_its_cells_print(
     monkeypatch.chdir(tmp_path)
     printed = run(notebook, path.name)
     codes = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    kept = ["".join("".join(output["text"]) for output in cell["outputs"]) for cell in codes]
+    retained = ["".join("".join(output["text"]) for output in cell["outputs"]) for cell in codes]
     rounded = path.stem == "diagnose_a_log"  # a fit's last digits are the processor's
-    assert [bool(text) for text in printed] == [bool(text) for text in kept]
-    assert rounded or printed == kept, "run python docs/run_notebooks.py"
+    assert [bool(text) for text in printed] == [bool(text) for text in retained]
+    assert rounded or printed == retained, "run python docs/run_notebooks.py"
     assert path.stat().st_size < 20_000

@@ -53,26 +53,26 @@ def _running_text(text: str) -> str:
 
 def test_each_page_can_be_read_in_one_go() -> None:
     pages = [page for page in PAGES if page.parent.name == "docs"]
-    words = {page.stem: len(_running_text(page.read_text(encoding="utf-8")).split()) for page in pages}
-    assert words
-    assert {name: count for name, count in words.items() if count >= LONGEST} == {}
+    phrase = {page.stem: len(_running_text(page.read_text(encoding="utf-8")).split()) for page in pages}
+    assert phrase
+    assert {name: count for name, count in phrase.items() if count >= LONGEST} == {}
 
 
 FOUND = sorted(set(_commands()))
 
 
-def _parsed(words: list[str]) -> None:
+def _parsed(phrase: list[str]) -> None:
     """Parses as the command line would, and runs nothing. Raises click's error for what it does not understand."""
     group: click.Command = safedpa
     context = click.Context(safedpa, info_name="safedpa")
-    while isinstance(group, click.Group) and words and not words[0].startswith("-"):
-        command = group.get_command(context, words[0])
+    while isinstance(group, click.Group) and phrase and not phrase[0].startswith("-"):
+        command = group.get_command(context, phrase[0])
         assert command is not None
-        group, words = command, words[1:]
+        group, phrase = command, phrase[1:]
         context = click.Context(command, info_name=command.name, parent=context)
-    if words[:1] == ["--version"]:
+    if phrase[:1] == ["--version"]:
         return
-    given, _, _ = group.make_parser(context).parse_args([word for word in words if word not in ("-h", "--help")])
+    given, _, _ = group.make_parser(context).parse_args([word for word in phrase if word not in ("-h", "--help")])
     for item in group.params:
         value = given.get(item.name or "")
         if isinstance(item.type, click.Choice) and isinstance(value, str) and not SYNTAX.search(value):
@@ -88,8 +88,8 @@ def test_every_command_of_every_page_is_understood() -> None:
     wrong = []
     for page, command in FOUND:
         plainly = re.sub(r"\$\([^)]*\)", "FILE", command)
-        words = shlex.split(re.split(r" (?:\||>|&&|;|&) ?", plainly)[0].replace("\\", ""))[1:]
-        plain = [word.strip("[]") for word in words if word not in ("...", "\u2026")]
+        phrase = shlex.split(re.split(r" (?:\||>|&&|;|&) ?", plainly)[0].replace("\\", ""))[1:]
+        plain = [word.strip("[]") for word in phrase if word not in ("...", "\u2026")]
         try:
             _parsed(plain)
         except click.ClickException as error:
@@ -122,6 +122,6 @@ def test_each_picture_of_the_glossary_is_drawn_by_its_program(tmp_path: Path) ->
     from draw_glossary import FOLDER, PICTURES, draw
 
     page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    kept = {path.stem for path in FOLDER.glob("*.svg")}
-    assert kept == set(PICTURES) == set(re.findall(r"\(pictures/glossary/(\w+)\.svg\)", page))
+    retained = {path.stem for path in FOLDER.glob("*.svg")}
+    assert retained == set(PICTURES) == set(re.findall(r"\(pictures/glossary/(\w+)\.svg\)", page))
     assert draw("h", tmp_path).read_text(encoding="utf-8").startswith("<?xml")

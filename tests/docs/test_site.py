@@ -96,8 +96,8 @@ def test_nothing_is_fetched_from_elsewhere(pages: dict[Path, Page], site: Path) 
 def test_the_search_finds_pages_opened_as_files(site: Path) -> None:
     text = (site / "search" / "search_index.js").read_text(encoding="utf-8")
     entries = json.loads(text.removeprefix("var __index = "))["docs"]
-    for words, page in (("slack", "glossary.html"), ("systemd", "install.html"), ("SafetyFilter", "reference/safety")):
-        assert any(words in entry["text"] + entry["title"] and page in entry["location"] for entry in entries), words
+    for phrase, page in (("slack", "glossary.html"), ("systemd", "install.html"), ("SafetyFilter", "reference/safety")):
+        assert any(phrase in entry["text"] + entry["title"] and page in entry["location"] for entry in entries), phrase
 
 
 def test_every_page_is_in_the_navigation_and_begins_with_its_name(site: Path, repository: Path) -> None:

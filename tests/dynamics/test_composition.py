@@ -168,8 +168,8 @@ def test_memory_carries_on_between_steps() -> None:
 def test_a_settled_memory_stays_settled() -> None:
     model, action = car(), np.array([1.0, 0.2])
     memory = model.initial_memory(action)
-    after, kept = model.advance(STATES[0], action, memory)
-    assert kept == pytest.approx(memory)
+    after, retained = model.advance(STATES[0], action, memory)
+    assert retained == pytest.approx(memory)
     np.testing.assert_array_equal(after, model.step(STATES[0], action))
 
 
@@ -373,9 +373,9 @@ def test_with_an_effect_that_remembers_both_are_applied_in_their_order() -> None
     assert both.straight(both.period) is None
     (alone,) = late.initial_memory(rest)
     assert both.initial_memory(rest) in ((alone, None), (None, alone + 0.1))
-    felt, remembered = both.felt([1.0, 0.2], both.initial_memory(rest), period=0.05)
+    felt, cached = both.felt([1.0, 0.2], both.initial_memory(rest), period=0.05)
     expected, _ = late.felt([1.0, 0.2], late.initial_memory(rest), period=0.05)
-    assert (felt[1], len(remembered)) == (pytest.approx(expected[1] + 0.1), 2)
+    assert (felt[1], len(cached)) == (pytest.approx(expected[1] + 0.1), 2)
 
 
 class Twice(CommandEffect):

@@ -106,10 +106,10 @@ def without_memory(model: PhysicsModel) -> PhysicsModel:
     """The model without effects whose actuators remember: between these its step is recorded, but not handed out."""
     at_rest = dict.fromkeys(model.system.action_names, 0.0)
     commands = [item for item in model.effects if isinstance(item, CommandEffect)]
-    kept = [item for item in model.effects if item not in commands or item.initial_memory(at_rest) is None]
-    names = {"base", *(item.name for item in kept)}
+    retained = [item for item in model.effects if item not in commands or item.initial_memory(at_rest) is None]
+    names = {"base", *(item.name for item in retained)}
     settings = {path: value for path, value in model.settings.items() if path.split(".")[0] in names}
-    return PhysicsModel(model.base, tuple(kept), settings, model.period)
+    return PhysicsModel(model.base, tuple(retained), settings, model.period)
 
 
 def test_every_equation_of_the_project_can_be_recorded() -> None:

@@ -434,7 +434,7 @@ def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "notice"),
     [
         (
             FLOOR.replace("x above", "x abvoe"),
@@ -455,10 +455,10 @@ def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
         ('[[effects]]\nname = "speed_sensor_scale"\nvaries = "scale with time"\n', "cannot depend on where and when"),
     ],
 )
-def test_a_mistake_is_reported_in_one_line(text, said):
+def test_a_mistake_is_reported_in_one_line(text, notice):
     with pytest.raises(ModelFileError) as error:
         parse_model(CAR + text)
-    assert said in str(error.value)
+    assert notice in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -476,14 +476,14 @@ def test_every_effect_that_may_have_a_law_can_be_asked(robot):
 
 
 @pytest.mark.parametrize(
-    ("name", "law", "numbers", "said"),
+    ("name", "law", "numbers", "notice"),
     [
         (*LAWS[0], "beyond x = 1.00 m"), (*LAWS[1], "inside the circle of 1.00 m about x = 1.00, y = 0.00 m"),
         (*LAWS[3], "where |speed| is between 0.5 and 1.5 m/s"), (*LAWS[4], "falls by 8 % with each m/s of |speed|"),
         (*LAWS[5], "falls by 0.4 % a second"), (*LAWS[6], "until 20 s"),
     ],
 )  # fmt: skip
-def test_a_law_is_described_in_words(name, law, numbers, said):
+def test_a_law_is_described_in_words(name, law, numbers, notice):
     model = car(name, law, numbers)
     item = model.effects[0]
-    assert item.law.sentence(numbers, item.inner, model.system) == said
+    assert item.law.sentence(numbers, item.inner, model.system) == notice

@@ -24,11 +24,11 @@ LONGEST_SILENCE = 20.0
 
 
 def run(
-    *words: str, timeout: float = 120.0, check: bool = True, given: str = "", environment: dict[str, str] | None = None
+    *phrase: str, timeout: float = 120.0, check: bool = True, given: str = "", environment: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Runs a command in the repository with ``given`` as its input; its output is part of the error where it fails."""
     done = subprocess.run(
-        words,
+        phrase,
         cwd=ROOT,
         input=given,
         capture_output=True,
@@ -38,7 +38,7 @@ def run(
         env={**os.environ, **(environment or {})},
     )
     if check and done.returncode:
-        raise AssertionError(f"{' '.join(words)}: code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+        raise AssertionError(f"{' '.join(phrase)}: code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
     return done
 
 
@@ -58,10 +58,10 @@ class Fleet:
         self._program = [*compose_program(), "--project-name", PROJECT]
         self._ids: dict[str, str] = {}
 
-    def compose(self, *words: str, timeout: float = 180.0) -> str:
+    def compose(self, *phrase: str, timeout: float = 180.0) -> str:
         # Another loopback address than the usual one: a dashboard that is in use stays where it is.
         settings = {"SAFEDPA_LOAD": self._loads, "SAFEDPA_ADDRESS": "127.0.0.77"}
-        return run(*self._program, *words, timeout=timeout, environment=settings).stdout
+        return run(*self._program, *phrase, timeout=timeout, environment=settings).stdout
 
     def build(self, services: Sequence[str]) -> float:
         """s that building took."""
@@ -96,10 +96,10 @@ class Fleet:
         """Identifier of the container of a service; ``robot-2`` is the second robot's."""
         if service not in self._ids:
             name, _, number = service.partition("-")
-            words = ["docker", "ps", "-aq", "--filter", f"label=com.docker.compose.project={PROJECT}"]
-            words += ["--filter", f"label=com.docker.compose.service={name}"]
-            words += ["--filter", f"label=com.docker.compose.container-number={number or 1}"]
-            self._ids[service] = run(*words).stdout.strip()
+            phrase = ["docker", "ps", "-aq", "--filter", f"label=com.docker.compose.project={PROJECT}"]
+            phrase += ["--filter", f"label=com.docker.compose.service={name}"]
+            phrase += ["--filter", f"label=com.docker.compose.container-number={number or 1}"]
+            self._ids[service] = run(*phrase).stdout.strip()
             assert self._ids[service], f"there is no container of {service}"
         return self._ids[service]
 
@@ -125,14 +125,14 @@ class Fleet:
     def watch(self) -> Watch:
         return Watch(self)
 
-    def guest(self, script: str, key: str, *words: str) -> list[str]:
+    def guest(self, script: str, key: str, *phrase: str) -> list[str]:
         """The command line of a script of this folder in a container on the bus that holds the key of one role."""
         volume = ["--volume", f"{self.volume(key)}:/certificates:ro"] if key else []
         return [
             *("docker", "run", "--rm", "--init", "--interactive", "--cap-drop", "ALL", "--network", self.network()),
             *("--cpu-shares", "2048", "--stop-timeout", "1", *volume),
             *("--volume", f"{ROOT / 'tests' / 'fleet' / script}:/guest.py:ro"),
-            *("--entrypoint", "python", self.image("recorder"), "/guest.py", *words),
+            *("--entrypoint", "python", self.image("recorder"), "/guest.py", *phrase),
         ]
 
     def kill(self, service: str) -> None:
@@ -166,9 +166,9 @@ class Watch:
     """An observer on the bus, in a container of its own; the newest of what it said."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._words = ("--connect", ROUTER, "--certificates", "/certificates", "--role", "recorder")
+        self._text = ("--connect", ROUTER, "--certificates", "/certificates", "--role", "recorder")
         self._process = subprocess.Popen(
-            fleet.guest("fleet_observer.py", "recorder-key", *self._words), stdout=subprocess.PIPE, text=True
+            fleet.guest("fleet_observer.py", "recorder-key", *self._text), stdout=subprocess.PIPE, text=True
         )
         self._changed = threading.Condition()
         self._newest: dict[str, Any] = {"at": 0.0, "robots": {}, "services": {}}
@@ -178,9 +178,9 @@ class Watch:
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            told = json.loads(line)
+            reported = json.loads(line)
             with self._changed:
-                self._newest = told
+                self._newest = reported
                 self._changed.notify_all()
 
     def now(self) -> dict[str, Any]:
@@ -194,9 +194,9 @@ class Watch:
         """What was told when ``holds`` did for the first time, or None when it did not within ``seconds``."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            told = self.now()
-            if holds(told):
-                return told
+            reported = self.now()
+            if holds(reported):
+                return reported
         return None
 
     def close(self) -> None:

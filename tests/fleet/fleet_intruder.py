@@ -56,7 +56,7 @@ def enter(options: argparse.Namespace) -> dict[str, Any]:
     try:
         session = zenoh.open(configuration)
     except zenoh.ZError as error:
-        return {"opened": False, "said": str(error)[:200]}
+        return {"opened": False, "notice": str(error)[:200]}
     session.put(f"safedpa/fleet/{options.robot}/action", _action(options.epoch, options.tick))
     session.close()
     return {"opened": True}

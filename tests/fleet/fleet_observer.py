@@ -70,7 +70,7 @@ class RobotSeen:
             self.run_since = at if self.run_ticks == 0 else self.run_since
             self.run_ticks += 1
 
-    def told(self) -> dict[str, Any]:
+    def reported(self) -> dict[str, Any]:
         state = self.state
         return {
             "at": self.at,
@@ -116,14 +116,14 @@ def main() -> None:
     observer = Observer()
     with bus_from_options(options) as bus:
         inbox = bus.inbox((STATE, VERDICT, HEALTH), "*", keep_all=True)
-        tell_at = time.monotonic()
+        report_at = time.monotonic()
         while True:
             for item in inbox.take(0.05):
                 if isinstance(item, ReceivedMessage):
                     observer.see(item, time.time() - (time.monotonic() - item.at))
-            if time.monotonic() >= tell_at:
-                tell_at = time.monotonic() + 0.1
-                robots = {name: robot.told() for name, robot in observer.robots.items()}
+            if time.monotonic() >= report_at:
+                report_at = time.monotonic() + 0.1
+                robots = {name: robot.reported() for name, robot in observer.robots.items()}
                 line = json.dumps({"at": time.time(), "robots": robots, "services": observer.services})
                 sys.stdout.write(line + "\n")
                 sys.stdout.flush()

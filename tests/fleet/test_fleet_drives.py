@@ -22,8 +22,8 @@ def test_every_container_starts_and_every_robot_is_driven(
 ) -> None:
     began = time.monotonic()
 
-    def driven(told: dict[str, Any]) -> bool:
-        robots = told["robots"]
+    def driven(reported: dict[str, Any]) -> bool:
+        robots = reported["robots"]
         return set(robots) == set(fleet.robots) and all(robot["run_ticks"] > 0 for robot in robots.values())
 
     assert watch.until(driven, 60.0), "not every robot was driven within a minute of its start"
@@ -33,8 +33,8 @@ def test_every_container_starts_and_every_robot_is_driven(
 def test_the_filter_in_its_container_is_compiled(fleet: Fleet, rows: list[tuple[str, ...]]) -> None:
     """From source a decision takes twice as long; and what compiled it did not come along."""
     asked = "import shutil; from safedpa.compiled import *; print(compiled_modules() == MODULES, shutil.which('gcc'))"
-    said = run("docker", "exec", fleet.container("safety_filter"), "python", "-c", asked).stdout.strip()
-    assert said == "True None"
+    notice = run("docker", "exec", fleet.container("safety_filter"), "python", "-c", asked).stdout.strip()
+    assert notice == "True None"
     rows.append(("the filter's innermost modules", "compiled"))
 
 
@@ -46,8 +46,8 @@ def test_a_minute_without_collision_in_which_every_robot_reaches_goals(
     middle = watch.now()
     time.sleep(STUCK_SECONDS)
 
-    def everyone_at_a_goal(told: dict[str, Any]) -> bool:
-        return all(robot["goals"] > before["robots"][name]["goals"] for name, robot in told["robots"].items())
+    def everyone_at_a_goal(reported: dict[str, Any]) -> bool:
+        return all(robot["goals"] > before["robots"][name]["goals"] for name, robot in reported["robots"].items())
 
     watch.until(everyone_at_a_goal, LONGEST_SECONDS - DRIVE_SECONDS)
     after = watch.now()

@@ -18,7 +18,7 @@ SOLID_TICKS = 10
 LOOP = ("router", "safety_filter", "adaptation", "policy", "robot-1")
 REST = ("diagnosis", "recorder")
 
-Told = dict[str, Any]
+Reported = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ def recovery(watch: Watch, fleet: Fleet, service: str, ended: float) -> Recovery
     beats: list[float] = []
     heart = f"robot/{service}" if service in fleet.robots else service
 
-    def back(told: Told) -> bool:
-        for name, robot in told["robots"].items():
+    def back(reported: Reported) -> bool:
+        for name, robot in reported["robots"].items():
             since, at = robot["run_since"], robot["at"]
             if name not in drives and robot["run_ticks"] >= SOLID_TICKS and at >= ended + 0.5:
                 drives[name] = max(0.0, since - ended)
-        health = told["services"].get(heart)
+        health = reported["services"].get(heart)
         if not beats and health and health["at"] > ended + 0.05 and health["state"] in ("running", "ready"):
             beats.append(health["at"] - ended)
         return len(drives) == len(fleet.robots) and bool(beats)
@@ -50,11 +50,11 @@ def recovery(watch: Watch, fleet: Fleet, service: str, ended: float) -> Recovery
     return Recovery(max(drives.values()), beats[0])
 
 
-def felt(before: Told, after: Told) -> str:
+def felt(before: Reported, after: Reported) -> str:
     """How many periods the robots braked by themselves and how many verdicts fell back, all together."""
 
-    def total(told: Told, what: str, name: str) -> int:
-        return sum(robot[what].get(name, 0) for robot in told["robots"].values())
+    def total(reported: Reported, what: str, name: str) -> int:
+        return sum(robot[what].get(name, 0) for robot in reported["robots"].values())
 
     braked = total(after, "applied", "watchdog") - total(before, "applied", "watchdog")
     fallbacks = total(after, "verdicts", "fallback") - total(before, "verdicts", "fallback")
@@ -114,9 +114,9 @@ def test_nothing_is_felt_of_a_killed_authority(fleet: Fleet, watch: Watch, rows:
     while issued is None and time.time() < began + LONGEST_RECOVERY:
         state = fleet.inspect("authority")["State"]
         issued = state if state["Running"] and fleet.restarts("authority") else None
-        told = watch.now()
+        reported = watch.now()
     assert issued is not None
-    assert {name: robot["starts"] for name, robot in told["robots"].items()} == starts
+    assert {name: robot["starts"] for name, robot in reported["robots"].items()} == starts
     rows.append(("kill -9 authority", f"back after {time.time() - began:.2f} s", "robots felt nothing", "no collision"))
 
 
@@ -125,29 +125,29 @@ def test_a_full_disk_stops_the_recording_and_not_the_robots(
 ) -> None:
     fleet.compose("stop", "recorder")
     volumes = [("recorder-key", "/certificates")]
-    words = ["docker", "run", "--rm", "--init", "--network", fleet.network(), "--read-only", "--cap-drop", "ALL"]
-    words += [word for name, place in volumes for word in ("--volume", f"{fleet.volume(name)}:{place}:ro")]
-    words += ["--tmpfs", "/tmp", "--tmpfs", "/recordings:size=256k,uid=10001", fleet.image("recorder")]
-    words += ["--out", "/recordings/recording.mcap", "--connect", ROUTER]
-    words += ["--certificates", "/certificates", "--role", "recorder"]
+    phrase = ["docker", "run", "--rm", "--init", "--network", fleet.network(), "--read-only", "--cap-drop", "ALL"]
+    phrase += [word for name, place in volumes for word in ("--volume", f"{fleet.volume(name)}:{place}:ro")]
+    phrase += ["--tmpfs", "/tmp", "--tmpfs", "/recordings:size=256k,uid=10001", fleet.image("recorder")]
+    phrase += ["--out", "/recordings/recording.mcap", "--connect", ROUTER]
+    phrase += ["--certificates", "/certificates", "--role", "recorder"]
     began = time.time()
     before = watch.now()
-    tiny = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    tiny = subprocess.Popen(phrase, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
 
-        def full(told: Told) -> bool:
-            health = told["services"]["recorder"]
+        def full(reported: Reported) -> bool:
+            health = reported["services"]["recorder"]
             return health["state"] == "failing" and health["at"] > began
 
-        told = watch.until(full, 60.0)
-        assert told is not None, "the recorder with a full disk does not say so"
-        detail, took = told["services"]["recorder"]["detail"], told["at"] - began
+        reported = watch.until(full, 60.0)
+        assert reported is not None, "the recorder with a full disk does not say so"
+        detail, took = reported["services"]["recorder"]["detail"], reported["at"] - began
         assert "space" in detail or "full" in detail, detail
-        full_at = told["robots"]
+        full_at = reported["robots"]
 
-        def drive_on(told: Told) -> bool:
+        def drive_on(reported: Reported) -> bool:
             """Every robot is driven, and together they get on: one alone may stand before a gap that is too narrow."""
-            robots = told["robots"]
+            robots = reported["robots"]
             driven = all(robot["run_ticks"] >= SOLID_TICKS for robot in robots.values())
             way = sum(robot["travelled"] - full_at[name]["travelled"] for name, robot in robots.items())
             return driven and way > 4.0

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.fleet
 VICTIM = "robot-1"
 LOG_SECONDS = 60.0
 
-Told = dict[str, Any]
+Reported = dict[str, Any]
 
 
 class Attempt:
@@ -22,33 +22,35 @@ class Attempt:
     def __init__(self, fleet: Fleet, watch: Watch) -> None:
         self.fleet, self.watch = fleet, watch
         self.began = time.time()
-        assert watch.until(lambda told: VICTIM in told["robots"], 60.0) is not None, "the victim was never heard"
+        assert watch.until(lambda reported: VICTIM in reported["robots"], 60.0) is not None, (
+            "the victim was never heard"
+        )
         self.before = watch.now()
 
-    def make(self, key: str, *words: str, given: str = "", network: str = "bus") -> dict[str, Any]:
+    def make(self, key: str, *phrase: str, given: str = "", network: str = "bus") -> dict[str, Any]:
         """Runs the intruder with the key of one role; it knows the victim's epoch and tick.
 
         One whose session could not be opened on a busy machine, though it may, tries again.
         """
         for _ in range(3):
-            did = self._make(key, *words, given=given, network=network)
-            if "error" not in did or words[0] == "enrol":
+            did = self._make(key, *phrase, given=given, network=network)
+            if "error" not in did or phrase[0] == "enrol":
                 break
         return did
 
-    def _make(self, key: str, *words: str, given: str, network: str) -> dict[str, Any]:
+    def _make(self, key: str, *phrase: str, given: str, network: str) -> dict[str, Any]:
         robot = self.watch.now()["robots"][VICTIM]
         stamp = ("--robot", VICTIM, "--epoch", str(robot["epoch"]), "--tick", str(robot["tick"]))
-        command = self.fleet.guest("fleet_intruder.py", key, *words, *stamp)
+        command = self.fleet.guest("fleet_intruder.py", key, *phrase, *stamp)
         command[command.index("--network") + 1] = self.fleet.network(network)
         done = run(*command, timeout=60.0, given=given)
         did: dict[str, Any] = json.loads(done.stdout)
         return did
 
-    def moved_nobody(self) -> str:
+    def moved_no_one(self) -> str:
         """Every action that a robot applied was its filter's; no robot collided; the victim is driven on."""
         victim = self.before["robots"][VICTIM]["checked"]
-        after = self.watch.until(lambda told: told["robots"][VICTIM]["checked"] > victim + 40, 90.0)
+        after = self.watch.until(lambda reported: reported["robots"][VICTIM]["checked"] > victim + 40, 90.0)
         assert after is not None, "the victim is not driven any more"
         for name, robot in after["robots"].items():
             assert robot["foreign"] == self.before["robots"][name]["foreign"] == 0, f"{name} was moved by a stranger"
@@ -56,9 +58,9 @@ class Attempt:
             assert robot["starts"] == self.before["robots"][name]["starts"], f"{name} was started anew"
         return "moved nobody"
 
-    def logged(self, service: str, kind: str, fits: Callable[[Told], bool] = lambda event: True) -> str:
+    def logged(self, service: str, kind: str, fits: Callable[[Reported], bool] = lambda event: True) -> str:
         """The sentence of the event; waits a little for it. Fails where there is none."""
-        events: list[Told] = []
+        events: list[Reported] = []
         end = time.monotonic() + LOG_SECONDS
         while time.monotonic() < end:
             events = self.fleet.events(service, self.began)
@@ -90,7 +92,7 @@ def test_without_a_certificate_of_the_fleet_a_client_is_refused(
     did = attempt.make("healthcheck-key", "enter", "--how", how)
     assert did["opened"] is False, did
     names = {"bare": "without certificate", "plain": "in plain text", "foreign": "certificate of a foreign authority"}
-    rows.append((names[how], attempt.moved_nobody(), attempt.logged("router", "bus.handshake_refused")))
+    rows.append((names[how], attempt.moved_no_one(), attempt.logged("router", "bus.handshake_refused")))
 
 
 @pytest.mark.parametrize(
@@ -101,9 +103,11 @@ def test_a_certificate_of_the_wrong_role_commands_nothing(
 ) -> None:
     did = attempt.make(f"{role}-key", "act", "--role", role, "--topic", topic)
     assert did["sent"] > 20, did
-    moved = attempt.moved_nobody()
-    told = attempt.logged("router", "bus.denied", lambda event: event.get("service") == role and topic in event["key"])
-    rows.append((f"{topic} with the certificate of {role}", moved, told))
+    moved = attempt.moved_no_one()
+    reported = attempt.logged(
+        "router", "bus.denied", lambda event: event.get("service") == role and topic in event["key"]
+    )
+    rows.append((f"{topic} with the certificate of {role}", moved, reported))
 
 
 def test_a_client_that_may_listen_cannot_replay_a_capture(
@@ -111,8 +115,8 @@ def test_a_client_that_may_listen_cannot_replay_a_capture(
 ) -> None:
     did = attempt.make("recorder-key", "replay", "--role", "recorder", given=captured)
     assert did["sent"] > 100, did
-    told = attempt.logged("router", "bus.denied", lambda event: event.get("service") == "recorder")
-    rows.append(("replayed capture, certificate of recorder", attempt.moved_nobody(), told))
+    reported = attempt.logged("router", "bus.denied", lambda event: event.get("service") == "recorder")
+    rows.append(("replayed capture, certificate of recorder", attempt.moved_no_one(), reported))
 
 
 def test_a_replayed_capture_moves_no_robot_even_with_the_key_of_the_filter(
@@ -120,30 +124,30 @@ def test_a_replayed_capture_moves_no_robot_even_with_the_key_of_the_filter(
 ) -> None:
     did = attempt.make("safety-filter-key", "replay", "--role", "safety_filter", given=captured)
     assert did["sent"] > 100, did
-    told = attempt.logged(VICTIM, "message.refused")
-    rows.append(("replayed capture, stolen key of the filter", attempt.moved_nobody(), told))
+    reported = attempt.logged(VICTIM, "message.refused")
+    rows.append(("replayed capture, stolen key of the filter", attempt.moved_no_one(), reported))
 
 
 def test_payloads_that_are_too_large_stop_at_the_router(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
     did = attempt.make("safety-filter-key", "large", "--role", "safety_filter")
     assert did["sent"] == 5, did
-    told = attempt.logged("router", "bus.too_large", lambda event: event["robot"] == VICTIM)
-    rows.append(("a million bytes, stolen key of the filter", attempt.moved_nobody(), told))
+    reported = attempt.logged("router", "bus.too_large", lambda event: event["robot"] == VICTIM)
+    rows.append(("a million bytes, stolen key of the filter", attempt.moved_no_one(), reported))
 
 
 def test_malformed_payloads_are_refused_by_the_robot(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
     did = attempt.make("safety-filter-key", "malformed", "--role", "safety_filter")
     assert did["sent"] > 5, did
-    told = attempt.logged(VICTIM, "message.refused")
-    rows.append(("malformed payloads, stolen key of the filter", attempt.moved_nobody(), told))
+    reported = attempt.logged(VICTIM, "message.refused")
+    rows.append(("malformed payloads, stolen key of the filter", attempt.moved_no_one(), reported))
 
 
 def test_malformed_states_are_refused_by_the_services(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
     """There is no robot's key to steal outside of it; the diagnosis holds one that may put findings and models."""
     did = attempt.make("diagnosis-key", "malformed", "--role", "diagnosis", "--topic", "model")
     assert did["sent"] > 5, did
-    told = attempt.logged("safety_filter", "message.refused")
-    rows.append(("malformed models, stolen key of the diagnosis", attempt.moved_nobody(), told))
+    reported = attempt.logged("safety_filter", "message.refused")
+    rows.append(("malformed models, stolen key of the diagnosis", attempt.moved_no_one(), reported))
 
 
 def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
@@ -151,13 +155,13 @@ def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
 ) -> None:
     did = attempt.make("", "enrol", network="enrolment")
     assert not did.get("got"), did
-    told = attempt.logged("authority", "authority.refused")
-    rows.append(("request for a robot's certificate", attempt.moved_nobody(), told))
+    reported = attempt.logged("authority", "authority.refused")
+    rows.append(("request for a robot's certificate", attempt.moved_no_one(), reported))
 
 
 def test_a_stranger_with_the_key_and_the_tick_would_be_seen(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
     """The counterpart: with the filter's key a client is the filter, so the check that no robot moved can fail."""
     attempt.make("safety-filter-key", "act", "--role", "safety_filter", "--how", "brake")
-    seen = attempt.watch.until(lambda told: told["robots"][VICTIM]["foreign"] > 0, 10.0)
+    seen = attempt.watch.until(lambda reported: reported["robots"][VICTIM]["foreign"] > 0, 10.0)
     assert seen is not None
     rows.append(("action with the stolen key of the filter", "MOVES the robot, as it must: the check can fail"))

@@ -17,8 +17,8 @@ def test_loop_and_chain_are_measured_and_taken_away(fleet: Fleet, rows: list[tup
     assert found["ticks"] > 50
     assert found["watchdog_ticks"] < found["ticks"]
     assert found["collisions"] == 0
-    for told in (found["loop_us"], *found["bare_chain_us"]):
-        assert 0.0 < told["p50"] <= told["p99"] <= told["p999"]
+    for reported in (found["loop_us"], *found["bare_chain_us"]):
+        assert 0.0 < reported["p50"] <= reported["p99"] <= reported["p999"]
     assert run("docker", "ps", "-aq", "--filter", "name=safedpa-latency").stdout == ""
     text = f"sense to act p99 {found['loop_us']['p99'] / 1000.0:.1f} ms, {found['watchdog_ticks']} late"
     rows.append(("one more robot, 5 s, beside the fleet", text))

@@ -162,10 +162,10 @@ def asked(tmp_path: Path) -> Fleet:
     return Fleet(DiscoveredRobots(tuple(robots), "folder"), Options(str(tmp_path / "model.toml")), tmp_path / "out")
 
 
-def diagnosed(asked: Fleet, *, status: str = "unreadable", anew: bool = False) -> tuple[list[str], Any]:
+def diagnosed(asked: Fleet, *, status: str = "unreadable", again: bool = False) -> tuple[list[str], Any]:
     """Names of the robots that were diagnosed now, and the progress that was reported."""
     hands, progress = Hands(status), list[tuple[int, int]]()
-    document = diagnose_fleet(asked, hands, lambda now, whole: progress.append((now, whole)), anew=anew)
+    document = diagnose_fleet(asked, hands, lambda now, whole: progress.append((now, whole)), again=again)
     assert document["diagnosed_now"] == len(hands.did)
     return [task.robot.name for task in hands.did], progress
 
@@ -175,7 +175,7 @@ def test_only_new_or_changed_robots_are_diagnosed_unless_all_are_wanted_again(as
     assert diagnosed(asked) == ([], [(3, 3)])
     asked.found.robots[1].files[0].write_text("t,x\n0,another\n", encoding="utf-8")
     assert diagnosed(asked) == (["b"], [(2, 3), (3, 3)])
-    assert diagnosed(asked, anew=True) == (["a", "b", "c"], [(0, 3), (1, 3), (2, 3), (3, 3)])
+    assert diagnosed(asked, again=True) == (["a", "b", "c"], [(0, 3), (1, 3), (2, 3), (3, 3)])
 
 
 def test_a_failure_of_the_program_is_tried_again_and_insufficient_data_are_not(asked: Fleet) -> None:
@@ -272,7 +272,7 @@ def test_a_model_in_the_folder_of_the_results_is_refused(asked: Fleet, tmp_path:
         place.write_text(write_model(load_model("car")), encoding="utf-8")
         fleet = Fleet(asked.found, Options(str(place)), asked.out)
         if place != asked.out / "model.toml":
-            assert len(diagnosed(fleet, anew=True)[0]) == 3
+            assert len(diagnosed(fleet, again=True)[0]) == 3
             continue
         with pytest.raises(InputError, match="the given model's own folder"):
             diagnose_fleet(fleet, Hands())

@@ -78,8 +78,8 @@ def test_a_pair_is_found_effect_by_effect():
     pair = candidate(0, "drive_dead_zone + viscous_drag", 5.0, "accepted")
     numbers = [("drive_dead_zone.width", 0.1, 0.01), ("viscous_drag.coefficient", 0.3, 0.01)]
     found = outcome_of(RESULT, report(pair, added=["drive_dead_zone", "viscous_drag"], parameters=numbers))
-    told = [(item.effect, list(item.numbers), item.score) for item in found.found]
-    assert told == [("drive_dead_zone", ["width"], 5.0), ("viscous_drag", ["coefficient"], 5.0)]
+    reported = [(item.effect, list(item.numbers), item.score) for item in found.found]
+    assert reported == [("drive_dead_zone", ["width"], 5.0), ("viscous_drag", ["coefficient"], 5.0)]
 
 
 def test_what_was_rejected_again_later_does_not_speak_for_what_was_found():
@@ -181,7 +181,7 @@ def test_a_common_number_differs_where_it_spreads_by_half_of_what_sets_two_robot
     rolling = found["rolling_resistance"]
     assert (rolling.found_in, rolling.of, rolling.differs) == (5, 5, differs)
     assert rolling.numbers["deceleration"].mean == pytest.approx(0.6)
-    assert {item.effect for item in rolling.said.values()} == {"rolling_resistance"}
+    assert {item.effect for item in rolling.notice.values()} == {"rolling_resistance"}
     assert found["understeer"].numbers["gradient"].mean == 0.0
     assert common_effects(every[:4], "car") == [], "four robots are too few to speak for a fleet"
 

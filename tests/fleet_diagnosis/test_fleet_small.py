@@ -61,10 +61,10 @@ def test_diagnosed_robots_are_not_diagnosed_again_and_the_document_is_the_same(s
 @pytest.mark.long
 def test_the_command_prints_which_robots_lack_what(small_fleet, capsys):
     assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1"]) == 0
-    told = capsys.readouterr().out
-    assert told.lstrip().startswith("5 robots: 1 lacks")
-    assert "in 2 nothing is missing" in told
-    assert "fleet.html" in told
+    reported = capsys.readouterr().out
+    assert reported.lstrip().startswith("5 robots: 1 lacks")
+    assert "in 2 nothing is missing" in reported
+    assert "fleet.html" in reported
 
 
 @pytest.mark.long
@@ -90,7 +90,7 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (["car"], "--fleet FOLDER"), (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
         (["car", "--anew", "a.csv"], "--anew: got no fleet"), (["car", "--fleet", "nowhere"], "is no folder"),
@@ -98,11 +98,11 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
         (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
     ],
 )  # fmt: skip
-def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
+def test_options_that_make_no_fleet_are_refused_in_one_line(arguments, reported, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert safedpa.run(["diagnose", *arguments]) == 2
     shown = capsys.readouterr().err
-    assert told in shown
+    assert reported in shown
     assert shown.count("\n") == 1
 
 
@@ -155,20 +155,20 @@ def browser() -> Iterator[Any]:
 
 
 def opened(browser: Any, path: Any) -> tuple[Any, list[str]]:
-    page, said = browser.new_page(viewport={"width": 1280, "height": 900}), []
+    page, notice = browser.new_page(viewport={"width": 1280, "height": 900}), []
     page.set_default_timeout(PATIENCE)
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: None if request.url.startswith("file:") else said.append(request.url))
+    page.on("console", lambda message: notice.append(message.text))
+    page.on("pageerror", lambda error: notice.append(str(error)))
+    page.on("request", lambda request: None if request.url.startswith("file:") else notice.append(request.url))
     page.goto(path.as_uri())
     page.wait_for_selector(".main-svg")
-    return page, said
+    return page, notice
 
 
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_page_draws_sorts_and_narrows_without_a_network(browser, small_fleet):
-    page, said = opened(browser, small_fleet.out / "fleet.html")
+    page, notice = opened(browser, small_fleet.out / "fleet.html")
     assert page.locator("section.card").count() == 4
     assert page.locator("#strips .main-svg").count() > 0
     page.click("th button:has-text('after')")
@@ -177,15 +177,15 @@ def test_the_page_draws_sorts_and_narrows_without_a_network(browser, small_fleet
     page.fill("#filter", "steering_offset")
     assert page.locator("#robots tbody tr:visible").count() == 1
     assert page.inner_text("#shown") == "1 of 5"
-    assert said == []
+    assert notice == []
     page.close()
 
 
 @pytest.mark.long
 @pytest.mark.slow
 def test_a_link_leads_to_the_robots_report_which_draws_with_the_shared_script(browser, small_fleet):
-    page, said = opened(browser, small_fleet.out / "fleet.html")
+    page, notice = opened(browser, small_fleet.out / "fleet.html")
     page.click("#robot-car_002 a")
     page.wait_for_selector("#falling .main-svg")
-    assert (page.inner_text("h1"), said) == ("car_002", [])
+    assert (page.inner_text("h1"), notice) == ("car_002", [])
     page.close()

@@ -25,10 +25,10 @@ def test_a_job_that_raises_or_kills_its_process_costs_itself_alone():
     jobs = [partial(abs, -1), partial(int, "x"), partial(abs, -2), partial(os._exit, 3), partial(abs, -3)]
     answers = list(in_processes(operator.call, jobs, 1, failed))
     assert sorted(item for item in answers if isinstance(item, int)) == [1, 2, 3]
-    told = sorted(item for item in answers if isinstance(item, str))
-    assert told[0].startswith("failed: ValueError: invalid literal")
-    assert "its process was killed" in told[1]
-    assert len(told) == 2
+    reported = sorted(item for item in answers if isinstance(item, str))
+    assert reported[0].startswith("failed: ValueError: invalid literal")
+    assert "its process was killed" in reported[1]
+    assert len(reported) == 2
 
 
 def test_no_jobs_start_no_process():
@@ -95,12 +95,12 @@ def test_a_local_cluster_answers_the_same():
     command = [sys.executable, "-c", _ON_RAY]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
-        told, _ = process.communicate(timeout=600)
+        reported, _ = process.communicate(timeout=600)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 0
-    last = told.strip().splitlines()[-1]
+    last = reported.strip().splitlines()[-1]
     assert last == """['4', '5', "failed ValueError: invalid literal for int() with base 10: 'x'"]"""
 
 

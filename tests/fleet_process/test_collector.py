@@ -23,9 +23,9 @@ def settled() -> Iterator[list[int]]:
     before, generations = gc.get_threshold(), list[int]()
     held = [[number] for number in range(20 * GROWTH)]
 
-    def note(phase: str, told: dict[str, int]) -> None:
+    def note(phase: str, reported: dict[str, int]) -> None:
         if phase == "start":
-            generations.append(told["generation"])
+            generations.append(reported["generation"])
 
     freeze_garbage_collector()
     gc.callbacks.append(note)
@@ -49,10 +49,10 @@ def test_it_finds_cycles_before_they_are_many(settled: list[int]) -> None:
     first = Knot()
     gone = weakref.ref(first)
     del first
-    kept = 0
-    while gone() is not None and kept < 2 * GROWTH:
+    retained = 0
+    while gone() is not None and retained < 2 * GROWTH:
         Knot()
-        kept += 1
+        retained += 1
     assert gone() is None
     assert settled
 

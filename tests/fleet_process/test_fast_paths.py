@@ -145,9 +145,9 @@ def test_a_held_action_leads_where_single_steps_lead(name: str) -> None:
         memory = model.initial_memory(action)
         latent = model.latent if draw.random() < 0.5 else None
         got, after = model.held(state, action, memory, latent, 8, period=0.05)
-        wanted, remembered = AbstractDynamics.held(model, state, action, memory, latent, 8, period=0.05)
+        wanted, cached = AbstractDynamics.held(model, state, action, memory, latent, 8, period=0.05)
         np.testing.assert_array_equal(got, wanted)
-        assert after == remembered
+        assert after == cached
 
 
 @settings(max_examples=50, deadline=None)

@@ -80,7 +80,7 @@ def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatc
         "late_while_held_up": 1, "holds": True, "load_average": [0.1, 0.2], "sense_to_act_us": times,
         "own_lateness_us": times, "processes": {"policy": used}, "goals_reached": 4, "collisions": 0, "refusals": {},
     }  # fmt: skip
-    monkeypatch.setattr(module, "fleet_benchmark", lambda trial, tell: {**result, "robots": trial.robots})
+    monkeypatch.setattr(module, "fleet_benchmark", lambda trial, report_progress: {**result, "robots": trial.robots})
     monkeypatch.setattr("safedpa_lab.benchmarks.latency.bare_chain", lambda *_: {"p50": 1000.0, "p99": 1500.0})
     printed = CliRunner().invoke(command, ["fleet", "--robots", "7"], catch_exceptions=False).output
     assert "7 robots at 20 Hz for 20" in printed or "7 robots at 20 Hz for 5" in printed

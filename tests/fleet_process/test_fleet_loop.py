@@ -111,8 +111,8 @@ def test_the_path_is_published_every_fourth_tick_and_the_next_state_every_tick(s
     fleet = stack(NAMES[:1])
     verdicts = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,), keep_all=True)
     fleet.drive(1.0)
-    told = [item.message for item in verdicts.take(0.0) if isinstance(item, ReceivedMessage)]
-    rows = {verdict.tick: len(verdict.predicted) for verdict in told if isinstance(verdict, VerdictMessage)}
+    reported = [item.message for item in verdicts.take(0.0) if isinstance(item, ReceivedMessage)]
+    rows = {verdict.tick: len(verdict.predicted) for verdict in reported if isinstance(verdict, VerdictMessage)}
     assert len(rows) >= 15
     assert rows == {tick: 8 if tick % 4 == 0 else 1 for tick in rows}
 
@@ -132,9 +132,9 @@ def test_a_collision_is_reported_with_robot_position_and_what_the_watchdog_did(s
     car.world.advance = bump
     fleet.services = []  # no answer: the watchdog brakes, and the bump comes in the first such tick
     fleet.drive(0.2)
-    (told,) = fleet.fleet.account()["collision_list"]
-    assert (told["robot"], told["load"], told["part"], told["what"]) == ("b", "box", "car", "wall east")
-    assert (told["time"], told["x"], told["y"], told["speed"]) == (1.25, x, y, 0.5)
-    assert told["tick"] in range(9, 13)
-    assert len(told["braked_before"]) == 10
-    assert told["braked_before"][:5] == [False] * 5
+    (reported,) = fleet.fleet.account()["collision_list"]
+    assert (reported["robot"], reported["load"], reported["part"], reported["what"]) == ("b", "box", "car", "wall east")
+    assert (reported["time"], reported["x"], reported["y"], reported["speed"]) == (1.25, x, y, 0.5)
+    assert reported["tick"] in range(9, 13)
+    assert len(reported["braked_before"]) == 10
+    assert reported["braked_before"][:5] == [False] * 5

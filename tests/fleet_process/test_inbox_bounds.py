@@ -70,21 +70,21 @@ def test_the_key_that_has_most_waiting_loses_its_oldest(sent: list[tuple[str, in
             dropped += 1
     assert inbox.dropped == dropped
     inbox.take(0.0)
-    kept = defaultdict[str, list[int]](list)
+    retained = defaultdict[str, list[int]](list)
     for payload in reader.read:
-        kept[chr(payload[0])].append(len(payload))
-    assert kept == waiting
+        retained[chr(payload[0])].append(len(payload))
+    assert retained == waiting
 
 
-@pytest.mark.parametrize(("sent", "kept"), [(60, 60), (64, 64), (65, 64), (80, 64)])
-def test_no_more_than_256_mebibytes_wait_and_the_oldest_go(sent: int, kept: int) -> None:
+@pytest.mark.parametrize(("sent", "retained"), [(60, 60), (64, 64), (65, 64), (80, 64)])
+def test_no_more_than_256_mebibytes_wait_and_the_oldest_go(sent: int, retained: int) -> None:
     """Messages of 4 MiB, the largest; two of them are sent in turn, so that they need no memory here."""
     reader = Reader()
     inbox, large = Inbox(decode=reader), (bytes(4 * MEBIBYTE), bytes([1]) * (4 * MEBIBYTE))
     for index in range(sent):
-        inbox.keep_all("safedpa/f/r/model", large[index < sent - kept])
-    assert inbox.dropped == sent - kept
-    assert len(inbox.take(0.0)) == kept
+        inbox.keep_all("safedpa/f/r/model", large[index < sent - retained])
+    assert inbox.dropped == sent - retained
+    assert len(inbox.take(0.0)) == retained
     assert all(payload is large[0] for payload in reader.read)
 
 

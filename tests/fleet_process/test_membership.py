@@ -55,13 +55,13 @@ def test_what_sending_needed_is_given_back_when_a_robot_leaves() -> None:
 
 @given(moments=st.lists(st.tuples(st.floats(0.0, 10.0), st.sampled_from("abc")), max_size=30), now=st.floats(0.0, 10.0))
 def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[tuple[float, str]], now: float) -> None:
-    agenda = TimerQueue()
+    timers = TimerQueue()
     for when, robot in moments:
-        agenda.at(when, robot)
-    agenda.at(float("inf"), "never")
-    due = agenda.due(now)
+        timers.at(when, robot)
+    timers.at(float("inf"), "never")
+    due = timers.due(now)
     assert sorted(due) == sorted({robot for when, robot in moments if when <= now})
-    assert agenda.next() == min((when for when, _ in moments if when > now), default=float("inf"))
+    assert timers.next() == min((when for when, _ in moments if when > now), default=float("inf"))
 
 
 @given(
@@ -69,13 +69,13 @@ def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[
     awaited=st.sets(st.sampled_from("abc")),
 )
 def test_robots_that_are_not_awaited_have_no_moment(moments: list[tuple[float, str]], awaited: set[str]) -> None:
-    agenda = TimerQueue()
+    timers = TimerQueue()
     for when, robot in moments:
-        agenda.at(when, robot)
+        timers.at(when, robot)
     first = min((when for when, robot in moments if robot in awaited), default=float("inf"))
-    assert agenda.next(awaited.__contains__) == first
-    assert len(agenda) == sum(when >= first for when, _ in moments), "what came before is taken back, and no more"
-    assert set(agenda.due(10.0)) == {robot for when, robot in moments if when >= first}
+    assert timers.next(awaited.__contains__) == first
+    assert len(timers) == sum(when >= first for when, _ in moments), "what came before is taken back, and no more"
+    assert set(timers.due(10.0)) == {robot for when, robot in moments if when >= first}
 
 
 class Silent(AbstractNode):

@@ -91,11 +91,11 @@ def test_a_bomb_is_refused_soon_and_in_little_memory(
     try:
         program.stdin.write(json.dumps([BOMBS.index(bomb), str(path)]) + "\n")
         program.stdin.flush()
-        told = json.loads(program.stdout.readline())
+        reported = json.loads(program.stdout.readline())
     finally:
         path.unlink(missing_ok=True)
-    assert isinstance(told, list), told
-    refusal, seconds, reference, megabytes = told
+    assert isinstance(reported, list), reported
+    refusal, seconds, reference, megabytes = reported
     assert refusal
     assert not refusal.startswith("HOLE")
     assert "\n" not in refusal

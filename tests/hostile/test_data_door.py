@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus.transport.ports import free_port
-from safedpa_services.dashboard.doors import DataProxy, ViewerServer, private_loopback
+from safedpa_services.dashboard.http_proxy import DataProxy, ViewerServer, private_loopback
 
 OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
 
@@ -50,7 +50,7 @@ def door(behind: tuple[tuple[str, int], list[bytes]]) -> Iterator[tuple[DataProx
     found.close()
 
 
-def said(port: int, head: bytes) -> bytes:
+def notice(port: int, head: bytes) -> bytes:
     with socket.create_connection(("127.0.0.1", port), timeout=60.0) as link:
         link.sendall(head)
         answer = b""
@@ -62,7 +62,7 @@ def said(port: int, head: bytes) -> bytes:
 def test_the_data_are_given_under_our_names(door: tuple[DataProxy, int]) -> None:
     page = OWN.replace(b"\r\n\r\n", b"\r\nOrigin: http://127.0.0.1:9090\r\n\r\n")
     for head in (OWN, page, OWN.replace(b"127.0.0.1", b"localhost"), OWN.replace(b"127.0.0.1", b"robots.example")):
-        assert said(door[1], head).endswith(b"data")
+        assert notice(door[1], head).endswith(b"data")
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_everything_else_is_refused_before_it_is_heard(
     door: tuple[DataProxy, int], behind: tuple[tuple[str, int], list[bytes]], head: bytes
 ) -> None:
     heard = len(behind[1])
-    assert said(door[1], head).startswith(b"HTTP/1.1 403")
+    assert notice(door[1], head).startswith(b"HTTP/1.1 403")
     assert len(behind[1]) == heard
 
 
@@ -98,7 +98,7 @@ def test_what_follows_the_first_request_is_on_its_own(
     upgrade = OWN.replace(
         b"\r\n\r\n", b"\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAMA\r\n\r\n"
     )
-    said(door[1], upgrade)
+    notice(door[1], upgrade)
     heard = behind[1][-1].lower()
     assert b"upgrade" not in heard
     assert b"http2" not in heard
@@ -106,7 +106,7 @@ def test_what_follows_the_first_request_is_on_its_own(
 
 
 def test_a_viewer_that_is_installed_speaks_another_protocol(door: tuple[DataProxy, int]) -> None:
-    assert said(door[1], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").endswith(b"data")
+    assert notice(door[1], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").endswith(b"data")
 
 
 def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataProxy, int]) -> None:

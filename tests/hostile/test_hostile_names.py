@@ -135,9 +135,9 @@ def test_a_column_s_name_comes_back_as_text(column: str, tmp_path: Path, capsys:
     path = tmp_path / f"{column.replace('/', '_')}.csv"
     path.write_text(f"t,{column}\n0,1\n", encoding="utf-8")
     assert safedpa.run(["compare", "car", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert not CONTROL.search(said[:-1])
+    notice = capsys.readouterr().err
+    assert notice.count("\n") == 1
+    assert not CONTROL.search(notice[:-1])
 
 
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
@@ -157,9 +157,9 @@ def test_a_file_s_name_that_is_no_text_is_refused(tmp_path: Path, capsys: pytest
     path = tmp_path / "run\udcff.csv"
     path.write_text("t,x\n0,1\n", encoding="utf-8")
     assert safedpa.run(["compare", "car", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "its name is not UTF-8" in said
+    notice = capsys.readouterr().err
+    assert notice.count("\n") == 1
+    assert "its name is not UTF-8" in notice
 
 
 def test_a_cell_of_many_lines_costs_one_line(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_what_counts_as_holding(
 ) -> None:
     found = _account(tmp_path, after, state)
     found["under_attack"].update(late_ticks=late, late_by_the_machine=0)
-    monkeypatch.setattr(offered, "fleet_benchmark", lambda trial, tell: {"offers": found, "collisions": 0})
+    monkeypatch.setattr(offered, "fleet_benchmark", lambda trial, report_progress: {"offers": found, "collisions": 0})
     assert offered.offers_benchmark(20.0)["held"] is held
 
 
@@ -134,6 +134,6 @@ def test_an_attack_that_did_not_hold_ends_with_code_1(
     account = {**ABOUT, "held": False, "in_peace": drive, "under_attack": drive}
     monkeypatch.setattr(silent, "silent_benchmark", lambda *_, **__: account)
     assert safedpa.run(["experiment", "hostile", "--attack", "silent"]) == 1
-    said = capsys.readouterr()
-    assert "under attack  exit code 1, 3 ticks" in said.out
-    assert "did not hold" in said.err
+    notice = capsys.readouterr()
+    assert "under attack  exit code 1, 3 ticks" in notice.out
+    assert "did not hold" in notice.err

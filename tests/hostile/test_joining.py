@@ -69,7 +69,7 @@ def router(port: int, *options: str) -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def strangers(port: int, count: int, says: bytes = b"") -> Iterator[None]:
+def strangers(port: int, count: int, reports: bytes = b"") -> Iterator[None]:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 2 * count:
         pytest.skip(f"no {2 * count} descriptors for the attack")
@@ -77,8 +77,8 @@ def strangers(port: int, count: int, says: bytes = b"") -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         for _ in range(count):
             link = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5.0))
-            if says:
-                link.send(says)
+            if reports:
+                link.send(reports)
         yield
 
 
@@ -118,11 +118,11 @@ def test_a_thousand_silent_connections_keep_no_member_out(free_port: int, certif
 
 @pytest.mark.processes
 @pytest.mark.slow
-@pytest.mark.parametrize("says", [b"", b"\x16"], ids=["silent", "with a first byte"])
-def test_nor_do_they_in_plain_text(free_port: int, says: bytes) -> None:
+@pytest.mark.parametrize("reports", [b"", b"\x16"], ids=["silent", "with a first byte"])
+def test_nor_do_they_in_plain_text(free_port: int, reports: bytes) -> None:
     quiet = ports.free_port()
     doors = [("--listen", f"tcp/127.0.0.1:{port}", "--plain") for port in (free_port, quiet)]
-    with router(free_port, *doors[0]), router(quiet, *doors[1]), strangers(free_port, MORE_THAN_FIT, says):
+    with router(free_port, *doors[0]), router(quiet, *doors[1]), strangers(free_port, MORE_THAN_FIT, reports):
         time.sleep(0.6)  # for those who say something, a moment to be cut off
         for took, reference in joins(free_port, quiet, None, 0.0):
             assert took < 0.8 + 5.0 * reference
@@ -244,7 +244,7 @@ class Scripted:
         self.restarts += 1
         return True
 
-    def last_words(self) -> str:
+    def last_text(self) -> str:
         return "it cannot be used"
 
     def terminate(self) -> None:

@@ -107,11 +107,11 @@ def test_a_process_reads_its_card_once_and_publishes_nothing_of_it() -> None:
         os.fstat(descriptor)
 
 
-@pytest.mark.parametrize("said", [b"", b"-----BEGIN ", b"x" * 100_000, b"-----BEGIN \0-----BEGIN \0x"])
-def test_a_card_that_is_none_is_refused(said: bytes) -> None:
+@pytest.mark.parametrize("notice", [b"", b"-----BEGIN ", b"x" * 100_000, b"-----BEGIN \0-----BEGIN \0x"])
+def test_a_card_that_is_none_is_refused(notice: bytes) -> None:
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 18)
-    os.write(writing, said)
+    os.write(writing, notice)
     os.close(writing)
     with pytest.raises(BusError, match="no authority, certificate and key"):
         PemCredentials.from_descriptor(reading, "policy")

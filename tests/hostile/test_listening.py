@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.long, pytest.mark.processes, pytest.mark.slow]
 
 LOOPBACK_6 = ("00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
 """As the kernel writes ::1 and ::ffff:127.0.0.1."""
-NOBODY = 65534
+NO_ONE = 65534
 """The user of no rights."""
 
 
@@ -49,8 +49,8 @@ def listening(pids: list[int]) -> dict[str, str]:
             for entry in Path(f"/proc/{pid}/fd").iterdir():
                 target = os.readlink(entry)
                 if target.startswith("socket:["):
-                    words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-                    sockets[target[8:-1]] = b" ".join(words[:4]).decode()
+                    phrase = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                    sockets[target[8:-1]] = b" ".join(phrase[:4]).decode()
         except OSError:
             continue
     found = {}
@@ -103,7 +103,7 @@ def _no_other_user_gets_in(hints: list[str]) -> None:
     if os.getuid() != 0:
         return
     assert _knocks(path, os.getuid()) == 0
-    assert _knocks(path, NOBODY) == errno.EACCES
+    assert _knocks(path, NO_ONE) == errno.EACCES
 
 
 def _knocks(path: str, user: int) -> int:

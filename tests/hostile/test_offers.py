@@ -181,20 +181,20 @@ def writes(work: object) -> dict[str, Any]:
     return {}
 
 
-def tells_its_niceness(work: object) -> dict[str, Any]:
+def reports_its_niceness(work: object) -> dict[str, Any]:
     return {"nice": os.nice(0), "policy": os.sched_getscheduler(0)}
 
 
 @pytest.mark.parametrize(
-    ("function", "words"),
+    ("function", "phrase"),
     [("spins", "more than 5 s of processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
 )
-def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, words: str, tmp_path: Path) -> None:
+def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, phrase: str, tmp_path: Path) -> None:
     apart = _apart(function, tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
         outcome = apart.hand_in(str(tmp_path / "file")).outcome(wait=True)
         assert outcome is not None
-        assert words in outcome["problem"]
+        assert phrase in outcome["problem"]
         assert outcome["problem"]
         assert not (tmp_path / "file").exists() or (tmp_path / "file").stat().st_size == 0
     finally:
@@ -202,7 +202,7 @@ def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, w
 
 
 def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
-    apart = _apart("tells_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
+    apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
         assert apart.hand_in(None).outcome(wait=True) == {"nice": 19, "policy": os.SCHED_OTHER}
     finally:
@@ -214,7 +214,7 @@ def test_each_answer_comes_while_the_process_waits_for_more_work(
 ) -> None:
     """Not when its output is full or closed: whatever the environment says of what Python holds back."""
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    apart = _apart("tells_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
+    apart = _apart("reports_its_niceness", tmp_path, clock=lambda: time.monotonic() / _BEHIND_OTHERS)
     try:
         for number in range(3):
             assert (apart.hand_in(number).outcome(wait=True) or {}).get("nice") == 19

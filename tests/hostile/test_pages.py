@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from safedpa.errors import InputError, RunError
 from safedpa_services.web.hosts import Hosts
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.page_address import PageServerOptions
 
 _PATIENCE = 120.0
@@ -273,7 +273,7 @@ def test_other_machines_come_in_with_a_password_or_a_certificate_only(monkeypatc
 
 
 @pytest.fixture
-def shelf(tmp_path: Path) -> FileStore:
+def upload_store(tmp_path: Path) -> FileStore:
     named, outside = tmp_path / "named", tmp_path / "outside"
     for folder in (named, named / ".hidden", outside):
         folder.mkdir()
@@ -290,10 +290,10 @@ def shelf(tmp_path: Path) -> FileStore:
     return FileStore([named])
 
 
-def test_a_recording_below_the_named_folder_is_opened(shelf: FileStore, tmp_path: Path) -> None:
+def test_a_recording_below_the_named_folder_is_opened(upload_store: FileStore, tmp_path: Path) -> None:
     run = str(tmp_path / "named" / "run.csv")
-    assert shelf.recordings([run]) == [run]
-    assert shelf.recordings([str(tmp_path / "named" / "r*.csv")]) == [run]
+    assert upload_store.recordings([run]) == [run]
+    assert upload_store.recordings([str(tmp_path / "named" / "r*.csv")]) == [run]
 
 
 @pytest.mark.parametrize(
@@ -306,11 +306,11 @@ def test_a_recording_below_the_named_folder_is_opened(shelf: FileStore, tmp_path
         "named/run.csv\0.txt", "named/run.csv/", "named/" + "a" * 5000 + ".csv", "named/run%2ecsv", "named/key*.csv",
     ],
 )  # fmt: skip
-def test_everything_else_is_refused_with_the_same_words(shelf: FileStore, tmp_path: Path, name: str) -> None:
+def test_everything_else_is_refused_with_the_same_words(upload_store: FileStore, tmp_path: Path, name: str) -> None:
     if name == "named/run.csv/":
         pytest.skip("the same file")
     with pytest.raises(RunError, match=r"cannot be opened from here; wanted a recording") as refusal:
-        shelf.recordings([f"{tmp_path}/{name}"])
+        upload_store.recordings([f"{tmp_path}/{name}"])
     assert "\n" not in str(refusal.value)
 
 
@@ -328,11 +328,11 @@ def test_everything_else_is_refused_with_the_same_words(shelf: FileStore, tmp_pa
         "/**/*.csv",
     ],
 )
-def test_files_of_the_machine_are_refused(shelf: FileStore, name: str) -> None:
+def test_files_of_the_machine_are_refused(upload_store: FileStore, name: str) -> None:
     with pytest.raises(RunError):
-        shelf.recordings([name])
+        upload_store.recordings([name])
     with pytest.raises(RunError):
-        shelf.model(name, ["car"])
+        upload_store.model(name, ["car"])
 
 
 @given(

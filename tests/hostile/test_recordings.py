@@ -83,7 +83,7 @@ def _processor_seconds(work: Callable[[], object]) -> float:
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "phrase"),
     [
         ({"seed": "x"}, "--seed"), ({"rate": "fast"}, "--rate"), ({"load": "moon"}, "--load"),
         ({"seed": 1e300}, "--seed"),
@@ -93,10 +93,10 @@ def _processor_seconds(work: Callable[[], object]) -> float:
     ],
 )  # fmt: skip
 def test_options_that_no_robot_has_are_refused(
-    messages: Messages, tmp_path: Path, options: dict[str, Any], words: str
+    messages: Messages, tmp_path: Path, options: dict[str, Any], phrase: str
 ) -> None:
     path = changed(messages, "setup/robot", options_changed(**options), tmp_path / "run.mcap")
-    with pytest.raises(InputError, match=words) as refusal:
+    with pytest.raises(InputError, match=phrase) as refusal:
         driven_again(path)
     assert str(refusal.value).isprintable()
 

@@ -56,10 +56,10 @@ def test_what_is_wrong_with_a_road_is_seen() -> None:
     assert not refused.hole
     for wrong in (
         {"code": 1},
-        {"said": "no\nTraceback\n"},
-        {"said": ""},
-        {"said": "\x1b[2J\n"},
-        {"said": "x" * 2000 + "\n"},
+        {"notice": "no\nTraceback\n"},
+        {"notice": ""},
+        {"notice": "\x1b[2J\n"},
+        {"notice": "x" * 2000 + "\n"},
         {"mebibytes": 300.0},
         {"written": ("out",)},
     ):

@@ -88,7 +88,7 @@ def sentence(errors, **more):
 
 
 @pytest.mark.parametrize(
-    ("errors", "said"),
+    ("errors", "notice"),
     [
         ((-0.2,) * 6, "speed: 0.2 m/s less than predicted after 1 s"),
         ((-0.5, -0.4, -0.3, -0.2), "speed: 0.35 m/s less than predicted after 1 s"),
@@ -99,10 +99,10 @@ def sentence(errors, **more):
         ((1.0, 1.0, 1.0), ""),
     ],
 )
-def test_the_sentence_states_the_channel_size_and_side_of_an_error(errors, said):
+def test_the_sentence_states_the_channel_size_and_side_of_an_error(errors, notice):
     """One-sided is an error of which four of five have one sign; three forecasts are too few."""
-    assert sentence(errors).startswith(said)
-    assert bool(sentence(errors)) is bool(said)
+    assert sentence(errors).startswith(notice)
+    assert bool(sentence(errors)) is bool(notice)
 
 
 @pytest.mark.parametrize(("one", "other"), [(1, 1), (1, -1), (-1, 1), (-1, -1)], ids=str)
@@ -113,9 +113,9 @@ def test_the_sentence_names_the_side_of_a_variable_where_errors_are_large_whatev
     slow, fast = (large, small) if large_when == "slow" else (small, large)
     seen = [forecast((0.0, 0.0, error, 0.0), speed=0.5) for error in slow]
     seen += [forecast((0.0, 0.0, error, 0.0), speed=1.5) for error in fast]
-    said = describe_conditions(SYSTEM, BAND, seen, 1.0)
-    assert said.startswith("yaw: ")
-    assert said.endswith(f"speed is {'below 1' if large_when == 'slow' else 'above 1'} m/s")
+    notice = describe_conditions(SYSTEM, BAND, seen, 1.0)
+    assert notice.startswith("yaw: ")
+    assert notice.endswith(f"speed is {'below 1' if large_when == 'slow' else 'above 1'} m/s")
     alike = [forecast((0.0, 0.0, error, 0.0), speed=speed) for speed in (0.5, 1.5) for error in (0.2, -0.2) * 4]
     assert "most where" not in describe_conditions(SYSTEM, BAND, alike, 1.0)
 
@@ -130,6 +130,6 @@ def test_an_error_turns_with_the_heading_where_it_correlates_by_four_fifths(turn
     quarters = np.radians([0.0, 90.0, 180.0, 270.0] * 2)
     errors = size * (turning * np.cos(quarters - np.radians(degrees)) + constant)
     seen = [forecast((0.0, 0.0, 0.0, error), yaw) for error, yaw in zip(errors, quarters, strict=True)]
-    said = describe_conditions(SYSTEM, BAND, seen, 1.0)
-    towards = [said.endswith(f"(most towards {one} degrees)") for one in (degrees, abs(degrees))]
-    assert ("turning with the heading" in said, any(towards)) == (named, named), said
+    notice = describe_conditions(SYSTEM, BAND, seen, 1.0)
+    towards = [notice.endswith(f"(most towards {one} degrees)") for one in (degrees, abs(degrees))]
+    assert ("turning with the heading" in notice, any(towards)) == (named, named), notice

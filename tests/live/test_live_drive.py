@@ -87,7 +87,7 @@ def test_the_scene_has_passages_for_a_chair_that_is_not_there_yet():
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "phrase"),
     [
         (["--drives", "0"], "--drives"),
         (["--after", "5"], "--after"),
@@ -95,11 +95,11 @@ def test_the_scene_has_passages_for_a_chair_that_is_not_there_yet():
         (["--record", "all.mcap"], "one case"),
     ],
 )
-def test_bad_options_are_refused_with_a_reason(options, words, tmp_path: Path, monkeypatch):
+def test_bad_options_are_refused_with_a_reason(options, phrase, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(command, options)
     assert done.exception is not None
-    assert words in str(done.exception) + done.output
+    assert phrase in str(done.exception) + done.output
 
 
 def test_services_in_one_process_use_the_robots_clock():

@@ -120,7 +120,7 @@ def test_candidates_come_with_their_report_and_a_sentence(drive, found):
 
 
 @pytest.mark.parametrize(
-    ("outcome", "stage", "said"),
+    ("outcome", "stage", "notice"),
     [
         (WorkOutcome(json.dumps({**REPORT, "candidates": []})), "nothing", "no effect of the library explains it"),
         (WorkOutcome(failure="its code was -9"), "nothing", "the search failed: its code was -9"),
@@ -131,10 +131,10 @@ def test_candidates_come_with_their_report_and_a_sentence(drive, found):
         ),
     ],
 )
-def test_the_sentence_says_what_became_of_a_search(drive, outcome, stage, said):
+def test_the_sentence_says_what_became_of_a_search(drive, outcome, stage, notice):
     drive.worker.ready = outcome
     message = drive.go(21)[-1]
-    assert (message.stage, message.sentence.rpartition("; ")[2]) == (stage, said)
+    assert (message.stage, message.sentence.rpartition("; ")[2]) == (stage, notice)
 
 
 def entry(error, decision="rejected", stage=0, effect="drag"):

@@ -56,7 +56,7 @@ def test_an_implausible_tick_is_a_gap(state, applied, recorded):
 
 
 @pytest.mark.parametrize(
-    ("state", "applied", "kept"),
+    ("state", "applied", "retained"),
     [
         ((0.0, 0.0, 0.0, 0.5), (0.1, 0.1), True),
         ((0.0, 0.0, 0.0, 1e6), (0.1, 0.1), False),
@@ -66,12 +66,12 @@ def test_an_implausible_tick_is_a_gap(state, applied, recorded):
     ],
 )
 def test_a_tick_that_cannot_be_believed_leaves_a_gap_in_the_history_of_a_drive(
-    state: tuple[float, ...], applied: tuple[float, ...], kept: bool
+    state: tuple[float, ...], applied: tuple[float, ...], retained: bool
 ) -> None:
     history = DriveHistory(CAR.system, 0.05, longest=0.15)
     history.add(7, np.array(state), np.array(applied))
-    assert [tick for tick, *_ in history.last(10.0)] == ([7] if kept else [])
-    assert history.seconds_since(7) == pytest.approx(0.05 if kept else 0.0)
+    assert [tick for tick, *_ in history.last(10.0)] == ([7] if retained else [])
+    assert history.seconds_since(7) == pytest.approx(0.05 if retained else 0.0)
     assert history.seconds_since(8) == 0.0
     for tick in (8, 9, 10):  # three rows at most: the oldest one goes
         history.add(tick, np.zeros(4), np.zeros(2))

@@ -29,20 +29,20 @@ class Driven:
     def __init__(self, car, worker, rows, state_of, verdict_of, **more):
         self.node, self.worker = DiagnosisNode(write_model(car), worker, **more), worker
         self.rows, self.state_of, self.verdict_of = rows, state_of, verdict_of
-        self.car, self.told, self.changes = car, [], []
+        self.car, self.reported, self.changes = car, [], []
 
     def tick(self, refuse=""):
         state = self.state_of(next(self.rows))
         out = self.node.step("r1", state, {LATENT: Stale(LATENT, None), VERDICT: self.verdict_of(state)})
-        self.told += [out[FINDING]] if FINDING in out else []
+        self.reported += [out[FINDING]] if FINDING in out else []
         if MODEL in out:
             self.changes.append(out[MODEL])
             self._answer(state, out[MODEL], refuse)
 
     def _answer(self, state, message, refuse):
-        words = {"offer": "ready", "take": "taken"}
-        for service in ("adaptation", "policy", "safety_filter") if message.step in words else ():
-            answer = "refused" if service == refuse else words[message.step]
+        phrase = {"offer": "ready", "take": "taken"}
+        for service in ("adaptation", "policy", "safety_filter") if message.step in phrase else ():
+            answer = "refused" if service == refuse else phrase[message.step]
             stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
             taken = TakeoverMessage(
                 **stamp, service=service, change=message.change, fingerprint=message.fingerprint, state=answer,
@@ -60,7 +60,7 @@ class Driven:
     def found(self, *effects):
         self.until(lambda: self.worker.busy("r1"))
         self.worker.ready = WorkOutcome(REPORT, effects, {"steering_offset": self.document})
-        self.until(lambda: self.told[-1].stage == "candidates")
+        self.until(lambda: self.reported[-1].stage == "candidates")
 
     @property
     def document(self):
@@ -95,8 +95,8 @@ def test_an_accepted_effect_is_prepared_on_the_newest_data_offered_and_taken(dri
     assert (offer.step, offer.fingerprint, offer.margin, offer.who) == ("offer", new, "{}", "Ada")
     assert "r1, 4" in offer.data
     assert take.step == "take"
-    driven.until(lambda: driven.told[-1].model == new)
-    assert driven.told[-1].stage == "learning"
+    driven.until(lambda: driven.reported[-1].model == new)
+    assert driven.reported[-1].stage == "learning"
     assert driven.ask("status").candidates == ()
 
 
@@ -104,8 +104,8 @@ def test_the_effect_of_accepting_is_reported_before_and_gives_way_to_an_accepted
     car, worker, drive_of, state_of, verdict_of, margin_of
 ):
     rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
-    told = {"margin": margin_of(0.05), "foretell": forecast_with("car")}
-    driven = Driven(car, worker, rows, state_of, verdict_of, **told)
+    reported = {"margin": margin_of(0.05), "foretell": forecast_with("car")}
+    driven = Driven(car, worker, rows, state_of, verdict_of, **reported)
     driven.found("steering_offset", "steering_gain")
     assert driven.ask("status").foreseen == ("", "")
     driven.until(lambda: worker.begun[-1].task == "prepare")
@@ -132,10 +132,10 @@ def test_a_foreseen_model_that_cannot_be_made_and_an_unchanged_margin_are_report
         "b": WorkOutcome(margin=margin_of(0.05)),
         "c": WorkOutcome(),
     }
-    told = ahead.told(margin_of(0.05), foretell)
-    assert told["a"] == "it cannot be made: too few rows"
-    assert told["b"] == "the margin stays as it is: obstacle 0.05"
-    assert "no margin could be calibrated" in told["c"]
+    reported = ahead.reported(margin_of(0.05), foretell)
+    assert reported["a"] == "it cannot be made: too few rows"
+    assert reported["b"] == "the margin stays as it is: obstacle 0.05"
+    assert "no margin could be calibrated" in reported["c"]
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_a_refused_offer_leaves_the_model_and_the_finding(driven):
         driven.tick(refuse="policy")
     assert [message.step for message in driven.changes] == ["offer", "drop"]
     assert driven.node.model_of("r1") == before
-    assert driven.told[-1].stage == "candidates"
+    assert driven.reported[-1].stage == "candidates"
     assert driven.ask("status").candidates == ("steering_offset",)
 
 
@@ -173,16 +173,16 @@ def test_a_model_that_cannot_be_prepared_is_reported_and_not_offered(driven):
 def test_when_every_candidate_is_rejected_the_error_is_usual_from_then_on(driven):
     driven.found("steering_offset", "steering_gain")
     assert driven.ask("reject", "steering_gain").ok
-    driven.until(lambda: driven.told[-1].stage == "candidates")
+    driven.until(lambda: driven.reported[-1].stage == "candidates")
     assert driven.ask("reject", "steering_offset").ok
-    driven.until(lambda: driven.told[-1].stage == "watching")
-    assert driven.told[-1].number == 1
+    driven.until(lambda: driven.reported[-1].stage == "watching")
+    assert driven.reported[-1].number == 1
     assert not driven.ask("accept", "steering_offset").ok
 
 
 def test_what_is_asked_about_another_finding_model_or_effect_is_refused_with_a_reason(driven):
     driven.found("steering_offset")
-    for answer, words in (
+    for answer, phrase in (
         (driven.ask("accept", "steering_offset", finding=7), "number 1"),
         (driven.ask("accept", "steering_offset", model="0123456789ab"), "you saw 0123456789ab"),
         (driven.ask("accept", "flood"), "steering_offset"),
@@ -190,7 +190,7 @@ def test_what_is_asked_about_another_finding_model_or_effect_is_refused_with_a_r
         (driven.ask("dance"), "accept"),
     ):
         assert not answer.ok
-        assert words in answer.sentence
+        assert phrase in answer.sentence
 
 
 def test_a_robot_that_leaves_takes_its_search_with_it_and_its_findings_go_on_counting(driven, car, drive_of):
@@ -199,8 +199,8 @@ def test_a_robot_that_leaves_takes_its_search_with_it_and_its_findings_go_on_cou
     assert driven.worker.cancelled == 1
     assert driven.node.diagnosis_of("r1") is None
     driven.rows = drive_of(2000, CHANGE, "steering_offset", angle=0.08)
-    driven.until(lambda: driven.told[-1].stage == "raised")
-    assert driven.told[-1].number == 2
+    driven.until(lambda: driven.reported[-1].stage == "raised")
+    assert driven.reported[-1].number == 2
 
 
 @pytest.mark.parametrize(("values", "actions"), [(3, 2), (5, 2), (4, 1), (4, 3)])

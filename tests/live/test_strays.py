@@ -21,7 +21,7 @@ def health(tick: int, model: str, service: str = "policy", epoch: int = 3) -> He
 @pytest.mark.parametrize(("tick", "believed"), [(100, False), (109, False), (110, True), (500, True)])
 def test_a_service_on_another_model_is_believed_ten_ticks_after_a_change(state, tick, believed):
     strays = ModelMismatchMonitor()
-    strays.settle(state(100), anew=True)
+    strays.settle(state(100), again=True)
     strays.hear(health(tick, "old"))
     strays.hear(health(tick, "new", "adaptation"))
     assert strays.found("new") == ("policy uses old" if believed else "")
@@ -32,7 +32,7 @@ def test_health_of_another_drive_or_before_any_state_is_ignored(state):
     strays = ModelMismatchMonitor()
     strays.hear(health(200, "old"))
     assert strays.found("new") == ""
-    strays.settle(state(0), anew=False)
+    strays.settle(state(0), again=False)
     strays.hear(health(200, "old", epoch=2))
     assert strays.found("new") == ""
     strays.hear(health(200, "old"))
@@ -41,15 +41,15 @@ def test_health_of_another_drive_or_before_any_state_is_ignored(state):
 
 def test_a_repair_that_failed_makes_the_next_one_wait_twice_as_long(state):
     strays, waited = ModelMismatchMonitor(), list[int]()
-    strays.settle(state(0), anew=False)
+    strays.settle(state(0), again=False)
     for repair in range(5):
-        strays.not_mended()
+        strays.not_corrected()
         if repair == 3:
-            strays.mended()
+            strays.corrected()
         count, found = 0, ""
         while not found:
             count += 1
-            strays.settle(state(count), anew=False)
+            strays.settle(state(count), again=False)
             strays.hear(health(10_000, "old"))
             found = strays.found("new")
         waited.append(count)

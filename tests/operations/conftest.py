@@ -26,7 +26,7 @@ LOOP = ("adaptation", "policy", "safety_filter")
 
 @dataclass
 class TalkingFleet:
-    """Says what a healthy fleet says; ``said`` changes parts of it. ``now`` [s] is the clock of the listener."""
+    """Says what a healthy fleet says; ``notice`` changes parts of it. ``now`` [s] is the clock of the listener."""
 
     now: float = 100.0
     broker: MemoryBroker = field(default_factory=MemoryBroker)
@@ -54,8 +54,8 @@ class TalkingFleet:
     def finding(self, robot: str, stage: str, sentence: str) -> None:
         """What the diagnosis says."""
         stamp = {"epoch": 7, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
-        told = {"error": 0.3, "band": 0.1, "evidence": 14.0, "threshold": 13.8, "coverage": 0.9, "where": ""}
-        message = FindingMessage(**stamp, **told, model="0123456789ab", stage=stage, sentence=sentence, number=1)
+        reported = {"error": 0.3, "band": 0.1, "evidence": 14.0, "threshold": 13.8, "coverage": 0.9, "where": ""}
+        message = FindingMessage(**stamp, **reported, model="0123456789ab", stage=stage, sentence=sentence, number=1)
         self.bus.publish(FINDING, robot, message)
 
     def drive(self, robots: int, seconds: float = 2.0, *, silent: tuple[str, ...] = (), **changes: Any) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from safedpa.bus import TAKEOVER, VERDICT, Bus, MemoryBroker, MemoryTransport, ServiceLoop, TakeoverMessage
 from safedpa.bus.logging import KINDS, log_event
-from safedpa.bus.service.journal import ServiceLog
+from safedpa.bus.service.service_log import ServiceLog
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.warnings import Warnings, readable
 
@@ -34,19 +34,21 @@ def test_the_catalogue_lists_exactly_the_events_that_are_written() -> None:
 
 
 @pytest.fixture
-def journal() -> tuple[ServiceLog, list[dict[str, Any]]]:
+def service_log() -> tuple[ServiceLog, list[dict[str, Any]]]:
     events: list[dict[str, Any]] = []
     return ServiceLog("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
 
 
-def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
-    told, events = journal
+def test_verdicts_are_logged_where_they_change(
+    fleet: Any, service_log: tuple[ServiceLog, list[dict[str, Any]]]
+) -> None:
+    reported, events = service_log
     heard = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,))
     statuses = ["passed", "fallback", "fallback", "corrected", "passed", "stopped", "stopped", "passed", "disabled"]
     for status in statuses:
         fleet.tick("r1", state={}, verdict={"status": status})
     for item in heard.take(0.0):
-        told.said(item.robot, {VERDICT: item.message})
+        reported.notice(item.robot, {VERDICT: item.message})
     kinds = ["fallback_entered", "fallback_left", "stopped", "released", "disabled"]
     assert [event["kind"] for event in events] == [f"filter.{kind}" for kind in kinds]
     assert [event["tick"] for event in events] == [1, 3, 5, 7, 8]
@@ -55,30 +57,30 @@ def test_verdicts_are_logged_where_they_change(fleet: Any, journal: tuple[Servic
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
-def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
-    told, events = journal
-    told.met("r1", 0, again=False)
-    told.met("r1", 0, again=True)
-    told.refused("nonsense")
-    told.refused("two of them", "r1", 3, second=True)
-    told.forgot("r1")
+def test_every_event_of_a_journal_is_in_the_catalogue(service_log: tuple[ServiceLog, list[dict[str, Any]]]) -> None:
+    reported, events = service_log
+    reported.met("r1", 0, again=False)
+    reported.met("r1", 0, again=True)
+    reported.refused("nonsense")
+    reported.refused("two of them", "r1", 3, second=True)
+    reported.forgot("r1")
     stamp = {"epoch": 1, "tick": 2, "robot_time": 0.1, "publish_time": 0.0}
     for state in ("ready", "taken", "refused"):
         message = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="ab", state=state, reason="")
-        told.said("r1", {TAKEOVER: message})
+        reported.notice("r1", {TAKEOVER: message})
     assert len({event["kind"] for event in events}) == 8
     assert {event["kind"] for event in events} <= set(KINDS)
 
 
 def test_a_service_logs_the_robots_it_meets_and_what_it_refuses(
-    fleet: Any, journal: tuple[ServiceLog, list[dict[str, Any]]]
+    fleet: Any, service_log: tuple[ServiceLog, list[dict[str, Any]]]
 ) -> None:
     from safedpa.adaptation import AdaptationNode
     from safedpa.dynamics import load_model
 
-    told, events = journal
+    reported, events = service_log
     bus = Bus(MemoryTransport(fleet.broker), "test")
-    loop = ServiceLoop(AdaptationNode(load_model("car")), bus, clock=lambda: fleet.now, journal=told)
+    loop = ServiceLoop(AdaptationNode(load_model("car")), bus, clock=lambda: fleet.now, service_log=reported)
     for epoch in (7, 8):
         fleet.tick("r1", state={"lockstep": True, "epoch": epoch}, verdict={})
         for _ in range(3):
@@ -129,12 +131,12 @@ def line(**event: Any) -> str:
 def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr("safedpa_services.supervisor.warnings.time.monotonic", lambda: now[0])
-    told: list[str] = []
+    reported: list[str] = []
     policy, recorder = child(tmp_path, "policy"), child(tmp_path, "recorder")
-    warnings = Warnings((policy, recorder), tmp_path, told.append)
+    warnings = Warnings((policy, recorder), tmp_path, reported.append)
     warnings.look()
     now[0] += 1.0
-    assert told == [], "no log, no warning"
+    assert reported == [], "no log, no warning"
     policy.log.write_text(
         line(level="info")
         + "a trace back\n"
@@ -144,22 +146,22 @@ def test_up_prints_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: p
     )
     warnings.look()
     now[0] += 1.0
-    assert len(told) == 1
-    assert told[0].endswith("policy r1 tick 4: the nominal action is old")
+    assert len(reported) == 1
+    assert reported[0].endswith("policy r1 tick 4: the nominal action is old")
     with policy.log.open("a") as log:
         log.write('"level": "error", "sentence": "half a line before", "kind": "x"}\n')
         log.writelines(line(robot="r1") for _ in range(100))
         log.writelines(line(kind="l", sentence=f"{number}") for number in range(100))
     warnings.look()
     now[0] += 1.0
-    assert [entry.split(": ", 1)[-1] for entry in told[2:]] == ["0"], "the like of it was told less than 5 s ago"
-    assert "half a line before" in told[1]
+    assert [entry.split(": ", 1)[-1] for entry in reported[2:]] == ["0"], "the like of it was told less than 5 s ago"
+    assert "half a line before" in reported[1]
     recorder.restarts = 2
     warnings.look()
     now[0] += 1.0
-    assert "recorder died or hung and was started again (2 times so far)" in told[-1]
-    kept = json.loads((tmp_path / "supervisor.log").read_text())
-    assert kept["kind"] == "child.restarted"
+    assert "recorder died or hung and was started again (2 times so far)" in reported[-1]
+    retained = json.loads((tmp_path / "supervisor.log").read_text())
+    assert retained["kind"] == "child.restarted"
     assert len(warnings.newest) <= 4
 
 
@@ -170,14 +172,14 @@ def started_and_ended(one: Child) -> None:
 
 
 def test_removing_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
-    told: list[str] = []
+    reported: list[str] = []
     policy = child(tmp_path / "run", "policy")
     policy.restarts = 1
-    warnings = Warnings((policy,), tmp_path / "run", told.append)
+    warnings = Warnings((policy,), tmp_path / "run", reported.append)
     policy.restarts = 2
     warnings.look()
-    assert "policy died or hung and was started again" in told[0]
-    assert policy.last_words() == "it said nothing"
+    assert "policy died or hung and was started again" in reported[0]
+    assert policy.last_text() == "it said nothing"
     started_and_ended(policy)
     assert policy.log.exists(), "the folder is there again, for what is said from now on"
 
@@ -185,7 +187,7 @@ def test_removing_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
 def test_last_words_are_the_last_line_that_is_no_event(tmp_path: Path) -> None:
     robot = child(tmp_path, "robot")
     robot.log.write_text("safedpa-robot: --start: got far, wanted two numbers\n" + line())
-    assert robot.last_words() == "--start: got far, wanted two numbers"
+    assert robot.last_text() == "--start: got far, wanted two numbers"
 
 
 def test_a_log_that_cannot_be_written_ends_no_loop(tmp_path: Path) -> None:

@@ -49,12 +49,12 @@ def test_the_row_of_a_robot(fleet: Any, promised: float, coverage: float) -> Non
     verdict = {"h_now": 0.25, "margin": 0.125, "promised": promised, "coverage": coverage, "status": "corrected"}
     fleet.drive(1, 1.0, r1={"state": state, "verdict": verdict})
     (row,) = document_of(fleet.overview)["robots"]
-    told = {
+    reported = {
         "robot": "r1", "verdict": "corrected", "h": 0.25, "margin": 0.125, "wanted_rate": 20.0, "lockstep": True,
         "time": 0.95, "goals": 3, "collisions": 1, "late": 0.0, "diagnosis": "", "corrected": 1.0, "passed": 0.0,
         "promised": None if promised < 0.0 else promised, "coverage": None if coverage < 0.0 else coverage,
     }  # fmt: skip
-    assert {name: row[name] for name in told} == pytest.approx(told)
+    assert {name: row[name] for name in reported} == pytest.approx(reported)
 
 
 def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: Any) -> None:
@@ -79,18 +79,18 @@ def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: A
     assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": 0.05, "rear": None}
     assert "nothing was heard of the source rear" in sentences(fleet, "trouble")
     assert any("front 0.05 rear -" in line for line in drawn(fleet, 240))
-    assert not any("switched" in said for said in sentences(fleet, "attention"))
+    assert not any("switched" in notice for notice in sentences(fleet, "attention"))
     robot.hear(dataclasses.replace(seen, ordered="source rear off, by Ada"), fleet.overview.clock())
     assert "switched: source rear off, by Ada" in sentences(fleet, "attention")
 
 
 def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
-    assert fleet.overview.nobody
+    assert fleet.overview.no_one
     assert not document_of(fleet.overview)["healthy"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "level", "told"),
+    ("changes", "level", "reported"),
     [
         (
             {"verdict": {"status": "fallback", "sentence": "No decision: the nominal action is stale."}},
@@ -107,10 +107,10 @@ def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
     ],
 )
 def test_a_fault_of_a_robot_is_reported_and_the_worst_robot_comes_first(
-    fleet: Any, changes: dict[str, Any], level: str, told: str
+    fleet: Any, changes: dict[str, Any], level: str, reported: str
 ) -> None:
     fleet.drive(2, r2=changes)
-    assert any(told in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
+    assert any(reported in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
     assert document_of(fleet.overview)["healthy"] is (level != "trouble")
     assert document_of(fleet.overview)["robots"][0]["robot"] == "r2", "the worst comes first"
 
@@ -152,7 +152,7 @@ def test_a_robot_that_falls_silent_is_trouble_and_one_that_ended_in_order_is_not
     assert sentences(fleet, "attention") == ["ended in order"]
     fleet.now += 400.0
     fleet.overview.listen(0.0)
-    assert fleet.overview.nobody, "and after minutes nobody speaks of them any more"
+    assert fleet.overview.no_one, "and after minutes nobody speaks of them any more"
 
 
 def test_a_process_that_was_replaced_is_no_concern(fleet: Any) -> None:
@@ -183,7 +183,7 @@ def test_bytes_that_are_no_message_are_counted(fleet: Any) -> None:
     MemoryTransport(fleet.broker).put("safedpa/test/r1/state", b"garbage", never_drop=False)
     fleet.overview.listen(0.0)
     assert fleet.overview.refused == 1
-    assert fleet.overview.nobody
+    assert fleet.overview.no_one
 
 
 @pytest.mark.parametrize("width", [80, 120, 200])
@@ -205,8 +205,8 @@ def test_the_picture_fits_every_terminal(fleet: Any, width: int, robots: int) ->
 
 def test_the_same_concern_of_many_robots_is_one_line(fleet: Any) -> None:
     fleet.drive(6, 1.0, silent=("policy",))
-    told = [line for line in drawn(fleet, 120) if "policy: no heartbeat" in line]
-    assert told == ["r1, r2, r3, r4 and 2 more: policy: no heartbeat"]
+    reported = [line for line in drawn(fleet, 120) if "policy: no heartbeat" in line]
+    assert reported == ["r1, r2, r3, r4 and 2 more: policy: no heartbeat"]
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.sampled_from("abc")), min_size=1, max_size=80), st.floats(0.0, 15.0))

@@ -105,17 +105,19 @@ def test_counts_are_those_of_what_was_said(talked: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
+    ("seconds", "reported", "works"), [(1.0, 1, 1), (5.0, 1, 0), (29.0, 1, 0), (31.0, 0, 0), (250.0, 0, 0)]
 )
-def test_a_process_that_ended_is_exported_for_half_a_minute(fleet: Any, seconds: float, told: int, works: int) -> None:
+def test_a_process_that_ended_is_exported_for_half_a_minute(
+    fleet: Any, seconds: float, reported: int, works: int
+) -> None:
     """Each start is a process of its own: a service that restarts for a week must not leave a row for each."""
     fleet.beat("router", pid=77, refused=3)
     collector = FleetCollector(fleet.overview)
     collector.listen(0.0)
     fleet.now += seconds
     text = exposed(collector)
-    assert text.count('safedpa_service_info{pid="77"') == told
-    assert text.count('safedpa_heartbeat_age_seconds{pid="77"') == told
+    assert text.count('safedpa_service_info{pid="77"') == reported
+    assert text.count('safedpa_heartbeat_age_seconds{pid="77"') == reported
     assert value(text, 'safedpa_service_processes{service="router"}') == works
 
 

@@ -103,7 +103,7 @@ def left(endpoint: str) -> str:
 def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_path: Path, free_port: int) -> None:
     with running(tmp_path, free_port, "--load", "box") as loop:
         loop.until(loop.drives, "it never drove")
-        everybody_is_told(loop)
+        everybody_is_reported(loop)
         ordered = loop.command("stop", "--robot", "r1", "--who", "Ada")
         assert ordered.returncode == 0, ordered.stderr
         assert "r1: stands" in ordered.stdout
@@ -136,14 +136,14 @@ def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_pa
     ends_standing_and_heard(loop)
 
 
-def everybody_is_told(loop: Loop) -> None:
+def everybody_is_reported(loop: Loop) -> None:
     """In the end: on a busy machine not everybody is heard within two seconds."""
     end, services = time.monotonic() + _LONG, set[str]()
     while not services >= {"policy", "safety_filter", "recorder"}:
         assert time.monotonic() < end, services
-        told = loop.command("status", "--json", "--seconds", "2")
-        status = json.loads(told.stdout)
-        assert told.returncode == (0 if status["healthy"] else 1)
+        reported = loop.command("status", "--json", "--seconds", "2")
+        status = json.loads(reported.stdout)
+        assert reported.returncode == (0 if status["healthy"] else 1)
         services = {service["service"] for service in status["services"]}
     assert [robot["robot"] for robot in status["robots"]] == ["r1"]
 

@@ -6,7 +6,7 @@ import pytest
 
 from safedpa_services.command_line.group import safedpa
 
-NOBODY = ("--fleet", "nobody-of-this-name", "--connect")
+NO_ONE = ("--fleet", "nobody-of-this-name", "--connect")
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def run(*arguments: str) -> int:
 
 
 def test_an_empty_bus_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("status", *NOBODY, empty_bus, "--seconds", "0.5") == 1
+    assert run("status", *NO_ONE, empty_bus, "--seconds", "0.5") == 1
     output, errors = capsys.readouterr()
     assert output == ""
     assert errors.count("\n") == 1
@@ -39,7 +39,7 @@ def test_an_empty_bus_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytes
 
 
 def test_an_empty_bus_in_json_is_not_healthy(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("status", *NOBODY, empty_bus, "--seconds", "0.5", "--json") == 1
+    assert run("status", *NO_ONE, empty_bus, "--seconds", "0.5", "--json") == 1
     document = json.loads(capsys.readouterr().out)
     assert not document["healthy"]
     assert document["robots"] == document["services"] == []
@@ -49,12 +49,12 @@ def test_an_empty_bus_in_json_is_not_healthy(empty_bus: str, capsys: pytest.Capt
 def test_an_order_that_no_filter_hears_is_reported(
     command: str, empty_bus: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(command, *NOBODY, empty_bus) == 1
+    assert run(command, *NO_ONE, empty_bus) == 1
     assert "no safety filter answers" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (("--seconds", "0"), "--seconds"),
         (("--watch", "--json"), "--watch, --json"),
@@ -63,9 +63,9 @@ def test_an_order_that_no_filter_hears_is_reported(
     ],
 )
 def test_bad_options_are_refused_in_one_line(
-    arguments: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], reported: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("status", *arguments) in (1, 2)
     errors = capsys.readouterr().err
-    assert told in errors
+    assert reported in errors
     assert errors.count("\n") == 1

@@ -61,7 +61,7 @@ def test_a_filter_that_is_started_again_knows_every_order(
     orders = StopOrders(path)
     for do, robot in story:
         orders.answer(robot, Request(do=do, who="a test"))
-        assert StopOrders(path).kept == orders.kept
+        assert StopOrders(path).retained == orders.retained
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"format": 2, "orders": {}}', b'{"format": 1}', b"\xff\xfe"])
@@ -177,6 +177,6 @@ def test_coverage_is_the_share_of_steps_in_which_the_margin_held(errors: list[fl
     for error in errors:
         held.append(error <= margin.value)
         margin.update(error)
-    told = margin.coverage
-    assert told is not None
-    assert told == pytest.approx(sum(held[-window:]) / len(held[-window:]))
+    reported = margin.coverage
+    assert reported is not None
+    assert reported == pytest.approx(sum(held[-window:]) / len(held[-window:]))

@@ -257,12 +257,12 @@ HAZARDS = ((0.5, 0.0, 0.2), (-0.6, 0.3, 0.2))
 
 
 def message(values: tuple[float, ...], **changed: object) -> StateMessage:
-    told = {
+    reported = {
         "epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "values": values, "applied": (0.0, 0.0),
         "applied_by": "none", "period": 0.02, "lockstep": True, "goal": (1.0, 1.0), "obstacles": HAZARDS,
         "field": (), "footprint": (),
     }  # fmt: skip
-    return StateMessage(**{**told, **changed})
+    return StateMessage(**{**reported, **changed})
 
 
 def act(robot: PointRobot, action: np.ndarray) -> None:

@@ -71,9 +71,9 @@ def test_the_nominal_action_of_one_car_is_what_the_policy_does_at_its_observatio
     weights, parts = shipped(name), scene(np.random.default_rng(seed), count)
     state, applied, goal, obstacles, field, footprint, latent = (tuple(part.tolist()) for part in parts)
     around = tuple(tuple(row) for row in obstacles)
-    told = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "period": 0.05, "lockstep": True}
-    told |= {"values": state, "applied": applied, "goal": goal, "obstacles": around, "field": field}
-    message = StateMessage(**told, applied_by="filter", footprint=footprint)
+    reported = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0, "period": 0.05, "lockstep": True}
+    reported |= {"values": state, "applied": applied, "goal": goal, "obstacles": around, "field": field}
+    message = StateMessage(**reported, applied_by="filter", footprint=footprint)
     policy = LearnedPolicy(weights)
     nominal, _ = policy.nominal_action(message, np.array(latent))
     expected = policy.act(np.array(observe_one(state, applied, goal, around, field, footprint, latent)))

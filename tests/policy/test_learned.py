@@ -131,10 +131,10 @@ def test_rays_tell_how_far_the_footprint_gets_and_clearance_is_that_of_the_capsu
 def test_only_the_nearest_obstacles_are_observed_one_by_one_and_none_is_needed() -> None:
     far = tuple((3.0, -3.0 + 0.1 * index, 0.05) for index in range(7))
     near = ((1.2, 0.9, 0.3), (-1.5, 0.2, 0.25), (0.5, 0.9, 0.2), (0.5, -1.5, 0.2))
-    told = slice(OFFSET, OFFSET + 5 * OBSTACLES)
+    reported = slice(OFFSET, OFFSET + 5 * OBSTACLES)
     both = seen(dataclasses.replace(STATE, obstacles=far + near))
-    np.testing.assert_allclose(both[told], seen(dataclasses.replace(STATE, obstacles=near[::-1]))[told])
-    np.testing.assert_allclose(seen(dataclasses.replace(STATE, obstacles=()))[told], 0.0, atol=1e-3)
+    np.testing.assert_allclose(both[reported], seen(dataclasses.replace(STATE, obstacles=near[::-1]))[reported])
+    np.testing.assert_allclose(seen(dataclasses.replace(STATE, obstacles=()))[reported], 0.0, atol=1e-3)
 
 
 def test_however_large_the_network_answers_its_mean_stays_within_the_range_of_actions() -> None:

@@ -175,15 +175,20 @@ def test_the_node_sends_the_planners_nominal_action() -> None:
 
 
 def test_a_small_comparison_counts_every_drive() -> None:
-    told: list[tuple[int, int, dict[str, Any]]] = []
+    reported: list[tuple[int, int, dict[str, Any]]] = []
     result = controllers_experiment(
-        load_model("car"), settings_named("car"), ("goal_seeker", "planner"), (201,), 3.0, lambda *at: told.append(at)
+        load_model("car"),
+        settings_named("car"),
+        ("goal_seeker", "planner"),
+        (201,),
+        3.0,
+        lambda *at: reported.append(at),
     )
     assert [(row["load"], row["controller"]) for row in result["rows"][:2]] == [
         ("none", "goal_seeker"),
         ("none", "planner"),
     ]
-    assert told == [(1, 1, result)]
+    assert reported == [(1, 1, result)]
     assert all(row["drives"] == 1 and row["collisions"] == 0 for row in result["rows"])
     assert all(row["milliseconds_p99"] >= row["milliseconds_p50"] > 0.0 for row in result["rows"])
 

@@ -19,7 +19,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 MODEL = load_model("car")
 GOAL = (3.0, 0.0)
@@ -27,14 +27,14 @@ GOAL = (3.0, 0.0)
 
 def state_at(pose: tuple[float, float, float], speed: float = 0.0, tick: int = 0, load: str = "none") -> StateMessage:
     scene = Scene(0, load_named(load), (-6.0, 6.0, -6.0, 6.0), (), (0.0, 0.0, 0.0), (GOAL,))
-    told = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
-    return replace(told, values=(*pose, speed), tick=tick, robot_time=0.05 * tick, goal=GOAL)
+    reported = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings()),))).state_message()
+    return replace(reported, values=(*pose, speed), tick=tick, robot_time=0.05 * tick, goal=GOAL)
 
 
 def around(state: StateMessage, **seen: object) -> SurroundingsMessage:
-    told: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
+    reported: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
     stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
-    return SurroundingsMessage(**stamp, **told)  # type: ignore[arg-type]
+    return SurroundingsMessage(**stamp, **reported)  # type: ignore[arg-type]
 
 
 def driven(seconds: float, **seen: object) -> list[tuple[float, float, float, float]]:
@@ -78,10 +78,10 @@ def test_it_drives_straight_where_nothing_is_around_a_wall_and_slower_where_a_mo
 def test_the_same_drive_requests_the_same_and_without_surroundings_it_drives_to_its_goal() -> None:
     points = wall(1.5, -0.8, 0.8)
     assert driven(2.0, points=points) == driven(2.0, points=points)
-    (speed, steer), said = RouteFollower(MODEL).nominal_action(state_at((0.0, 0.0, 0.0)), None)
+    (speed, steer), notice = RouteFollower(MODEL).nominal_action(state_at((0.0, 0.0, 0.0)), None)
     assert speed == pytest.approx(ClearanceSettings().cruise)
     assert steer == pytest.approx(0.0, abs=0.08)
-    assert said == "way_seeker:ahead"
+    assert notice == "way_seeker:ahead"
 
 
 @pytest.mark.parametrize(
@@ -116,10 +116,10 @@ def test_what_hides_in_the_shadow_of_a_load_stands_in_no_way_but_nobody_sees_wha
 def test_a_metre_costs_more_the_less_room_there_is() -> None:
     room = VisibleObstacles(np.empty((0, 3)), np.empty((0, 3)), 1.5, 0.12, ClearanceSettings())
     free = np.full(40, 100.0)
-    for told in (Clearances(np.linspace(-0.5, 2.5, 40), free), Clearances(free, np.linspace(-0.5, 2.5, 40))):
-        assert (np.diff(room.price(told)) <= 1e-12).all()
-        assert (np.diff(room.seconds_each_metre(told, 1.6)) <= 1e-12).all()
-        assert room.price(told)[-1] == pytest.approx(1.0)
+    for reported in (Clearances(np.linspace(-0.5, 2.5, 40), free), Clearances(free, np.linspace(-0.5, 2.5, 40))):
+        assert (np.diff(room.price(reported)) <= 1e-12).all()
+        assert (np.diff(room.seconds_each_metre(reported, 1.6)) <= 1e-12).all()
+        assert room.price(reported)[-1] == pytest.approx(1.0)
 
 
 def test_the_service_hands_the_surroundings_to_a_controller_that_looks_around_and_to_no_other() -> None:

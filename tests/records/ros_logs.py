@@ -73,14 +73,14 @@ def write(
                 ),
             )
             if k % 5 == 0:
-                told = T["ackermann_msgs/msg/AckermannDrive"](
+                reported = T["ackermann_msgs/msg/AckermannDrive"](
                     steering_angle=drive["steer"][k],
                     steering_angle_velocity=0.0,
                     speed=drive["target_speed"][k],
                     acceleration=0.0,
                     jerk=0.0,
                 )
-                asked = T["ackermann_msgs/msg/AckermannDriveStamped"](header=head, drive=told)
+                asked = T["ackermann_msgs/msg/AckermannDriveStamped"](header=head, drive=reported)
                 writer.write(command, at + LATE - 1, encoded(types, asked, ros1))
             writer.write(odom, at + LATE, encoded(types, message, ros1))
     return drive

@@ -74,13 +74,13 @@ def test_the_public_bag_equals_an_independent_reading_to_the_last_digit(data_fol
     read_here = np.stack([table.columns[f"/vicon/jetracer1:{name}"] for name in names], axis=1)
     assert read_here.tolist() == [list(row) for row in rows]
     assert len(rows) == 3227
-    for topic, told in commands.items():
-        times = [at for at, _ in told]
+    for topic, reported in commands.items():
+        times = [at for at, _ in reported]
         wanted = []
         for time, *_ in rows:
             newest = max((k for k, at in enumerate(times) if at <= round(time * 1e9) + 200), default=-1)
             fresh = newest >= 0 and time - times[newest] / 1e9 <= 0.3
-            wanted.append(told[newest][1] if fresh else math.nan)
+            wanted.append(reported[newest][1] if fresh else math.nan)
         np.testing.assert_array_equal(table.columns[f"{topic}:data"], wanted)
     run = load_run(path, CAR_THROTTLE, columns)
     assert run.duration > 31.0
@@ -109,9 +109,9 @@ steer = { topic = "actuator_outputs#1", field = "output[0]", scale = 0.001 }
     assert table.columns["vehicle_local_position:@header"].tolist() == (own["timestamp"] * 1000 / 1e9).tolist()
     assert np.isfinite(table.columns["vehicle_attitude:@yaw"]).mean() > 0.9
     assert safedpa.run(["columns", str(path), "--robot", "car"]) == 0
-    said = capsys.readouterr().out
-    assert "vehicle_local_position" in said
-    assert "flip = true" in said
+    notice = capsys.readouterr().out
+    assert "vehicle_local_position" in notice
+    assert "flip = true" in notice
 
 
 def test_the_clock_of_receipt_is_another_than_that_of_the_stamps(tmp_path: Path) -> None:
@@ -241,10 +241,10 @@ def test_what_is_missing_is_named_with_what_is_there(tmp_path: Path) -> None:
     assert "field 'twist.twist.linear.w' of nav_msgs/msg/Odometry: did you mean 'twist.twist.linear." in one_line(
         path, wrong
     )
-    said = one_line(path, None)
-    assert "is a rosbag2 folder with 2 topics" in said
-    assert "/odom (nav_msgs/msg/Odometry, 50 Hz)" in said
-    assert f"'safedpa columns {path} --robot car > map.toml' proposes one" in said
+    notice = one_line(path, None)
+    assert "is a rosbag2 folder with 2 topics" in notice
+    assert "/odom (nav_msgs/msg/Odometry, 50 Hz)" in notice
+    assert f"'safedpa columns {path} --robot car > map.toml' proposes one" in notice
     assert "names no topic; wanted { topic = " in one_line(path, parse_column_map(PLAIN))
 
 
@@ -267,9 +267,9 @@ def test_an_unknown_type_is_named_with_its_cure_and_the_rest_is_read(tmp_path: P
     with sqlite3.connect(path) as base:
         base.execute("UPDATE topics SET type = 'my_msgs/msg/Command' WHERE name = '/drive'")
         base.execute("DELETE FROM message_definitions")
-    said = one_line(path)
-    assert "topic '/drive': type 'my_msgs/msg/Command': the log does not define it" in said
-    assert "rosbag2 --storage mcap" in said
+    notice = one_line(path)
+    assert "topic '/drive': type 'my_msgs/msg/Command': the log does not define it" in notice
+    assert "rosbag2 --storage mcap" in notice
     assert topic_log(path).topics()["/odom"].fields
     assert topic_log(path).topics()["/drive"].problem
 
@@ -361,7 +361,7 @@ def test_a_table_is_mapped_too_and_json_is_one_document(tmp_path: Path, capsys: 
     log = tmp_path / "log.csv"
     log.write_text("time [ms],pos x,pos y,heading [deg],v,throttle,steering\n0,0,0,0,0,0,0\n")
     assert safedpa.run(["columns", str(log), "--robot", "car", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    columns = parse_column_map(told["map"])
+    reported = json.loads(capsys.readouterr().out)
+    columns = parse_column_map(reported["map"])
     assert columns.sources == ("time [ms]", "pos x", "pos y", "heading [deg]", "v", "throttle", "steering")
-    assert told["topics"] == []
+    assert reported["topics"] == []

@@ -155,16 +155,16 @@ def test_kept_rows_are_picked_and_their_actions_keep_the_impulse(seed: int, peri
     random = np.random.default_rng(seed)
     t = np.cumsum(random.uniform(0.009, 0.011, 400))
     rows = Rows(t, random.standard_normal((400, 2)), random.standard_normal((400, 1)))
-    kept, stretches = resample_rows(rows, [Stretch(0, 150), Stretch(160, 400)], period)
-    assert set(kept.t) <= set(t)
+    retained, stretches = resample_rows(rows, [Stretch(0, 150), Stretch(160, 400)], period)
+    assert set(retained.t) <= set(t)
     assert len(stretches) == 2
     for stretch, whole in zip(stretches, (slice(0, 150), slice(160, 400)), strict=True):
-        times = kept.t[stretch.start : stretch.stop]
+        times = retained.t[stretch.start : stretch.stop]
         assert np.diff(times) == pytest.approx(period, abs=0.012)
         inside = (t[whole] >= times[0]) & (t[whole] < times[-1])
         held = np.diff(t[whole], append=np.nan)[inside]
         impulse = float(rows.actions[whole][inside][:, 0] @ held)
-        thinned = float(kept.actions[stretch.start : stretch.stop - 1, 0] @ np.diff(times))
+        thinned = float(retained.actions[stretch.start : stretch.stop - 1, 0] @ np.diff(times))
         assert thinned == pytest.approx(impulse, abs=1e-9)
 
 
@@ -358,8 +358,8 @@ PENDULUM_MAP, CAR_MAP = native_map(PENDULUM), native_map(CAR)
 
 
 def with_columns(found: ColumnMap, **columns: SourceColumn | DerivedColumn | None) -> ColumnMap:
-    kept = {name: item for name, item in found.columns.items() if name not in columns}
-    return replace(found, columns={**kept, **{name: item for name, item in columns.items() if item is not None}})
+    retained = {name: item for name, item in found.columns.items() if name not in columns}
+    return replace(found, columns={**retained, **{name: item for name, item in columns.items() if item is not None}})
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_the_command_converts_what_it_can_and_reports_the_rest(tmp_path: Path, c
     (tmp_path / "margin.toml").write_text(MARGIN)
     (tmp_path / "other.toml").write_text("a = 1\n")
     assert safedpa.run(["migrate", str(tmp_path / "margin.toml"), str(tmp_path / "other.toml")]) == 2
-    said = capsys.readouterr()
-    assert "margin, written to" in said.out
-    assert "1 of 2 files were not converted" in said.err
+    notice = capsys.readouterr()
+    assert "margin, written to" in notice.out
+    assert "1 of 2 files were not converted" in notice.err
     assert MarginCalibration.load(tmp_path / "margin.format2.toml").coverage == 0.99

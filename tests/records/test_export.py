@@ -97,11 +97,11 @@ def test_bad_input_exits_with_2_and_one_line(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_place_that_cannot_be_written_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record(tmp_path / "drive.mcap")
-    (tmp_path / "file").write_text("kept")
+    (tmp_path / "file").write_text("retained")
     arguments = ["export", str(tmp_path / "drive.mcap"), "--format", "csv", "--out", str(tmp_path / "file" / "x.csv")]
     assert safedpa.run(arguments) == 1
     assert "cannot be written" in capsys.readouterr().err
-    assert (tmp_path / "file").read_text() == "kept"
+    assert (tmp_path / "file").read_text() == "retained"
 
 
 @pytest.mark.parametrize(("ticks", "rows"), [((0, 1), 1), ((0, 2, 4), 0), ((3,), 0)])

@@ -35,9 +35,9 @@ class Log(AbstractLog):
 def at(seconds: list[float], values: list[float] | None = None, late: float | None = 0.0, **frames: str) -> Series:
     """Messages stamped at ``seconds`` and received ``late`` seconds later; without stamps where that is None."""
     stamp = np.round(np.array(seconds) * SECOND).astype(np.int64)
-    said = {key.replace("header_", "header."): frozenset({name}) for key, name in frames.items()}
+    notice = {key.replace("header_", "header."): frozenset({name}) for key, name in frames.items()}
     x = np.arange(float(len(stamp))) if values is None else np.array(values)
-    return Series(stamp + round((late or 0.0) * SECOND), None if late is None else stamp, {"x": x}, said)
+    return Series(stamp + round((late or 0.0) * SECOND), None if late is None else stamp, {"x": x}, notice)
 
 
 def columns(hold: str = "", clock: str = "header", more: str = "") -> ColumnMap:

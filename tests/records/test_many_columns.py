@@ -13,11 +13,11 @@ def test_few_names_are_listed_whole() -> None:
 
 
 def test_of_many_names_those_that_are_like_it() -> None:
-    said = did_you_mean("sped", [*(f"c{index}" for index in range(2000)), "speed", "spend"])
-    assert "speed" in said
-    assert "spend" in said
-    assert said.endswith("and 1990 more")
-    assert len(said) < 300
+    notice = did_you_mean("sped", [*(f"c{index}" for index in range(2000)), "speed", "spend"])
+    assert "speed" in notice
+    assert "spend" in notice
+    assert notice.endswith("and 1990 more")
+    assert len(notice) < 300
 
 
 def test_a_broad_table_is_refused_in_one_short_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,6 +25,6 @@ def test_a_broad_table_is_refused_in_one_short_line(tmp_path: Path, capsys: pyte
     head = ["t", *(f"c{index}" for index in range(2000))]
     table.write_text("\n".join([",".join(head), *(",".join(["1.0"] * len(head)) for _ in range(3))]))
     assert safedpa.run(["compare", "car", str(table), "--out", str(tmp_path / "page")]) == 2
-    said = capsys.readouterr().err
-    assert "column 'x' is missing" in said
-    assert len(said) < 500
+    notice = capsys.readouterr().err
+    assert "column 'x' is missing" in notice
+    assert len(notice) < 500

@@ -110,8 +110,8 @@ def test_a_stop_and_a_start_are_no_defect() -> None:
     actions[200:300] = 0.0
     states[300:] = rows.states[200:-100]
     states[300:, 3] *= np.minimum(1.0, np.arange(300) * 0.1)
-    kept = np.r_[0:300]
-    assert kinds(judge(Rows(rows.t[kept], states[kept], actions[kept]))) == []
+    retained = np.r_[0:300]
+    assert kinds(judge(Rows(rows.t[retained], states[retained], actions[retained]))) == []
 
 
 def with_state(index: int, change: Callable[[Array], None]) -> Callable[[Rows], Rows]:
@@ -199,8 +199,8 @@ def test_a_time_that_is_none_is_cut_out() -> None:
 
 def test_irregular_sampling_is_reported_and_nothing_is_cut_for_it() -> None:
     rows = car_rows(period=0.01)
-    kept = np.flatnonzero(np.random.default_rng(3).random(600) < 0.5)
-    run = judge(rows.taken(kept))
+    retained = np.flatnonzero(np.random.default_rng(3).random(600) < 0.5)
+    run = judge(rows.taken(retained))
     assert "irregular_sampling" in kinds(run)
 
 
@@ -221,13 +221,13 @@ def test_a_parked_robot_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "kind", "words"),
+    ("factor", "kind", "phrase"),
     [(3.6, "unit_mistake", "km/h"), (1 / 0.44704, "unit_mistake", "mph"), (1.4, "scale_mismatch", "wheel radius")],
 )
-def test_speed_in_another_unit_is_recognised(factor: float, kind: str, words: str) -> None:
+def test_speed_in_another_unit_is_recognised(factor: float, kind: str, phrase: str) -> None:
     run = judge(with_state(3, lambda speed: speed.__imul__(factor))(car_rows()))
     assert kinds(run) == [kind]
-    assert words in run.findings[0].message
+    assert phrase in run.findings[0].message
 
 
 def test_steer_in_degrees_is_recognised_although_every_row_is_cut() -> None:
@@ -249,7 +249,7 @@ def test_yaw_in_degrees_is_recognised_although_every_row_is_cut(wrapped: bool) -
 
 
 @pytest.mark.parametrize(
-    ("change", "kind", "words"),
+    ("change", "kind", "phrase"),
     [
         (lambda s: s[:, [1, 0, 2, 3]], "swapped_columns", "x and y look swapped"),
         (lambda s: s * (1, 1, -1, 1), "opposite_sign", "yaw or y"),
@@ -258,11 +258,11 @@ def test_yaw_in_degrees_is_recognised_although_every_row_is_cut(wrapped: bool) -
         (lambda s: s * (1, 1, 1, -1), "yaw_offset", "drives backwards"),
     ],
 )
-def test_swapped_and_mirrored_columns_are_recognised(change: Callable[[Array], Array], kind: str, words: str) -> None:
+def test_swapped_and_mirrored_columns_are_recognised(change: Callable[[Array], Array], kind: str, phrase: str) -> None:
     rows = car_rows()
     run = judge(replace(rows, states=change(rows.states)))
     assert kinds(run) == [kind]
-    assert words in run.findings[0].message
+    assert phrase in run.findings[0].message
 
 
 def test_a_car_in_reverse_is_no_defect() -> None:
@@ -319,7 +319,7 @@ def wheels_rows(count: int = 600, period: float = 0.05) -> Rows:
 
 
 @pytest.mark.parametrize(
-    ("factor", "found", "said"),
+    ("factor", "found", "notice"),
     [
         (1.0, [], ""),
         (-1.0, ["opposite_sign"], "turn_rate has the opposite sign of the change of yaw"),
@@ -327,11 +327,11 @@ def wheels_rows(count: int = 600, period: float = 0.05) -> Rows:
         (60 / (2 * np.pi), ["unit_mistake"], "as if turn_rate were in rpm"),
     ],
 )
-def test_a_gyroscope_that_counts_otherwise_is_recognised(factor: float, found: list[str], said: str) -> None:
+def test_a_gyroscope_that_counts_otherwise_is_recognised(factor: float, found: list[str], notice: str) -> None:
     rows = wheels_rows()
     run = judge(replace(rows, states=rows.states * (1, 1, 1, 1, factor)), DIFFERENTIAL_DRIVE)
     assert kinds(run) == found
-    assert said in " ".join(item.message for item in run.findings)
+    assert notice in " ".join(item.message for item in run.findings)
 
 
 def test_a_run_with_nothing_usable_lists_what_was_found() -> None:

@@ -38,19 +38,19 @@ def test_an_unknown_unit_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"),
+    ("factor", "phrase"),
     [
         (1.0 / constants.kmh, "km/h"), (constants.kmh, "scaled the other way"), (1.0 / constants.mph, "mph"),
         (100.0, "cm/s"), (1000.0, "mm/s"), (1.0 / constants.degree, "deg/s"), (constants.degree, "radians while"),
         (60.0 / (2.0 * np.pi), "rpm"), (0.001, "positions are in mm"), (0.01, "positions are in cm"),
     ],
 )  # fmt: skip
-def test_a_speed_in_another_unit_is_named(factor: float, words: str) -> None:
+def test_a_speed_in_another_unit_is_named(factor: float, phrase: str) -> None:
     rows = car_rows()
     scaled = replace(rows, states=rows.states * (1.0, 1.0, 1.0, factor))
     (found,) = consistency_findings(scaled, [Stretch(0, len(rows.t))], CAR, [True] * 4)
     assert found.kind == "unit_mistake"
-    assert words in found.message
+    assert phrase in found.message
 
 
 @pytest.mark.parametrize("degrees", [-150, -60, 60, 150])

@@ -41,7 +41,7 @@ from safedpa.safety.margins.calibration import margin_text
 from safedpa.safety.settings import write_settings
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 PERIOD = 0.05
 ROBOT = "r1"
@@ -95,12 +95,12 @@ class Fleet:
         load: str = "box",
         controller: str | None = None,
         seed: int = 3,
-        senses: Callable[[], SimulatedSensors] | None = None,
+        sensor_inputs: Callable[[], SimulatedSensors] | None = None,
         zones: str = "",
     ) -> None:
         self.now = 0.0
-        self._senses = senses
-        self._services = SERVICES if senses is None else ("perception", *SERVICES)
+        self._sensor_inputs = sensor_inputs
+        self._services = SERVICES if sensor_inputs is None else ("perception", *SERVICES)
         self._model, self._controller, self._zones = model, controller, zones
         self._broker = MemoryBroker()
         self._bus = Bus(MemoryTransport(self._broker), "test")
@@ -126,7 +126,7 @@ class Fleet:
             lockstep=False,
             epoch=self._epoch,
             wall_clock=lambda: self.now,
-            senses=self._senses and self._senses(),
+            sensor_inputs=self._sensor_inputs and self._sensor_inputs(),
         )
 
     def start(self, service: str) -> None:
@@ -148,7 +148,7 @@ class Fleet:
         assert isinstance(node, PerceptionNode)
         assert node.switches.answer(ROBOT, Request(do="switch", switches=switches, who=who)).ok
 
-    def say(self, message: ModelMessage) -> None:
+    def send(self, message: ModelMessage) -> None:
         """One step of a change of the model, as the diagnosis would say it."""
         stamp = {"epoch": self._epoch, "tick": self.robot.tick, "robot_time": self.robot.tick * PERIOD}
         self._bus.publish(MODEL, ROBOT, dataclasses.replace(message, **stamp))

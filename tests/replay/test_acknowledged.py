@@ -67,14 +67,14 @@ def acknowledged(path: Path, lines: int, fault: Any, limit: int = 0) -> tuple[in
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     with process:
-        told = [process.stdout.readline() for _ in range(lines)]
+        reported = [process.stdout.readline() for _ in range(lines)]
         fault(process)
-        told += process.stdout.readlines()
-    whole = [line.split() for line in told if line.endswith("\n")]
+        reported += process.stdout.readlines()
+    whole = [line.split() for line in reported if line.endswith("\n")]
     return max(int(line[0]) for line in whole), {line[2] for line in whole}
 
 
-def kept(path: Path) -> tuple[int, list[int]]:
+def retained(path: Path) -> tuple[int, list[int]]:
     """Messages in the file, and the ticks of the states among them."""
     findings: list[Finding] = []
     messages = [message for _, _, message in read_messages(path, findings)]
@@ -96,19 +96,19 @@ def stopped_then_killed(process: subprocess.Popen[str]) -> None:
 def test_a_kill_at_any_moment_loses_nothing_that_was_acknowledged(tmp_path: Path, case: int) -> None:
     path = tmp_path / "drive.mcap"
     fault = stopped_then_killed if case == 3 else killed
-    told, _ = acknowledged(path, random.Random(case).randint(2, 40), fault)
-    total, ticks = kept(path)
-    assert told > 0
-    assert total >= told
+    reported, _ = acknowledged(path, random.Random(case).randint(2, 40), fault)
+    total, ticks = retained(path)
+    assert reported > 0
+    assert total >= reported
     assert ticks == list(range(len(ticks))), "everything up to there, in order, once"
 
 
 def test_a_full_disk_loses_nothing_that_was_acknowledged(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
-    told, states = acknowledged(path, 60, killed, limit=30_000)
+    reported, states = acknowledged(path, 60, killed, limit=30_000)
     assert states == {"running", "failing"}
-    total, ticks = kept(path)
-    assert 0 < told <= total
+    total, ticks = retained(path)
+    assert 0 < reported <= total
     assert ticks == list(range(len(ticks)))
     assert path.stat().st_size <= 30_000
 
@@ -122,7 +122,7 @@ class Fleet:
         self._health = self.bus.inbox((HEALTH,), keep_all=True)
         self.recorder = Recorder(Bus(MemoryTransport(broker), "f"), path, setup_message("recorder", {}))
 
-    def say(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
         self.bus.publish(STATE, "r1", message)
 
     def health(self) -> HealthMessage:
@@ -144,7 +144,7 @@ def test_the_recording_continues_in_another_file_once_there_is_room(
     setup = setup_message("policy", {"model": "car"})
     fleet.bus.publish(SETUP, NO_ROBOT, setup, "policy")
     for tick in range(50):
-        fleet.say(dataclasses.replace(state, tick=tick))
+        fleet.send(dataclasses.replace(state, tick=tick))
     fleet.recorder.turn(0.0)
     fleet.recorder.sync()
     before = fleet.health()
@@ -159,7 +159,7 @@ def test_the_recording_continues_in_another_file_once_there_is_room(
         patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
         fleet.recorder.sync()
         for tick in range(50, 90):
-            fleet.say(dataclasses.replace(state, tick=tick))
+            fleet.send(dataclasses.replace(state, tick=tick))
         fleet.recorder.turn(0.0)
         fleet.recorder.sync()
     during = fleet.health()
@@ -170,16 +170,16 @@ def test_the_recording_continues_in_another_file_once_there_is_room(
     monkeypatch.setattr(time, "monotonic", lambda: later)
     fleet.recorder.sync()
     for tick in range(90, 120):
-        fleet.say(dataclasses.replace(state, tick=tick))
+        fleet.send(dataclasses.replace(state, tick=tick))
     assert fleet.recorder.run(lambda: True) == 1, "something was lost on the way"
     after = fleet.health()
     assert after.state == "failing"
-    lost, _, words = after.detail.partition(" ")
+    lost, _, phrase = after.detail.partition(" ")
     assert 40 <= int(lost) <= 50, "those in between, and the recorder's own"
-    assert words.startswith("messages lost")
+    assert phrase.startswith("messages lost")
     assert "drive-2.mcap" in after.detail
 
-    (_, first), (_, second) = kept(tmp_path / "drive.mcap"), kept(tmp_path / "drive-2.mcap")
+    (_, first), (_, second) = retained(tmp_path / "drive.mcap"), retained(tmp_path / "drive-2.mcap")
     assert first[:50] == list(range(50))
     assert second == list(range(90, 120))
     keys = [key for key, _, _ in read_messages(tmp_path / "drive-2.mcap")]

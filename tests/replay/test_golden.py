@@ -55,7 +55,7 @@ def test_what_differs_is_listed_by_field_with_ticks(tmp_path: Path, monkeypatch:
     assert 0 < row["ticks"] <= row["of"] == len(tape_of("car_box").states)
     assert row["recorded"] != row["replayed"]
     for _ in range(2):
-        RECORD["kept"](tmp_path / "changes.json", "car_box", "eta is a tenth", differing, path)
+        RECORD["retained"](tmp_path / "changes.json", "car_box", "eta is a tenth", differing, path)
     first, second = json.loads((tmp_path / "changes.json").read_text(encoding="utf-8"))["car_box"]
     assert first == second
     assert (first["why"], first["differing"], first["sha256"]) == ("eta is a tenth", differing, RECORD["sum_of"](path))

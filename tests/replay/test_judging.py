@@ -39,9 +39,9 @@ def action(tick: int, steer: float = 0.0) -> ActionMessage:
     return ActionMessage(**stamp(tick), values=(1.0, steer))
 
 
-def step(tick: int, recorded: Any, outputs: dict[Any, Any], unknown: str = "", anew: bool = False) -> ReplayedStep:
+def step(tick: int, recorded: Any, outputs: dict[Any, Any], unknown: str = "", again: bool = False) -> ReplayedStep:
     state: Any = SimpleNamespace(epoch=3, tick=tick, robot_time=0.05 * tick)
-    return ReplayedStep(state, recorded, outputs, unknown, anew)
+    return ReplayedStep(state, recorded, outputs, unknown, again)
 
 
 @pytest.fixture
@@ -143,10 +143,10 @@ def test_a_difference_restarts_the_count_of_agreeing_outputs(judged: Judged) -> 
 def test_a_memory_that_is_reset_is_known_again(judged: Judged) -> None:
     steps = [
         step(0, latent(0), {LATENT: latent(0, 0.5)}, "unknown"),
-        step(1, latent(1), {LATENT: latent(1)}, anew=True),
+        step(1, latent(1), {LATENT: latent(1)}, again=True),
     ]
     found = judged("adaptation", [*steps, step(2, latent(2), {LATENT: latent(2, 0.5)})])
-    assert [(span.agrees_from, span.anew_from) for span in found.spans] == [(None, 1)]
+    assert [(span.agrees_from, span.again_from) for span in found.spans] == [(None, 1)]
     assert [item.tick for item in found.differing] == [2]
     assert Replay([found]).unsettled is None
 

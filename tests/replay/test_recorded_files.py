@@ -77,10 +77,10 @@ def test_a_refused_request_is_recorded_with_its_reason() -> None:
             raise InputError("effect 'gravity': is not proposed")
         return Answer(ok=True, sentence=f"change 1 is offered to {robot}", change=1)
 
-    def tell(robot: str, request: Request | None, given: Answer) -> None:
+    def report_progress(robot: str, request: Request | None, given: Answer) -> None:
         diagnosis.publish(ASKED, robot or NO_ROBOT, asked_message(request, given))
 
-    diagnosis.answer_requests(answer, tell=tell)
+    diagnosis.answer_requests(answer, report_progress=report_progress)
     for effect in ("gravity", "payload"):
         person.request("r1", Request(do="accept", effect=effect, who="a person", finding=2))
     MemoryTransport(broker).ask(request_key("test", "r1"), b"\xc1", 1.0)

@@ -145,9 +145,9 @@ def test_bad_input_is_answered_in_one_line(
 
 
 def test_a_margin_that_ships_is_known_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, _ = run(capsys, BOX, "--margin", "car")
+    code, notice, _ = run(capsys, BOX, "--margin", "car")
     assert code == 0
-    assert "decided differently in 0 of 120 ticks" in said
+    assert "decided differently in 0 of 120 ticks" in notice
 
 
 def test_a_recording_opens_in_the_viewer(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

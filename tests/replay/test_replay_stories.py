@@ -46,8 +46,8 @@ def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, 
         fleet = driven(fleet_of(), 45, events)
         tape, found = replayed(fleet.record(Path(folder) / "drive.mcap"))
     assert found.exact, (events, [part.differing[:2] or part.spans for part in found.services])
-    said = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, NOMINAL, VERDICT)}
-    assert {name: counted(found).get(name, 0) for name in said} == said
+    notice = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, NOMINAL, VERDICT)}
+    assert {name: counted(found).get(name, 0) for name in notice} == notice
     assert gaps_of(tape) == []
 
 
@@ -66,10 +66,10 @@ def test_a_change_of_the_model_replays_with_all_that_follows_it(
 ) -> None:
     fleet, offer = fleet_of(), offer_of("car", 1)
     driven(fleet, 20)
-    fleet.say(offer)
+    fleet.send(offer)
     driven(fleet, 5)
     assert {answer.state for answer in fleet.takeovers} == {"ready"}
-    fleet.say(dataclasses.replace(offer, step="take", from_tick=fleet.robot.tick + 3, document="", margin=""))
+    fleet.send(dataclasses.replace(offer, step="take", from_tick=fleet.robot.tick + 3, document="", margin=""))
     driven(fleet, 15, [(7, "restart", service, 0) for service in restarted])
     tape, found = replayed(fleet.record(tmp_path / "drive.mcap"))
     models = {

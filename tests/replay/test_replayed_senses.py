@@ -16,7 +16,7 @@ from safedpa.replay.report import ReplayOutputs
 from safedpa.replay.setups import complete_setups
 from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 ZONES = """
 [[zones]]
@@ -59,7 +59,7 @@ def two_lasers() -> SimulatedSensors:
 
 @pytest.fixture
 def fleet(fleet_of: Any) -> Any:
-    return fleet_of(load="none", senses=two_lasers, zones=ZONES)
+    return fleet_of(load="none", sensor_inputs=two_lasers, zones=ZONES)
 
 
 def of_perception(found: Replay) -> ServiceReplay:
@@ -71,7 +71,7 @@ def replayed(fleet: Any, path: Path, keep: Any = lambda _: True) -> tuple[RobotT
     return tape, replay(tape)
 
 
-def told(tape: RobotTape) -> list[SurroundingsMessage]:
+def reported(tape: RobotTape) -> list[SurroundingsMessage]:
     found = [entry.message for entry in tape.computed["perception"]]
     assert all(isinstance(message, SurroundingsMessage) for message in found)
     return found  # type: ignore[return-value]
@@ -81,11 +81,11 @@ def told(tape: RobotTape) -> list[SurroundingsMessage]:
 def test_what_is_seen_comes_out_again(fleet: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
     tape, found = replayed(driven(fleet, 90, events), tmp_path / "seen.mcap")
     assert found.exact, of_perception(found).differing[:3]
-    assert of_perception(found).compared["surroundings"] == len(told(tape)) > 70
-    assert {name for message in told(tape) for name in map(int, (row[0] for row in message.scans))} == {0, 1}
+    assert of_perception(found).compared["surroundings"] == len(reported(tape)) > 70
+    assert {name for message in reported(tape) for name in map(int, (row[0] for row in message.scans))} == {0, 1}
     by_name = {part.service: part for part in found.services}
     assert by_name["safety_filter"].compared["verdict"] >= 85
-    seen = next(message for message in told(tape) if message.tick == 60)
+    seen = next(message for message in reported(tape) if message.tick == 60)
     key = (SURROUNDINGS, seen.epoch, 60, seen.publish_time)
     tape.named[key] = dataclasses.replace(seen, movers=((1e-3, 0.0, 9.0, 0.0, 0.0, 1.5),))
     assert not replay(tape).agrees, "another thing that was seen makes another verdict"
@@ -95,7 +95,7 @@ def test_what_is_seen_comes_out_again(fleet: Any, tmp_path: Path, events: list[t
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(events=EVENTS)
 def test_whatever_befalls_the_services(fleet_of: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
-    fleet = fleet_of(load="none", senses=two_lasers, zones=ZONES)
+    fleet = fleet_of(load="none", sensor_inputs=two_lasers, zones=ZONES)
     _, found = replayed(driven(fleet, 50, events), tmp_path / "seen.mcap")
     assert not of_perception(found).differing
     assert found.agrees or of_perception(found).spans
@@ -111,10 +111,10 @@ def test_orders_apply_in_the_replay_from_their_tick_on_and_the_recording_names_t
     driven(fleet, 20)
     tape, found = replayed(fleet, tmp_path / "ordered.mcap")
     assert found.exact, of_perception(found).differing[:3]
-    assert {len(message.zones) for message in told(tape)[:20]} == {1, 2}, "slow and quick"
+    assert {len(message.zones) for message in reported(tape)[:20]} == {1, 2}, "slow and quick"
     first, second, third = (
         dataclasses.replace(message, zones=tuple(name for name in message.zones if name != "ignored slow"))
-        for message in (told(tape)[tick] for tick in (10, 30, 50))
+        for message in (reported(tape)[tick] for tick in (10, 30, 50))
     )
     assert (first.off, first.zones, first.ordered) == ((), ("ignored arm",), "")
     assert second.off == ("front",)
@@ -159,7 +159,7 @@ def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None
     found, saved = replayed_again(tape, tmp_path / "older again.mcap")
     assert [part.service for part in found.services] == ["adaptation", "policy", "safety_filter"]
     assert found.exact
-    assert [entry.message for entry in saved.computed["perception"]] == told(tape)
+    assert [entry.message for entry in saved.computed["perception"]] == reported(tape)
 
 
 def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any, tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_without_a_setup_the_recorded_perception_is_used_and_reported(fleet: Any
 def replayed_again(tape: RobotTape, path: Path) -> tuple[Replay, RobotTape]:
     """A replay, and what it writes as a recording."""
     saved = ReplayOutputs()
-    found = replay(tape, tell=saved.take)
+    found = replay(tape, report_progress=saved.take)
     saved.write(tape, path)
     return found, read_tape([path])
 
@@ -188,7 +188,7 @@ def test_what_was_replayed_with_scans_can_be_replayed(fleet: Any, tmp_path: Path
     found = replay(again)
     assert found.exact
     assert of_perception(found).compared["surroundings"] == 30
-    assert told(again)[20].ordered == "zone wet on, by Ada"
+    assert reported(again)[20].ordered == "zone wet on, by Ada"
     assert counted_events() == before, "what was switched then is no news"
 
 

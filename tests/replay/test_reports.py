@@ -80,16 +80,16 @@ def test_the_last_line_is_the_verdict_over_all_services(
 
 
 @pytest.mark.parametrize("which", range(3))
-@pytest.mark.parametrize(("agrees_from", "anew_from"), [(None, None), (9, None), (None, 9)])
+@pytest.mark.parametrize(("agrees_from", "again_from"), [(None, None), (9, None), (None, 9)])
 def test_a_replay_is_not_confirmed_while_a_memory_is_unknown_at_the_end(
-    which: int, agrees_from: int | None, anew_from: int | None
+    which: int, agrees_from: int | None, again_from: int | None
 ) -> None:
     found = replay_of(0)
     found.services[which].spans = [
         UnknownStateSpan("a gap", 3, 1, 0.5, agrees_from=2),
-        UnknownStateSpan("another", 3, 5, 2.5, agrees_from, anew_from, steps=2),
+        UnknownStateSpan("another", 3, 5, 2.5, agrees_from, again_from, steps=2),
     ]  # fmt: skip
-    settled = agrees_from is not None or anew_from is not None
+    settled = agrees_from is not None or again_from is not None
     assert (found.unsettled is None, found.agrees) == (settled, settled)
     lines = list(lines_of(tape_of(), found, [], []))
     assert lines[-1].startswith("identical" if settled else "not confirmed")

@@ -87,9 +87,9 @@ def test_the_same_drive_again_is_the_same_drive(box: RobotTape) -> None:
     assert all(then == now for then, now in driven["compared"].values())
 
 
-def recorded(path: Path, *words: str, zones: str = "") -> RobotTape:
+def recorded(path: Path, *phrase: str, zones: str = "") -> RobotTape:
     """The tape of three seconds of a car that was started with these options, as its processes record them."""
-    options = robot_parser().parse_args(["--lockstep", "--rate=20", "--seed=3", *words])
+    options = robot_parser().parse_args(["--lockstep", "--rate=20", "--seed=3", *phrase])
     services = ("adaptation", "policy", "safety_filter")
     made = {service: built(service, "car", None) for service in services}
     if options.laser:
@@ -120,7 +120,7 @@ polygon = [[-9.0, -9.0], [9.0, -9.0], [9.0, 0.5], [-9.0, 0.5]]
 
 
 @pytest.mark.parametrize(
-    ("words", "zones"),
+    ("phrase", "zones"),
     [
         (["--laser"], ""),
         (["--laser", "--people=3"], ""),
@@ -129,27 +129,27 @@ polygon = [[-9.0, -9.0], [9.0, -9.0], [9.0, 0.5], [-9.0, 0.5]]
         (["--force=0.01", "--wind=3"], ""),
     ],
 )
-def test_a_drive_is_repeated_with_all_options_of_the_robot(tmp_path: Path, words: list[str], zones: str) -> None:
-    driven = drive_again(recorded(tmp_path / "run.mcap", *words, zones=zones), WhatIfChange())
+def test_a_drive_is_repeated_with_all_options_of_the_robot(tmp_path: Path, phrase: list[str], zones: str) -> None:
+    driven = drive_again(recorded(tmp_path / "run.mcap", *phrase, zones=zones), WhatIfChange())
     assert driven["apart_from_tick"] is None
     assert driven["ticks"] == 60
     assert all(then == now for then, now in driven["compared"].values())
-    for word in words:
+    for word in phrase:
         name, _, value = word.removeprefix("--").partition("=")
         assert f"{name.replace('-', '_')}={value or True}" in driven["robot"]
 
 
 def test_options_of_the_robot_are_taken_from_the_recording_and_those_of_its_process_are_not(box: RobotTape) -> None:
-    words = ["--world=mass=2", "--name=other", "--fleet=other"]
-    tape = replace(box, setups={**box.setups, "robot": [(0, setup_message("robot", options_with(*words)))]})
+    phrase = ["--world=mass=2", "--name=other", "--fleet=other"]
+    tape = replace(box, setups={**box.setups, "robot": [(0, setup_message("robot", options_with(*phrase)))]})
     with pytest.raises(InputError, match="--world: got mass=2, for a robot of one's own"):
         drive_again(tape, WhatIfChange())
-    tape.setups["robot"] = [(0, setup_message("robot", options_with(*words[1:])))]
+    tape.setups["robot"] = [(0, setup_message("robot", options_with(*phrase[1:])))]
     assert "other" not in drive_again(tape, WhatIfChange())["robot"]
 
 
-def options_with(*words: str) -> dict[str, object]:
-    return vars(robot_parser().parse_args(["--seed=3", *words]))
+def options_with(*phrase: str) -> dict[str, object]:
+    return vars(robot_parser().parse_args(["--seed=3", *phrase]))
 
 
 def test_a_closed_zone_makes_it_another_drive(tmp_path: Path) -> None:

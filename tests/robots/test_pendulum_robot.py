@@ -38,7 +38,7 @@ def in_wind(wind: tuple[float, float]) -> PhysicsModel:
     return MODEL.with_settings({**MODEL.settings, **blowing})
 
 
-def told(robot: PendulumRobot, torque: float, **other: Any) -> ActionMessage:
+def reported(robot: PendulumRobot, torque: float, **other: Any) -> ActionMessage:
     stamp = {"epoch": robot.guard.epoch, "tick": robot.tick, **other}
     return ActionMessage(robot_time=0.0, publish_time=0.0, values=(torque,), **stamp)
 
@@ -101,7 +101,7 @@ def test_the_watchdog_holds_again_where_the_next_torque_runs_out() -> None:
     robot = PendulumRobot(task_named("balance"), seed=3)
     robot.advance()
     for _ in range(20):
-        robot.receive(told(robot, 6.0))
+        robot.receive(reported(robot, 6.0))
         robot.advance()
     moved = robot.values[0]
     for _ in range(100):
@@ -112,16 +112,16 @@ def test_the_watchdog_holds_again_where_the_next_torque_runs_out() -> None:
 def test_leaving_the_corridor_counts_once_until_it_is_back() -> None:
     robot = PendulumRobot(task_named("balance"), seed=3)
     for _ in range(60):
-        robot.receive(told(robot, 10.0))
+        robot.receive(reported(robot, 10.0))
         robot.advance()
     assert robot.values[0] > math.pi / 4
     assert [item.what for item in robot.collisions] == ["upper edge"]
     assert robot.state_message().collisions == 1
     while abs(robot.values[0]) > 0.5:
-        robot.receive(told(robot, -10.0))
+        robot.receive(reported(robot, -10.0))
         robot.advance()
     while robot.values[0] > -math.pi / 4:
-        robot.receive(told(robot, -10.0))
+        robot.receive(reported(robot, -10.0))
         robot.advance()
     assert [item.what for item in robot.collisions] == ["upper edge", "lower edge"]
     assert "lower edge at t=" in str(robot.collisions[1])
@@ -135,7 +135,7 @@ def test_a_reached_goal_begins_a_new_swing_with_a_gap_in_the_ticks() -> None:
     while robot.goals_reached == 0:
         angle, rate = robot.values
         ticks.append(robot.tick)
-        robot.receive(told(robot, max(-10.0, min(10.0, -20.0 * (angle - robot.task.goal) - 3.0 * rate))))
+        robot.receive(reported(robot, max(-10.0, min(10.0, -20.0 * (angle - robot.task.goal) - 3.0 * rate))))
         robot.advance()
     assert len(ticks) == 50, "half a second upright"
     assert robot.tick == ticks[-1] + 2
@@ -147,17 +147,17 @@ def test_a_reached_goal_begins_a_new_swing_with_a_gap_in_the_ticks() -> None:
 
 def test_the_last_gate_refuses_and_says_why() -> None:
     robot = PendulumRobot(task_named("balance"))
-    assert robot.receive(told(robot, 10.1)) == "out of range"
-    assert robot.receive(told(robot, math.nan)) == "not finite"
-    assert robot.receive(told(robot, 1.0, epoch=2)) == "wrong epoch"
-    assert robot.receive(told(robot, 1.0)) is None
-    assert robot.receive(told(robot, 1.0)) == "repeated"
+    assert robot.receive(reported(robot, 10.1)) == "out of range"
+    assert robot.receive(reported(robot, math.nan)) == "not finite"
+    assert robot.receive(reported(robot, 1.0, epoch=2)) == "wrong epoch"
+    assert robot.receive(reported(robot, 1.0)) is None
+    assert robot.receive(reported(robot, 1.0)) == "repeated"
 
 
 def test_the_account_tells_task_wind_and_violations() -> None:
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 90.0), seed=5)
     for _ in range(60):
-        robot.receive(told(robot, 10.0))
+        robot.receive(reported(robot, 10.0))
         robot.advance()
     account = account_of(robot, [0.001], 0, "time is over")
     assert account["task"] == "balance"
@@ -229,10 +229,10 @@ def test_the_learned_policy_gets_upright_the_long_way_round_again_and_again() ->
 
 def test_a_filter_that_knows_no_corridor_falls_back() -> None:
     robot = PendulumRobot(task_named("balance"), seed=1)
-    told = robot.state_message
+    reported = robot.state_message
 
     def silent() -> object:
-        return dataclasses.replace(told(), corridor=())
+        return dataclasses.replace(reported(), corridor=())
 
     robot.state_message = silent  # type: ignore[method-assign, assignment]
     ticks, _heard = swung(robot, 5)

@@ -87,7 +87,7 @@ def slower_than(speed: float, inbox: Inbox) -> bool:
     return False
 
 
-def told(errors: str) -> list[str]:
+def reported(errors: str) -> list[str]:
     """The kinds of the events on standard error; nothing else may stand there."""
     return [json.loads(line)["kind"] for line in errors.splitlines()]
 
@@ -100,7 +100,7 @@ def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
         answer(bus, robot, 40)
         output, errors = robot.communicate(timeout=60)
         assert robot.returncode == 0
-        assert told(errors) == ["process.started", "process.ended"]
+        assert reported(errors) == ["process.started", "process.ended"]
         account = json.loads(path.read_text())
         assert account == json.loads(output)
         assert (account["ticks"], account["watchdog_ticks"], account["end"]) == (40, 0, "time is over")
@@ -116,7 +116,7 @@ def test_sigterm_brakes_first(bus, start):
     robot.send_signal(signal.SIGTERM)
     output, errors = robot.communicate(timeout=60)
     assert robot.returncode == 0
-    assert set(told(errors)) <= {
+    assert set(reported(errors)) <= {
         "process.started",
         "message.refused",
         "process.ended",

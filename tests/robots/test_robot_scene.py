@@ -323,16 +323,16 @@ def drive(robot: CarRobot, ticks: int, speed: float, steer: float) -> None:
 
 def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
     robot, way = CarRobot(Scene.random(3, "box")), ReverseOdometer()
-    told = []
+    reported = []
     for number, speed in enumerate([0.0, *[1.0] * 20, *[-0.5] * 15, *[0.6] * 5]):
         state = robot.state_message()
-        told.append(state.distance_reversed)
+        reported.append(state.distance_reversed)
         way.follow(replace(state, distance_reversed=-1.0))
         assert state.distance_reversed == way.way, f"tick {number}, to the last bit"
         drive(robot, 1, speed, 0.1)
-    assert told[0] == robot.state_message().towed[1], "at first nobody knows how the load hangs"
-    assert min(told) == 0.0
-    assert told[-1] > 0.0
+    assert reported[0] == robot.state_message().towed[1], "at first nobody knows how the load hangs"
+    assert min(reported) == 0.0
+    assert reported[-1] > 0.0
 
 
 def test_another_load_hangs_at_an_unknown_angle_and_none_is_not_counted() -> None:
@@ -368,9 +368,9 @@ def test_the_barriers_follow_the_load_as_if_they_were_built_again() -> None:
         state = robot.state_message()
         if number == 9:  # what is seen changes, too
             state = replace(state, obstacles=state.obstacles[1:])
-        found, anew = scene.of(state), CarScene(settings)
-        anew.remember(scene)
-        wanted = anew.of(state)
+        found, restarted = scene.of(state), CarScene(settings)
+        restarted.remember(scene)
+        wanted = restarted.of(state)
         assert not isinstance(found, str)
         assert not isinstance(wanted, str)
         assert found.names == wanted.names

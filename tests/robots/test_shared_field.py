@@ -15,7 +15,7 @@ from safedpa_sim.robots.loads import LOADS, load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person, Walks
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point, box, cast
 
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -25,15 +25,15 @@ Pose = tuple[float, float, float]
 
 
 def car(pose: Pose, load: str = "none", laser: LaserSettings | None = None, seed: int = 1) -> CarRobot:
-    senses = None if laser is None else SimulatedSensors((Laser(laser, seed),))
-    return CarRobot(Scene(0, load_named(load), FIELD, PILLARS, pose), senses=senses)
+    sensor_inputs = None if laser is None else SimulatedSensors((Laser(laser, seed),))
+    return CarRobot(Scene(0, load_named(load), FIELD, PILLARS, pose), sensor_inputs=sensor_inputs)
 
 
 def live(field: SharedField, ticks: int, actions: Sequence[tuple[float, float]]) -> None:
     for _ in range(ticks):
         for robot, values in zip(field.robots, actions, strict=True):
-            told = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=values)
-            assert robot.receive(told) is None
+            reported = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=values)
+            assert robot.receive(reported) is None
         field.advance()
 
 
@@ -177,7 +177,7 @@ def test_what_cannot_share_a_field_is_refused() -> None:
     with pytest.raises(InputError, match=r"period: got 0.05 and 0.1 s"):
         SharedField([car((0.0, 0.0, 0.0)), slower])
     among = SimulatedSensors((Laser(EXACT),), (Walks((0.0, 2.0), 1.0, 1),))
-    alone = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), senses=among)
+    alone = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), sensor_inputs=among)
     with pytest.raises(InputError, match="people: got 1 around one car, wanted none"):
         SharedField([car((0.0, 0.0, 0.0)), alone])
     field = SharedField([car((0.0, 0.0, 0.0)), car((2.0, 0.0, 0.0))])
@@ -207,7 +207,7 @@ def test_only_who_drives_into_something_was_driven_towards_it_with_its_speed() -
     assert hit.towards > 0.8
     person = Runs((-3.0, 0.0), 1.5)
     scene = Scene(0, load_named("box"), WIDE, (), (0.0, 0.0, 0.0))
-    hit = first_contact(CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 0),), (person,))), 0.5)
+    hit = first_contact(CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 0),), (person,))), 0.5)
     assert (hit.part, hit.what) == ("load", "person 0")
     assert hit.speed > 0.2
     assert hit.towards == pytest.approx(-hit.speed, abs=1e-3), "it drove away from him"

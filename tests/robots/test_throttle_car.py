@@ -199,10 +199,10 @@ def test_a_differential_drive_is_driven_by_twist_and_in_no_world_of_others() -> 
 
 @pytest.mark.processes
 def test_up_drives_it_and_another_one_s_model_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    words = ["up", "--robot", "differential_drive", "--lockstep", "--headless", "--seconds", "6", "--json"]
-    assert safedpa.run([*words, "--world", "grip=0.3", "--seed", "2", "--out", str(tmp_path)]) == 0
+    phrase = ["up", "--robot", "differential_drive", "--lockstep", "--headless", "--seconds", "6", "--json"]
+    assert safedpa.run([*phrase, "--world", "grip=0.3", "--seed", "2", "--out", str(tmp_path)]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["collisions"] == 0
     assert summary["ticks"] == 120
-    assert safedpa.run([*words, "--model", "point", "--out", str(tmp_path)]) == 2
+    assert safedpa.run([*phrase, "--model", "point", "--out", str(tmp_path)]) == 2
     assert "--model point" in capfd.readouterr().err

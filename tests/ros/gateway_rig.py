@@ -21,8 +21,9 @@ from safedpa.bus import (
     Topic,
 )
 from safedpa.robots.car.adapters.ros import CarFace
+from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway
-from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
+from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 from safedpa_services.ros_gateway.robot_file import (
     CommandTopic,
     NominalActionTopic,
@@ -31,8 +32,7 @@ from safedpa_services.ros_gateway.robot_file import (
     RobotFile,
     RosConnection,
 )
-from safedpa_services.ros_gateway.senses import SensorInputs
-from safedpa_services.ros_gateway.voice import HealthPublisher
+from safedpa_services.ros_gateway.sensor_inputs import SensorInputs
 
 DRIVE = "ackermann_msgs/msg/AckermannDriveStamped"
 ASKED = RobotFile(
@@ -157,20 +157,20 @@ def rig_of(
     *,
     asked: RobotFile = ASKED,
     link: Any = None,
-    voice: Any = None,
+    health_publisher: Any = None,
     now: list[float] | None = None,
     odometry: Any = None,
     driver: Any = None,
-    **senses: Any,
+    **sensor_inputs: Any,
 ) -> Iterator[Rig]:
-    """A gateway at 20 Hz from 100 s on; ``senses`` as ``SensorInputs`` names them."""
+    """A gateway at 20 Hz from 100 s on; ``sensor_inputs`` as ``SensorInputs`` names them."""
     clock, broker = now or [100.0], MemoryBroker()
     rig = Rig(clock, Publisher(), odometry or Sense(POSE), driver or CommandEchoMonitor("/drive", lambda: clock[0]))
     with SteppedBus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as ear:
         bus.rig = rig
         rig.heard = ear.inbox((STATE, SCAN, NOMINAL, HEALTH), "r1", keep_all=True)
-        known = SensorInputs(rig.odometry, rig.driver, **{"nominal": None, **senses})  # type: ignore[arg-type]
-        said = voice or HealthPublisher("r1", "odom", CarFace(), None, None)
-        made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, said, 0.05, lambda: clock[0])
+        known = SensorInputs(rig.odometry, rig.driver, **{"nominal": None, **sensor_inputs})  # type: ignore[arg-type]
+        notice = health_publisher or HealthPublisher("r1", "odom", CarFace(), None, None)
+        made: Any = (link or Link(), asked, CarFace(), LIMITS, known, rig.drive, notice, 0.05, lambda: clock[0])
         rig.gateway = Gateway(bus, *made)
         yield rig

@@ -66,8 +66,8 @@ def test_everything_is_written_and_effects_that_cannot_be_expressed_are_reported
     path.write_text(MODEL.format(name="wind", parameters="speed = 1.0\ndrag = 0.1\nupward = 0.0"))
     out = tmp_path / "out"
     assert safedpa.run(["export", str(path), "--format", "simulators", "--out", str(out)]) == 0
-    said = capsys.readouterr()
-    assert "pendulum.urdf: wind is not in it: URDF has no wind" in said.err
+    notice = capsys.readouterr()
+    assert "pendulum.urdf: wind is not in it: URDF has no wind" in notice.err
     table = json.loads((out / "parameters.json").read_text())
     assert table["effects"][0]["parameters"]["drag"] == {"value": 0.1, "unit": "N s2/m2"}
     assert table["unexpressed"]["pendulum.urdf"] == {"wind": "URDF has no wind"}

@@ -49,23 +49,23 @@ def test_another_library_reads_the_recorded_drive_from_the_bag(drive: Path, tmp_
     exported = export_bag(drive, out)
     ticks = read_recording(drive)
     verdicts = [message for _, _, message in read_messages(drive) if isinstance(message, VerdictMessage)]
-    told: dict[str, list[Any]] = {}
+    reported: dict[str, list[Any]] = {}
     with AnyReader([out]) as reader:
         for connection, _, raw in reader.messages():
-            told.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    assert sum(map(len, told.values())) == exported.messages
-    places = [(m.pose.pose.position.x, m.pose.pose.position.y, m.twist.twist.linear.x) for m in told["/r1/odom"]]
+            reported.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
+    assert sum(map(len, reported.values())) == exported.messages
+    places = [(m.pose.pose.position.x, m.pose.pose.position.y, m.twist.twist.linear.x) for m in reported["/r1/odom"]]
     assert places == [(row[0], row[1], row[3]) for row in ticks.states.tolist()]
-    assert [list(m.position) for m in told["/r1/state"]] == ticks.states.tolist()
-    assert told["/r1/state"][0].name == list(CAR.state_names)
-    commands = [(m.drive.speed, m.drive.steering_angle) for m in told["/r1/command"]][1:]
+    assert [list(m.position) for m in reported["/r1/state"]] == ticks.states.tolist()
+    assert reported["/r1/state"][0].name == list(CAR.state_names)
+    commands = [(m.drive.speed, m.drive.steering_angle) for m in reported["/r1/command"]][1:]
     np.testing.assert_allclose(commands, ticks.actions[:-1], rtol=1e-6)
-    said = [m.status[0] for m in told["/diagnostics"]]
-    assert [one.message for one in said] == [verdict.sentence for verdict in verdicts]
-    assert {one.level for one, verdict in zip(said, verdicts, strict=True) if verdict.status == "passed"} == {0}
-    assert {marker.ns for m in told["/r1/markers"] for marker in m.markers} == {"obstacles", "predicted"}
-    assert all(m.transforms[0].child_frame_id == "r1/base_link" for m in told["/tf"])
-    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in told["/r1/odom"]]
+    notice = [m.status[0] for m in reported["/diagnostics"]]
+    assert [one.message for one in notice] == [verdict.sentence for verdict in verdicts]
+    assert {one.level for one, verdict in zip(notice, verdicts, strict=True) if verdict.status == "passed"} == {0}
+    assert {marker.ns for m in reported["/r1/markers"] for marker in m.markers} == {"obstacles", "predicted"}
+    assert all(m.transforms[0].child_frame_id == "r1/base_link" for m in reported["/tf"])
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in reported["/r1/odom"]]
     np.testing.assert_allclose(np.diff(stamps), 0.05, atol=1e-6, err_msg="in lockstep messages are sent much faster")
 
 
@@ -159,18 +159,18 @@ def test_the_command_of_a_throttle_or_a_differential_drive_is_a_speed_in_the_bag
 ) -> None:
     from rosbags.highlevel import AnyReader
 
-    words = ["up", "--robot", robot, "--model", model, "--headless", "--lockstep", "--seconds", "3", "--seed", "3"]
-    assert safedpa.run([*words, "--out", str(tmp_path / "runs"), "--no-diagnosis"]) == 0
+    phrase = ["up", "--robot", robot, "--model", model, "--headless", "--lockstep", "--seconds", "3", "--seed", "3"]
+    assert safedpa.run([*phrase, "--out", str(tmp_path / "runs"), "--no-diagnosis"]) == 0
     (recording,) = (tmp_path / "runs").glob("*/recording.mcap")
     export_bag(recording, tmp_path / "bag")
     states = [m for _, _, m in read_messages(recording) if isinstance(m, StateMessage)]
     ticks = {(state.epoch, state.tick): state for state in states}
     with AnyReader([tmp_path / "bag"]) as reader:
-        told: list[Any] = [
+        reported: list[Any] = [
             reader.deserialize(raw, line.msgtype) for line, _, raw in reader.messages() if line.topic == "/r1/command"
         ]
-    assert len(told) == len(ticks)
-    for message, state in zip(told, ticks.values(), strict=True):
+    assert len(reported) == len(ticks)
+    for message, state in zip(reported, ticks.values(), strict=True):
         speed = message.drive.speed if robot == "car" else message.linear.x
         wanted = state.values[3] + 0.2 * 4.48 * state.applied[0] if robot == "car" else state.applied[0]
         assert speed == pytest.approx(wanted, abs=1e-5)

@@ -48,14 +48,14 @@ def test_a_policy_that_looks_at_nothing_drives_through_the_filter_without_a_coll
     side: Side, tmp_path: Path, seed: int
 ) -> None:
     blind = side.car(8.0, seed, "--straight")
-    blind.say("go")
-    without = blind.told()
+    blind.send("go")
+    without = blind.reported()
     car = side.car(8.0, seed)
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, seed)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
-        found = car.told()
+        car.send("go")
+        found = car.reported()
         assert found["collisions"] == 0, loop.log("ros_gateway")
         assert found["moved"] > 1.0, loop.log("ros_gateway") + loop.log("safety_filter")
         assert found["commands"] > 100
@@ -64,7 +64,7 @@ def test_a_policy_that_looks_at_nothing_drives_through_the_filter_without_a_coll
 
 def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[str]) -> None:
     car = side.car(_LONG)
-    car.say("go")
+    car.send("go")
     assert safedpa.run(["ros", "discover", side.endpoint, "--json"]) == 0
     topics = json.loads(capsys.readouterr().out)["topics"]
     assert topics["/odom"]["publishers"] == ["/base"]
@@ -84,7 +84,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
         return capsys.readouterr().err
 
     car = side.car(_LONG)
-    car.say("go")
+    car.send("go")
     assert "wants 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
     assert "/nowhere: nobody listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
     assert "nominal.topic: got the command's own, '/drive'" in refused(file_of(side, nominal={"topic": "/drive"}))
@@ -92,10 +92,10 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
         file_of(side, command={"type": "std_msgs/msg/String"})
     )
     blind = side.car(_LONG, 0, "--straight")
-    blind.say("go")
+    blind.send("go")
     assert "/policy publishes there already; have it publish /drive_in" in refused(file_of(side))
-    nobody = safedpa.run(["ros", "discover", "tcp/127.0.0.1:9"])
-    assert nobody == 1
+    no_one = safedpa.run(["ros", "discover", "tcp/127.0.0.1:9"])
+    assert no_one == 1
     assert "no Zenoh router answers" in capsys.readouterr().err
 
 
@@ -105,7 +105,7 @@ def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_pa
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
+        car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
         loop.children["safety_filter"].send_signal(signal.SIGSTOP)
         loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter came in time")
@@ -115,8 +115,8 @@ def test_the_car_brakes_and_reports_why_whatever_process_ends(side: Side, tmp_pa
         side.car(_LONG, 0, "--straight")  # another publisher on the driver's topic
         loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic")
         time.sleep(3.0)  # for a busy machine to bring it to rest
-        car.say("end")
-        found = car.told()
+        car.send("end")
+        found = car.reported()
         assert found["collisions"] == 0
         assert abs(found["speed"]) < 0.05
         assert found["fastest"] > 0.3
@@ -129,8 +129,8 @@ def test_without_odometry_or_a_nominal_action_the_robot_stops(side: Side, tmp_pa
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
-        found = car.told()
+        car.send("go")
+        found = car.reported()
         if option == "--freeze-after":
             loop.wait_for("ros_gateway", "the gateway brakes: the odometry is ")
         assert found["moved"] > 0.3
@@ -146,15 +146,15 @@ def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hur
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
+        car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
         time.sleep(2.0)
         # a busy machine may keep it braking now and then
         assert until(lambda: "the filter drives" in loop.log("ros_gateway").splitlines()[-1])
         loop.children["ros_gateway"].kill()
         time.sleep(3.0)
-        car.say("end")
-        found = car.told()
+        car.send("end")
+        found = car.reported()
         assert found["driver_brakes"] > 20
         assert abs(found["speed"]) < 0.05
         assert found["collisions"] == 0
@@ -176,18 +176,18 @@ def test_serve_starts_what_is_needed_and_ends_in_order(side: Side, tmp_path: Pat
     served = subprocess.Popen([*command, "--out", str(tmp_path / "runs")], stdout=log, stderr=log)
     try:
         assert until(lambda: is_on_the_bus(tmp_path / "runs", "robot"))
-        car.say("go")
-        found = car.told()
+        car.send("go")
+        found = car.reported()
         served.send_signal(signal.SIGINT)
-        said = (tmp_path / "serve.log").read_text
-        assert served.wait(60.0) == 0, said()
+        notice = (tmp_path / "serve.log").read_text
+        assert served.wait(60.0) == 0, notice()
     finally:
         served.kill()
         served.wait()
         log.close()
-    assert found["collisions"] == 0, said()
-    assert found["moved"] > 1.0, said()
-    assert "the filter drives" in said()
+    assert found["collisions"] == 0, notice()
+    assert found["moved"] > 1.0, notice()
+    assert "the filter drives" in notice()
     (recording,) = (tmp_path / "runs").glob("*/recording.mcap")
     from safedpa.records import load_run
     from safedpa.robots.car.system import CAR
@@ -237,7 +237,7 @@ def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> Non
     with services(tmp_path) as loop:
         loop.start("ros_gateway", str(file_of(side, 11)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
+        car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
         side.router.kill()
         loop.wait_for("ros_gateway", "the gateway brakes: the odometry is ")
@@ -245,8 +245,8 @@ def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> Non
         time.sleep(1.0)
         side.restart_router()
         assert until(lambda: loop.log("ros_gateway").count("the filter drives") > before)
-        car.say("end")
-        found = car.told()
+        car.send("end")
+        found = car.reported()
         assert found["driver_brakes"] > 20
         assert found["collisions"] == 0
 
@@ -268,19 +268,19 @@ def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publis
         loop.start("ros_gateway", str(file_of(side, 11)), *shown)
         for name in ("adaptation", "safety_filter", "ros_gateway"):
             loop.wait_for(name, "is on the bus")
-        car.say("go")
+        car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
         time.sleep(3.0)
-        car.say("mark")
-        stranger.say("go")
+        car.send("mark")
+        stranger.send("go")
         loop.wait_for("ros_gateway", "somebody who shows no token")
         time.sleep(1.5)
-        car.say("end")
-        found = car.told()
+        car.send("end")
+        found = car.reported()
         assert "bus.denied" not in loop.log("router")
     finally:
         loop.end()
     assert found["moved"] > 0.3
     assert found["collisions"] == 0
     assert abs(found["speed"]) < 0.2
-    assert any("who shows no token" in said for said in found["mark"]["said"])
+    assert any("who shows no token" in notice for notice in found["mark"]["notice"])

@@ -16,7 +16,7 @@ from safedpa.bus import HealthMessage, NominalMessage, ScanMessage, StateMessage
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa_services.ros_gateway.robot_file import LocalisationTopic, ScanTopic
-from safedpa_services.ros_gateway.senses import LatestMessage
+from safedpa_services.ros_gateway.sensor_inputs import LatestMessage
 
 BRAKE = (0.0, 0.0)
 LATE = "no action of the filter came in time"
@@ -163,8 +163,8 @@ def test_each_reason_to_brake_is_logged_once_and_driving_again_too(
         rig.act(*((0.5, 0.1) if turn != 4 else (9.0, 9.0)))
 
     assert rig.turns(6, before) == [(0.5, 0.1)] * 2 + [BRAKE] * 3 + [(0.5, 0.1)]
-    said = [json.loads(line)["sentence"] for line in capsys.readouterr().err.splitlines()]
-    assert said == [
+    notice = [json.loads(line)["sentence"] for line in capsys.readouterr().err.splitlines()]
+    assert notice == [
         "the filter drives", "the gateway brakes: the odometry is 0.11 s old", f"the gateway brakes: {LATE}",
         "the filter drives",
     ]  # fmt: skip
@@ -216,19 +216,19 @@ def test_a_scan_has_the_tick_and_the_time_at_which_it_was_measured(
 
 @pytest.mark.parametrize("form", ["rmw_zenoh", "bridge"])
 @pytest.mark.parametrize("announced", [True, False])
-@pytest.mark.parametrize("overheard", [True, False])
-def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced: bool, overheard: bool) -> None:
+@pytest.mark.parametrize("echo_monitor", [True, False])
+def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced: bool, echo_monitor: bool) -> None:
     """A bridge does not report publishers; one that is announced is named, one that is only heard is not."""
     link = Link(form, *[SimpleNamespace(node="/joystick")] * announced)
     named = announced and form == "rmw_zenoh"
     with rig_of(link=link) as rig:
         rig.act(0.5, 0.1)
-        if overheard:
+        if echo_monitor:
             rig.driver.take(b"")
             assert rig.drive.sent == [BRAKE], "it is answered at once"
-        assert rig.turns() == [BRAKE if named or overheard else (0.5, 0.1)]
+        assert rig.turns() == [BRAKE if named or echo_monitor else (0.5, 0.1)]
         assert rig.gateway.why.startswith("/joystick publishes on /drive too") is named
-        assert rig.gateway.why.startswith("somebody who shows no token") is (overheard and not named)
+        assert rig.gateway.why.startswith("somebody who shows no token") is (echo_monitor and not named)
         rig.now[0] += 2.0
         assert rig.turns() == [BRAKE if named else (0.5, 0.1)], "one that fell silent is gone"
 

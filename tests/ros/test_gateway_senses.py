@@ -18,8 +18,9 @@ from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
 from safedpa.ros.outgoing import odometry_of, transform_of
+from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
+from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
-from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import (
     LocalisationTopic,
     ObstaclesTopic,
@@ -28,8 +29,7 @@ from safedpa_services.ros_gateway.robot_file import (
     load_robot_file,
 )
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.senses import LatestMessage, PoseAndTwist, SensorInputs, goal_paths, pose_paths
-from safedpa_services.ros_gateway.voice import HealthPublisher
+from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, PoseAndTwist, SensorInputs, goal_paths, pose_paths
 
 INFINITE, NONE = math.inf, math.nan
 
@@ -95,19 +95,19 @@ def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_fra
     localised = TransformListener("map", "/odom", clock=lambda: now[0])
     assert localised.read()[1] == INFINITE
 
-    def told(frame: str, child: str, x: float, yaw: float) -> None:
+    def reported(frame: str, child: str, x: float, yaw: float) -> None:
         head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": frame}
         localised.take(encode(TRANSFORMS, {"transforms": [transform_of(head, child, x, 2.0, yaw)]}))
 
-    told("odom", "base_link", 9.0, 0.0)
+    reported("odom", "base_link", 9.0, 0.0)
     assert localised.read()[1] == INFINITE
-    told("map", "odom", 1.0, math.pi / 2)
+    reported("map", "odom", 1.0, math.pi / 2)
     now[0] = 5.5
     frame, age = localised.read()
     assert age == 0.5
     moved = PoseAndTwist(1.0, 0.0, 0.25, 0.7, 0.1).seen_from(frame)
     assert (moved.x, moved.y, moved.yaw) == (pytest.approx(1.0), pytest.approx(3.0), pytest.approx(0.25 + math.pi / 2))
-    told("map", "odom", NONE, 0.0)
+    reported("map", "odom", NONE, 0.0)
     assert localised.read() == (frame, 0.5)
     assert localised.refused == 1
 
@@ -158,8 +158,8 @@ def test_of_two_that_speak_neither_is_believed_though_one_signs_nothing() -> Non
     clock = lambda: now[0]  # noqa: E731
     odometry = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
     localised, scanner = TransformListener("map", "odom", clock), Scanner("laser", clock)
-    for turn, beside in enumerate((signed(b"a"), None, signed(b"a"), None)):
-        odometry.take(odometry_at(float(turn), turn), beside)
+    for turn, alongside in enumerate((signed(b"a"), None, signed(b"a"), None)):
+        odometry.take(odometry_at(float(turn), turn), alongside)
         now[0] += 0.02
     assert odometry.read()[1] == INFINITE
     for turn, sender in enumerate((b"a", b"b", b"a")):
@@ -201,40 +201,40 @@ def test_a_number_that_the_bus_would_refuse_is_refused_where_it_is_heard() -> No
     localised.take(transform_at(-1e15, 1))
     scanner.take(scan_of([1.0] * 7, angle_min=1e30))
     assert [one.refused for one in (odometry, goal, localised, scanner)] == [1, 1, 1, 1]
-    senses = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, (scanner,))
-    assert sorted(senses.not_believed(["laser"])) == ["goal_refused", "laser_refused"]
+    sensor_inputs = SensorInputs(odometry, CommandEchoMonitor("/drive"), None, goal, localised, (scanner,))
+    assert sorted(sensor_inputs.not_believed(["laser"])) == ["goal_refused", "laser_refused"]
 
 
 class Markers:
     type = "visualization_msgs/msg/MarkerArray"
 
     def __init__(self) -> None:
-        self.said: list[Any] = []
+        self.notice: list[Any] = []
 
     def put(self, values: Any) -> None:
-        self.said.append(values)
+        self.notice.append(values)
 
 
 def test_a_path_of_another_model_is_ignored() -> None:
     markers: Any = Markers()
     now = [7.0]
-    voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
+    health_publisher = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
         epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
         predicted=((0.0, 0.0, 0.0, 1.0),),
     )  # fmt: skip
-    voice.verdict(verdict)
-    assert markers.said == []
+    health_publisher.verdict(verdict)
+    assert markers.notice == []
     now[0] += 1.0
-    voice.verdict(replace(verdict, predicted=((0.5, 0.0, 0.0, 1.0, 0.0),)))
-    assert markers.said[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
+    health_publisher.verdict(replace(verdict, predicted=((0.5, 0.0, 0.0, 1.0, 0.0),)))
+    assert markers.notice[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
 
 
 def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_nothing() -> None:
     markers: Any = Markers()
     now = [7.0]
-    voice = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
+    health_publisher = HealthPublisher("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
     verdict = VerdictMessage(
         epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), nominal=(),
         slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
@@ -242,9 +242,9 @@ def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_noth
     )  # fmt: skip
     for hundredth in range(100):
         now[0] = 7.0 + 0.01 * hundredth
-        voice.verdict(replace(verdict, predicted=()) if hundredth < 50 else verdict)
-    assert 5 <= len(markers.said) <= 6
-    assert all(said["markers"][0]["points"] for said in markers.said)
+        health_publisher.verdict(replace(verdict, predicted=()) if hundredth < 50 else verdict)
+    assert 5 <= len(markers.notice) <= 6
+    assert all(notice["markers"][0]["points"] for notice in markers.notice)
     HealthPublisher("r1", "odom", DifferentialDriveFace(), None, None, clock=lambda: 7.0).verdict(verdict)
 
 
@@ -252,10 +252,10 @@ class Diagnostics:
     type = "diagnostic_msgs/msg/DiagnosticArray"
 
     def __init__(self) -> None:
-        self.said: list[Any] = []
+        self.notice: list[Any] = []
 
     def put(self, values: Any) -> None:
-        self.said.append(values["status"][0])
+        self.notice.append(values["status"][0])
 
 
 def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_gateway_brakes() -> None:
@@ -270,9 +270,9 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
     goal = LatestMessage("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
     localised, scanner, diagnostics = TransformListener("map", "odom", clock), Scanner("", clock), Diagnostics()
     shown: Any = diagnostics
-    voice = HealthPublisher("r1", file.frame, CarFace(), shown, None, clock)
-    senses = {"goal": goal, "localised": localised, "scanners": (scanner,)}
-    with rig_of(asked=file, voice=voice, now=now, odometry=odometry, **senses) as rig:
+    health_publisher = HealthPublisher("r1", file.frame, CarFace(), shown, None, clock)
+    sensor_inputs = {"goal": goal, "localised": localised, "scanners": (scanner,)}
+    with rig_of(asked=file, health_publisher=health_publisher, now=now, odometry=odometry, **sensor_inputs) as rig:
 
         def turn(nanoseconds: int) -> None:
             head = {"stamp": {"sec": 5, "nanosec": nanoseconds}, "frame_id": "odom"}
@@ -280,7 +280,7 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
             rig.turns()
 
         turn(1)
-        assert diagnostics.said[-1]["message"] == "the gateway brakes: the transform from map to odom is never there"
+        assert diagnostics.notice[-1]["message"] == "the gateway brakes: the transform from map to odom is never there"
         head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
         localised.take(encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", 0.0, 2.0, 0.0)]}))
         pose = {"position": {"x": 3.0, "y": -1.0}}
@@ -293,17 +293,17 @@ def test_a_state_has_the_goal_and_pose_in_the_map_and_diagnostics_say_why_the_ga
     assert (state.values, state.goal, state.sources) == ((1.0, 2.0, 0.0, 0.5), (3.0, -1.0), ("laser",))
     assert (scan.source, scan.mount, scan.number) == ("laser", (0.2, 0.0, 0.0), 1)
     assert scan.robot_time == pytest.approx(0.05 - 0.02)
-    assert diagnostics.said[-1]["message"] == "the gateway brakes: no action of the filter came in time"
-    facts = {pair["key"]: pair["value"] for pair in diagnostics.said[-1]["values"]}
+    assert diagnostics.notice[-1]["message"] == "the gateway brakes: no action of the filter came in time"
+    facts = {pair["key"]: pair["value"] for pair in diagnostics.notice[-1]["values"]}
     assert facts["odometry_stamp"] == str(5 * 10**9 + 2)
 
 
-@pytest.mark.parametrize(("sent", "kept"), [(1, 1), (8, 8), (9, 8), (40, 8)])
-def test_of_the_scans_between_two_periods_the_newest_eight_are_kept(sent: int, kept: int) -> None:
+@pytest.mark.parametrize(("sent", "retained"), [(1, 1), (8, 8), (9, 8), (40, 8)])
+def test_of_the_scans_between_two_periods_the_newest_eight_are_kept(sent: int, retained: int) -> None:
     scanner = Scanner("laser")
     for number in range(sent):
         scanner.take(scan_of([1.0 + number / 100.0] * 7, header=_head(number + 1)))
-    newest = [1.0 + number / 100.0 for number in range(sent)][-kept:]
+    newest = [1.0 + number / 100.0 for number in range(sent)][-retained:]
     assert [turn.ranges[0] for turn in scanner.taken()] == pytest.approx(newest)
 
 
@@ -347,7 +347,7 @@ WHOLE = (
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "notice"),
     [
         ('"car"', '"carr"', "robot 'carr': did you mean 'car'"),
         ('robot = "car"\n', 'robot = "car"\nname = "a/b"\n', "name: 'a/b': got nothing, or one of / * $"),
@@ -391,7 +391,7 @@ WHOLE = (
     ],
 )
 def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(
-    tmp_path: Path, before: str, after: str, said: str
+    tmp_path: Path, before: str, after: str, notice: str
 ) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(WHOLE)
@@ -399,5 +399,5 @@ def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(
     path.write_text(WHOLE.replace(before, after, 1))
     with pytest.raises(InputError) as caught:
         load_robot_file(path)
-    assert said in str(caught.value)
+    assert notice in str(caught.value)
     assert "\n" not in str(caught.value)

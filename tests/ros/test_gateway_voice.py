@@ -8,7 +8,7 @@ import pytest
 
 from safedpa.bus import VerdictMessage
 from safedpa.robots.car.adapters.ros import CarFace
-from safedpa_services.ros_gateway.voice import HealthPublisher
+from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 
 STATES = ((1.0, 2.0, 0.5, 0.1), (1.5, 2.5, 0.5, 0.1))
 
@@ -21,12 +21,12 @@ class Heard:
         self.messages.append(values)
 
 
-class Told:
+class Reported:
     """A voice at a time that the test sets, and what it said."""
 
     def __init__(self, diagnostics: bool = True, markers: bool = True) -> None:
         self.now, self.diagnostics, self.markers = 100.0, Heard(), Heard()
-        self.voice = HealthPublisher(
+        self.health_publisher = HealthPublisher(
             "r1",
             "odom",
             CarFace(),
@@ -37,7 +37,7 @@ class Told:
 
     def hears(self, predicted: tuple[tuple[float, ...], ...], at: float = 100.0) -> None:
         self.now = at
-        self.voice.verdict(
+        self.health_publisher.verdict(
             VerdictMessage(
                 epoch=1, tick=3, robot_time=0.1, publish_time=0.1, status="corrected", action=(0.5, 0.1),
                 nominal=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05, active=("box",),
@@ -52,38 +52,38 @@ class Told:
 
 
 def test_the_path_that_a_verdict_foresees_is_drawn_in_the_frame_of_the_surroundings() -> None:
-    told = Told()
-    told.hears(STATES)
-    assert told.paths == [[(1.0, 2.0), (1.5, 2.5)]]
-    assert told.markers.messages[0]["markers"][0]["header"]["frame_id"] == "odom"
+    reported = Reported()
+    reported.hears(STATES)
+    assert reported.paths == [[(1.0, 2.0), (1.5, 2.5)]]
+    assert reported.markers.messages[0]["markers"][0]["header"]["frame_id"] == "odom"
 
 
 @pytest.mark.parametrize("predicted", [(), ((1.0,),), ((1.0, 2.0, 0.5, 0.1), ())])
 def test_without_a_path_of_its_own_model_only_the_verdict_is_published(
     predicted: tuple[tuple[float, ...], ...],
 ) -> None:
-    told = Told()
-    told.hears(predicted)
-    assert not told.markers.messages
-    assert [message["status"][0]["message"] for message in told.diagnostics.messages] == ["corrected"]
+    reported = Reported()
+    reported.hears(predicted)
+    assert not reported.markers.messages
+    assert [message["status"][0]["message"] for message in reported.diagnostics.messages] == ["corrected"]
 
 
 def test_a_verdict_without_a_path_takes_no_turn_from_the_next_one() -> None:
-    told = Told()
-    told.hears((), 100.0)
-    told.hears(STATES, 100.01)
-    assert len(told.paths) == 1
+    reported = Reported()
+    reported.hears((), 100.0)
+    reported.hears(STATES, 100.01)
+    assert len(reported.paths) == 1
 
 
 def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_published() -> None:
     """At fifty verdicts a second, of two seconds; the clock is read as the verdicts come, not as they were due."""
-    told = Told()
+    reported = Reported()
     drawn = []
     for tick in range(100):
-        before = len(told.paths)
-        told.hears(STATES, 100.0 + 0.02 * tick + 1e-6 * (tick % 3))
-        drawn += [told.now] if len(told.paths) > before else []
-    assert len(told.diagnostics.messages) == 100
+        before = len(reported.paths)
+        reported.hears(STATES, 100.0 + 0.02 * tick + 1e-6 * (tick % 3))
+        drawn += [reported.now] if len(reported.paths) > before else []
+    assert len(reported.diagnostics.messages) == 100
     assert 16 <= len(drawn) <= 20
     assert all(0.1 <= later - earlier < 0.13 for earlier, later in pairwise(drawn))
 
@@ -91,17 +91,17 @@ def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_published() -> 
 @pytest.mark.parametrize("diagnostics", [True, False])
 @pytest.mark.parametrize("markers", [True, False])
 def test_topics_that_the_file_does_not_name_are_not_published(diagnostics: bool, markers: bool) -> None:
-    told = Told(diagnostics, markers)
-    told.hears(STATES)
-    told.voice.gateway("", {"tick": "3"})
-    told.voice.gateway("no action came", {"tick": "4"})
-    assert len(told.paths) == markers
-    levels = [message["status"][0]["level"] for message in told.diagnostics.messages]
+    reported = Reported(diagnostics, markers)
+    reported.hears(STATES)
+    reported.health_publisher.gateway("", {"tick": "3"})
+    reported.health_publisher.gateway("no action came", {"tick": "4"})
+    assert len(reported.paths) == markers
+    levels = [message["status"][0]["level"] for message in reported.diagnostics.messages]
     assert levels == ([0, 0, 2] if diagnostics else [])
 
 
 @pytest.mark.parametrize("nanoseconds", [1_700_000_000_123_456_789, 1])
 def test_a_header_has_the_given_time(nanoseconds: int) -> None:
-    stamp = Told().voice.head(nanoseconds)["stamp"]
+    stamp = Reported().health_publisher.head(nanoseconds)["stamp"]
     assert (stamp["sec"], stamp["nanosec"]) == divmod(nanoseconds, 10**9)
-    assert Told().voice.head()["stamp"]["sec"] > 1_700_000_000
+    assert Reported().health_publisher.head()["stamp"]["sec"] > 1_700_000_000

@@ -26,7 +26,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if NODE is None or NPM is None:
         pytest.skip("node or npm is missing")
     folder = tmp_path_factory.mktemp("npm")
-    words = [
+    phrase = [
         NPM,
         "install",
         "--prefix",
@@ -38,7 +38,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *PACKAGES,
     ]
     try:
-        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=90)
+        done = subprocess.run(phrase, capture_output=True, text=True, check=False, timeout=90)
     except subprocess.TimeoutExpired:
         pytest.skip("npm reaches no registry")
     if done.returncode:
@@ -84,8 +84,8 @@ def test_an_npm_package_decodes_every_message_that_is_sent(packages: Path) -> No
     for name, values in sent.items():
         definition, _ = type_store().generate_msgdef(name, ros_version=2)
         lines.append(json.dumps({"definition": definition, "hex": encode(name, values).hex()}))
-    words = [NODE, str(HERE / "decode.mjs"), str(packages)]
-    done = subprocess.run(words, input="\n".join(lines), capture_output=True, text=True, check=False, timeout=60)
+    phrase = [NODE, str(HERE / "decode.mjs"), str(packages)]
+    done = subprocess.run(phrase, input="\n".join(lines), capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(found) == len(sent)
@@ -114,8 +114,8 @@ def test_a_robot_in_javascript_is_driven_round_an_obstacle_and_brakes_without_an
         for name in loop.children:
             loop.wait_for(name, "is on the bus", 60.0)
         host, port = loop.endpoint.removeprefix("tcp/").split(":")
-        words = [NODE, script, host, port, loop.fleet, "r1", "8"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+        phrase = [NODE, script, host, port, loop.fleet, "r1", "8"]
+        done = subprocess.run(phrase, capture_output=True, text=True, check=False, timeout=120)
         assert done.returncode == 0, done.stderr
         driven = json.loads(done.stdout)
         assert driven["ticks"] == 160
@@ -123,14 +123,14 @@ def test_a_robot_in_javascript_is_driven_round_an_obstacle_and_brakes_without_an
         assert driven["nearest"] > 0.0
         assert driven["x"] > -1.9
         loop.stop("safety_filter")
-        done = subprocess.run([*words[:-1], "1"], capture_output=True, text=True, check=False, timeout=60)
+        done = subprocess.run([*phrase[:-1], "1"], capture_output=True, text=True, check=False, timeout=60)
         assert json.loads(done.stdout)["braked"] == 20
     finally:
         loop.end()
-    nobody = subprocess.run(
+    no_one = subprocess.run(
         [NODE, script, "127.0.0.1", str(ports.free_port()), "f", "r1", "1"], capture_output=True, text=True, check=False
     )
-    assert nobody.returncode != 0
+    assert no_one.returncode != 0
 
 
 def test_the_robot_in_cpp_compiles_where_its_headers_are() -> None:
@@ -138,8 +138,8 @@ def test_the_robot_in_cpp_compiles_where_its_headers_are() -> None:
     if compiler is None:
         pytest.skip("no C++ compiler")
     for header in ("zenoh.hxx", "msgpack.hpp"):
-        words = [compiler, "-std=c++17", "-DZENOHCXX_ZENOHC", "-x", "c++", "-fsyntax-only", "-"]
-        done = subprocess.run(words, input=f"#include <{header}>\n", capture_output=True, text=True, check=False)
+        phrase = [compiler, "-std=c++17", "-DZENOHCXX_ZENOHC", "-x", "c++", "-fsyntax-only", "-"]
+        done = subprocess.run(phrase, input=f"#include <{header}>\n", capture_output=True, text=True, check=False)
         if done.returncode:
             pytest.skip(f"the header {header} is not there")
     source = str(ROOT / "docs" / "examples" / "cpp_robot" / "robot.cpp")

@@ -25,13 +25,13 @@ def test_the_page_is_generated_from_the_stored_figures() -> None:
 
 
 def test_impossible_options_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words, said in (
+    for phrase, notice in (
         (["--fault", "filter kiled"], "did you mean 'filter killed'"),
         (["--drives", "0"], "--drives: got 0"),
         (["--out", str(tmp_path / "no" / "x.json")], "does not exist; create it"),
     ):
-        assert safedpa.run(["experiment", "ros", *words]) == 2
-        assert said in capsys.readouterr().err
+        assert safedpa.run(["experiment", "ros", *phrase]) == 2
+        assert notice in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("module", ["car", "speaker", "router", "foreign"])
@@ -40,8 +40,8 @@ def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str)
         code = f"import sys, {names}; print(*[name for name in sys.modules if name.startswith('safedpa')])"
         return set(run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
-    beside = loaded(f"safedpa_lab.ros.{module}") - loaded("safedpa_sim.robots.scene, safedpa_sim.robots.world")
-    assert {name for name in beside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}
+    alongside = loaded(f"safedpa_lab.ros.{module}") - loaded("safedpa_sim.robots.scene, safedpa_sim.robots.world")
+    assert {name for name in alongside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}
 
 
 @pytest.mark.parametrize("stall", [0.04, 0.3])

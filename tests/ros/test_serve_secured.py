@@ -40,20 +40,20 @@ def await_that(true: Callable[[], object]) -> None:
 def served(folder: Path, file: Path, *options: str, wanted: Sequence[str]) -> Iterator[Callable[[str], str]]:
     """The command while it runs, once ``wanted`` are on the bus; called with a name it returns that process's log.
     Ends in order."""
-    words = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
-    said = folder / "serve.log"
-    with said.open("wb") as log, subprocess.Popen([*words, *options], stdout=log, stderr=log) as process:
+    phrase = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
+    notice = folder / "serve.log"
+    with notice.open("wb") as log, subprocess.Popen([*phrase, *options], stdout=log, stderr=log) as process:
 
-        def tells(name: str) -> str:
-            paths = [said] if name == "serve" else list((folder / "runs").glob(f"*/{name}.log"))
+        def reports(name: str) -> str:
+            paths = [notice] if name == "serve" else list((folder / "runs").glob(f"*/{name}.log"))
             return "".join(path.read_text(encoding="utf-8") for path in paths)
 
         try:
             for name in wanted:  # the logs are there long before
-                await_that(lambda name=name: "is on the bus" in tells(name) or process.poll() is not None)
-            yield tells
+                await_that(lambda name=name: "is on the bus" in reports(name) or process.poll() is not None)
+            yield reports
             process.send_signal(signal.SIGINT)
-            assert process.wait(60.0) == 0, tells("serve")
+            assert process.wait(60.0) == 0, reports("serve")
         finally:
             process.kill()
 
@@ -72,31 +72,31 @@ def test_a_robot_of_ros_drives_and_a_foreign_certificate_stays_outside(side: Sid
     shown = ("--certificates", certificates(tmp_path / "own", "r1")) if own else ("--secure",)
     car = side.car(8.0, 11)
     file = robot_file(tmp_path / "r.toml", side.endpoint, 11)
-    with served(tmp_path, file, *shown, wanted=("adaptation", "safety_filter", "robot")) as tells:
-        endpoint = endpoint_in(tells("router"))
+    with served(tmp_path, file, *shown, wanted=("adaptation", "safety_filter", "robot")) as reports:
+        endpoint = endpoint_in(reports("router"))
         foreign = Certificates(Path(certificates(tmp_path / "foreign", "r1")), "safety_filter")
         with pytest.raises(BusError, match="could not open"):
             ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, patience=3.0))
-        car.say("go")
+        car.send("go")
         if own:  # as a container's health check asks, again and again; a busy machine answers late
-            assert any(healthy(endpoint, shown[1]) for _ in range(3)), tells("robot")
-        found = car.told()
-    assert found["collisions"] == 0, tells("robot")
-    assert found["moved"] > 0.3, tells("robot") + tells("serve")
-    assert "bus.denied" not in tells("router"), "everybody may do what he has to do"
-    assert "bus.handshake_refused" in tells("router")
-    assert "the filter drives" in tells("serve")
+            assert any(healthy(endpoint, shown[1]) for _ in range(3)), reports("robot")
+        found = car.reported()
+    assert found["collisions"] == 0, reports("robot")
+    assert found["moved"] > 0.3, reports("robot") + reports("serve")
+    assert "bus.denied" not in reports("router"), "everybody may do what he has to do"
+    assert "bus.handshake_refused" in reports("router")
+    assert "the filter drives" in reports("serve")
 
 
 def healthy(endpoint: str, folder: str) -> bool:
-    words = ["robot", "--robot", "r1", "--connect", endpoint, "--certificates", folder, "--role", "healthcheck"]
-    return not subprocess.run([sys.executable, "-m", "safedpa_services.healthcheck", *words], check=False).returncode
+    phrase = ["robot", "--robot", "r1", "--connect", endpoint, "--certificates", folder, "--role", "healthcheck"]
+    return not subprocess.run([sys.executable, "-m", "safedpa_services.healthcheck", *phrase], check=False).returncode
 
 
 def robot(endpoint: str, folder: str, name: str, seconds: str) -> subprocess.CompletedProcess[str]:
-    words = ["--name", name, "--seed", "3", "--seconds", seconds, "--connect", endpoint]
+    phrase = ["--name", name, "--seed", "3", "--seconds", seconds, "--connect", endpoint]
     shown = ["--certificates", folder, "--role", f"robot.{name}"]
-    command = [sys.executable, "-m", "safedpa_sim.robots", *words, *shown]
+    command = [sys.executable, "-m", "safedpa_sim.robots", *phrase, *shown]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=180)
 
 
@@ -109,7 +109,7 @@ def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing
     file.write_text(BY_ITSELF, encoding="utf-8")
     port = ports.free_port()
     where = ("--certificates", folder, "--listen", f"tls/0.0.0.0:{port}", "--policy", "goal_seeker")
-    with served(tmp_path, file, *where, wanted=("adaptation", "policy", "safety_filter")) as tells:
+    with served(tmp_path, file, *where, wanted=("adaptation", "policy", "safety_filter")) as reports:
         (tmp_path / "r1.key").rename(tmp_path / "own" / "robot.r1.key.pem")
         accounts: list[dict[str, Any]] = []
         for name, seconds in (("r2", "2"), ("r1", "5")):
@@ -121,12 +121,12 @@ def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing
     assert known["ticks"] == 100
     assert known["watchdog_ticks"] < 60
     assert known["collisions"] == 0
-    assert "with the certificate of role robot.r1" in tells("serve")
-    assert "'safedpa/fleet/r2/state'" in tells("router")
+    assert "with the certificate of role robot.r1" in reports("serve")
+    assert "'safedpa/fleet/r2/state'" in reports("router")
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    assert safedpa.run(["serve", *words, *QUIET, "--policy", "goal_seeker"]) == 2
+def refused(capsys: pytest.CaptureFixture[str], *phrase: str) -> str:
+    assert safedpa.run(["serve", *phrase, *QUIET, "--policy", "goal_seeker"]) == 2
     return capsys.readouterr().err
 
 
@@ -135,12 +135,12 @@ def test_what_does_not_go_together_is_refused_before_anything_starts(
 ) -> None:
     file, folder = tmp_path / "robot.toml", certificates(tmp_path / "own", "r1")
     file.write_text(BY_ITSELF, encoding="utf-8")
-    words = (str(file), "--out", str(tmp_path / "runs"))
-    assert "--secure: its certificates go with this start" in refused(capsys, *words, "--secure")
-    assert "--secure: got it with --certificates" in refused(capsys, *words, "--secure", "--certificates", folder)
-    plain = refused(capsys, *words, "--certificates", folder, "--listen", "tcp/0.0.0.0:7447")
+    phrase = (str(file), "--out", str(tmp_path / "runs"))
+    assert "--secure: its certificates go with this start" in refused(capsys, *phrase, "--secure")
+    assert "--secure: got it with --certificates" in refused(capsys, *phrase, "--secure", "--certificates", folder)
+    plain = refused(capsys, *phrase, "--certificates", folder, "--listen", "tcp/0.0.0.0:7447")
     assert "--listen: got 'tcp/0.0.0.0:7447' with certificates, wanted tls/HOST:PORT" in plain
     (tmp_path / "own" / "safety_filter.key.pem").unlink()
-    missing = refused(capsys, *words, "--certificates", folder)
+    missing = refused(capsys, *phrase, "--certificates", folder)
     assert "safety_filter.key.pem: is not there; make it with 'safedpa certificates" in missing
-    assert "authority.pem: is not there" in refused(capsys, *words, "--certificates", str(tmp_path / "nowhere"))
+    assert "authority.pem: is not there" in refused(capsys, *phrase, "--certificates", str(tmp_path / "nowhere"))

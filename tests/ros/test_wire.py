@@ -20,7 +20,7 @@ from safedpa.ros.graph import NO_HASH, Attachment, Endpoint, data_key, node_toke
 from safedpa.ros.outgoing import odometry_of, transform_of
 from safedpa_services.ros_gateway.__main__ import checked_face
 from safedpa_services.ros_gateway.robot_file import load_robot_file
-from safedpa_services.ros_gateway.senses import LatestMessage, PoseAndTwist, pose_paths
+from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, PoseAndTwist, pose_paths
 
 GOLDEN = {
     "ackermann_msgs/msg/AckermannDriveStamped": "48ca7612a08d3bb72744fd98b71b7cf2ea24c6ad50fa4e1aa0bbad963c90d8cf",
@@ -44,13 +44,13 @@ def test_hashes_are_the_published_ones(name: str) -> None:
 def test_keys_tokens_and_attachments_are_those_of_rmw_zenoh() -> None:
     string = data_key(0, "/chatter", "std_msgs/msg/String", hash_of("std_msgs/msg/String"))
     assert string == f"0/chatter/std_msgs::msg::dds_::String_/RIHS01_{GOLDEN['std_msgs/msg/String']}"
-    beside = Attachment(7, 1_700_000_000_123_456_789, bytes(range(16)))
-    packed = beside.packed()
+    alongside = Attachment(7, 1_700_000_000_123_456_789, bytes(range(16)))
+    packed = alongside.packed()
     assert packed == struct.pack("<qqB", 7, 1_700_000_000_123_456_789, 16) + bytes(range(16))
     assert len(packed) == 33
     theirs = TheirAttachment.from_bytes(packed)
     assert (theirs.sequence_id, theirs.timestamp_ns, theirs.gid) == (7, 1_700_000_000_123_456_789, bytes(range(16)))
-    assert Attachment.unpacked(packed) == beside
+    assert Attachment.unpacked(packed) == alongside
     assert Attachment.unpacked(packed[:-1]) is None
     token = (
         "@ros2_lv/0/aa0b/0/11/MS/%/%/driver/%ego%drive/std_msgs::msg::dds_::String_/TypeHashNotSupported/::,10:,:,:,,"
@@ -97,19 +97,25 @@ def test_foreign_messages_and_non_numbers_are_refused_and_a_repeated_stamp_is_no
     now = [0.0]
     newest = LatestMessage("nav_msgs/msg/Odometry", pose_paths(), "odom", clock=lambda: now[0])
 
-    def told(x: float, frame: str = "odom", nanoseconds: int = 1) -> bytes:
+    def reported(x: float, frame: str = "odom", nanoseconds: int = 1) -> bytes:
         head = {"stamp": {"sec": 5, "nanosec": nanoseconds}, "frame_id": frame}
         return encode("nav_msgs/msg/Odometry", odometry_of(head, "b", x, 0.0, 0.0, 0.0, 0.0))
 
     assert newest.read()[1] == float("inf")
-    newest.take(told(1.0))
-    for bad in (told(float("nan"), nanoseconds=2), told(1.0, "map", 3), told(1.0)[:90], b"", b"\0\7\0\0" + bytes(900)):
+    newest.take(reported(1.0))
+    for bad in (
+        reported(float("nan"), nanoseconds=2),
+        reported(1.0, "map", 3),
+        reported(1.0)[:90],
+        b"",
+        b"\0\7\0\0" + bytes(900),
+    ):
         newest.take(bad)
     assert newest.refused == 5
     now[0] = 0.5
-    newest.take(told(1.0))
+    newest.take(reported(1.0))
     assert newest.read()[1] == 0.5  # the same stamp again
-    newest.take(told(1.0, nanoseconds=4))
+    newest.take(reported(1.0, nanoseconds=4))
     assert newest.read()[1] == 0.0
 
 
@@ -151,9 +157,9 @@ def test_a_robot_file_says_what_is_wrong_with_it(tmp_path: Path) -> None:
 def test_a_throttle_is_sent_as_a_speed_and_brakes_with_speed_zero() -> None:
     face = ThrottleCarFace(drive_gain=4.0)
     stamped, state = "ackermann_msgs/msg/AckermannDriveStamped", (0.0, 0.0, 0.0, 1.5)
-    told = face.message(stamped, (0.5, 0.1), state)["drive"]
-    assert told == {"speed": pytest.approx(1.5 + 0.2 * 4.0 * 0.5), "steering_angle": 0.1}
-    assert face.action(stamped, (told["speed"], 0.1), state) == pytest.approx((0.5, 0.1))
+    reported = face.message(stamped, (0.5, 0.1), state)["drive"]
+    assert reported == {"speed": pytest.approx(1.5 + 0.2 * 4.0 * 0.5), "steering_angle": 0.1}
+    assert face.action(stamped, (reported["speed"], 0.1), state) == pytest.approx((0.5, 0.1))
     assert face.action(stamped, (9.0, 0.1), state) == (1.0, 0.1)
     action, fields = face.brake(stamped, (0.0, 0.0), state)
     assert fields["drive"]["speed"] == 0.0, "not the speed that it has"

@@ -14,13 +14,13 @@ ABSENT = Stale(LATENT, None)
 
 
 def state_at(tick: int, values: tuple[float, ...] = (0.0, 0.0, 0.0, 0.5), **changed: Any) -> StateMessage:
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "epoch": 1, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0, "values": values,
         "applied": (0.0, 0.0), "applied_by": "filter" if tick else "none", "period": 0.05, "lockstep": True,
         "goal": (5.0, 0.0), "obstacles": ((6.0, 0.0, 0.3),), "field": (-20.0, 20.0, -20.0, 20.0),
         "footprint": (0.08, 0.40, 0.12),
     }  # fmt: skip
-    return StateMessage(**{**told, **changed})
+    return StateMessage(**{**reported, **changed})
 
 
 def stamp(state: StateMessage) -> dict[str, Any]:

@@ -17,7 +17,7 @@ def about(*action: float) -> ActionCandidate:
     return ActionCandidate(action, [0.0], [0.0], [0.0], [])
 
 
-class Slopes:
+class Gradients:
     """Of one condition, 1 of the first action; its limit follows from the residual."""
 
     def at(

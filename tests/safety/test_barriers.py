@@ -200,7 +200,7 @@ def test_finite_differences_leave_the_state_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "phrase"),
     [
         (
             lambda: ObstacleBarrier([(1, 2)], FOOTPRINT, BRAKING),
@@ -240,8 +240,8 @@ def test_finite_differences_leave_the_state_alone() -> None:
         ),
     ],
 )
-def test_refusals_say_what_was_wanted(make: object, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_refusals_say_what_was_wanted(make: object, phrase: str) -> None:
+    with pytest.raises(InputError, match=phrase):
         make()  # type: ignore[operator]
 
 
@@ -381,14 +381,14 @@ def allowed(h: np.ndarray) -> np.ndarray:
 def drive(barrier: AbstractBarrier, seed: int) -> tuple[float, set[Status]]:
     random, x, least = np.random.default_rng(seed), np.zeros(4), np.inf
     x[:2] = random.uniform((-0.5, -0.8), (0.3, 1.2))
-    safe, said = SafetyFilter(lambda x: (A @ x, B), [barrier], SETTINGS), set()
+    safe, notice = SafetyFilter(lambda x: (A @ x, B), [barrier], SETTINGS), set()
     for _ in range(100):
         nominal = np.clip(3.0 * (CENTRE - x[:2]) + random.normal(size=2), -1.0, 1.0)
         verdict = safe.decide(x, nominal)
-        said.add(verdict.status)
+        notice.add(verdict.status)
         x = A @ x + B @ verdict.action
         least = min(least, room(x))
-    return least, said
+    return least, notice
 
 
 @pytest.mark.long
@@ -397,7 +397,7 @@ def test_a_double_integrator_hits_nothing() -> None:
     assert sum(least < 0.0 for least in plain) >= 5, "distance less radius has relative degree two"
     higher = [drive(HigherOrderBarrier([room, closing], [allowed]), seed) for seed in range(80)]
     assert min(least for least, _ in higher) >= 0.0
-    assert set.union(*(said for _, said in higher)) <= {Status.passed, Status.corrected}
+    assert set.union(*(notice for _, notice in higher)) <= {Status.passed, Status.corrected}
 
 
 def test_it_is_the_recursion_of_its_source() -> None:

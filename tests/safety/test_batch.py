@@ -145,11 +145,11 @@ def test_what_is_predicted_comes_from_a_model_or_with_each_decision_and_not_from
     given_ = drawn(0, 2, 1, model.latent)
     barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
     affine = np.zeros((2, 4)), np.zeros((2, 4, 2))
-    said = "affine: wanted f and g of each robot where the filter has no model, and nothing where it has"
-    with pytest.raises(InputError, match=said):
+    notice = "affine: wanted f and g of each robot where the filter has no model, and nothing where it has"
+    with pytest.raises(InputError, match=notice):
         FILTERS["car"].decide(**given_, barriers=barriers, affine=affine)
     without = BatchFilter(model.system)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=notice):
         without.decide(**given_, barriers=barriers)
     assert len(without.decide(**given_, barriers=barriers, affine=affine).status) == 2
 

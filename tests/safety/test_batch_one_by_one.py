@@ -103,8 +103,8 @@ def test_everybody_gets_what_one_gets_and_only_what_is_out_of_the_ordinary_is_le
         verdict = drawn.alone(robot)
         assert STATUSES[found.status[robot]] is verdict.status, robot
         np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
-        told = found.slack[robot], found.h_now[robot], found.h_next[robot]
-        np.testing.assert_allclose(told, (verdict.slack, verdict.h_now, verdict.h_next), rtol=1e-9, atol=1e-6)
+        reported = found.slack[robot], found.h_now[robot], found.h_next[robot]
+        np.testing.assert_allclose(reported, (verdict.slack, verdict.h_now, verdict.h_next), rtol=1e-9, atol=1e-6)
     ordinary = np.isin(found.status, [STATUSES.index(Status.passed), STATUSES.index(Status.corrected)])
     assert (~found.alone <= ordinary).all()
     if bend == 0.0:  # the program says all, and has a closed form
@@ -180,8 +180,8 @@ def test_a_model_of_one_latent_or_none(free: tuple[str, ...]) -> None:
     found = many.decide(state, nominal, barriers=around)
     assert found.alone.tolist() == ([True] * 3 if free else [False, True, False])
     assert found.count(Status.fallback) == (3 if free else 1)
-    told = many.decide(state, nominal, np.array([[1e6]] * 3)[:, : len(free)], barriers=around)
-    assert told.count(Status.fallback) == (3 if free else 1)
+    reported = many.decide(state, nominal, np.array([[1e6]] * 3)[:, : len(free)], barriers=around)
+    assert reported.count(Status.fallback) == (3 if free else 1)
 
 
 MODELS = {

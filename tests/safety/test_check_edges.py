@@ -25,23 +25,23 @@ def wide(x: Values) -> tuple[Values, Values]:
 
 
 @pytest.mark.parametrize(
-    ("action", "told"),
+    ("action", "reported"),
     [([0.0, 0.0], False), ([0.0, np.nan], True), ([-1.5, 0.0], True), ([0.0, 2.5], True), ([2.0, -1.0], False)],
 )
-def test_one_entry_of_a_backup_is_enough(action: list[float], told: bool) -> None:
+def test_one_entry_of_a_backup_is_enough(action: list[float], reported: bool) -> None:
     checked = made(first, model=wide, actions=2, backup=lambda x: action if x[0] == 1.0 else [0.0, 0.0])
-    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)) is told
+    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)) is reported
 
 
-@pytest.mark.parametrize(("beyond", "told"), [(3e-6, False), (5e-6, True)])
-def test_rounding_is_a_share_of_the_range(beyond: float, told: bool) -> None:
+@pytest.mark.parametrize(("beyond", "reported"), [(3e-6, False), (5e-6, True)])
+def test_rounding_is_a_share_of_the_range(beyond: float, reported: bool) -> None:
     """4000 from end to end: a billionth of that is 4e-6."""
     limits = (-1000.0, 3000.0)
     checked = made(first, limits=limits, backup=lambda x: [3000.0 + beyond * (x[0] == 1.0)])
-    assert bool(backup_issues(checked, [probe(1.0)], stationary_for=False)) is told
+    assert bool(backup_issues(checked, [probe(1.0)], stationary_for=False)) is reported
     part = RolloutBarrier(lambda x: (x, 0.1 * np.eye(1)), [0.0], first, 5, ["r"])
     other = made(part, limits=limits, backup=lambda x: [beyond])
-    assert bool(backup_issues(other, [probe(1.0)], stationary_for=False)) is told
+    assert bool(backup_issues(other, [probe(1.0)], stationary_for=False)) is reported
 
 
 def test_an_action_is_moved_inward_by_a_tenth_of_its_range_and_one_entry_of_another_backup_is_enough() -> None:
@@ -144,7 +144,7 @@ def refused(checked: FilterUnderTest, *, passes: bool = False) -> tuple[FilterUn
     return FilterUnderTest(safe, checked.barriers, checked.margins, None), safe
 
 
-@pytest.mark.parametrize(("missed", "kept"), [(-0.001, True), (0.0005, True), (0.0015, False)])
+@pytest.mark.parametrize(("missed", "retained"), [(-0.001, True), (0.0005, True), (0.0015, False)])
 def test_where_the_filter_finds_nothing_the_actions_tried_say_whether_it_was_slight(missed: float, kept: bool) -> None:
     """From x the best of them leads to x + 0.2, which is asked to be 0.9 x + 0.02: it misses 0.001 at -1.81."""
     checked, _ = refused(made(first, lambda x: 50.0 + x[0], epsilon=0.02))
@@ -186,14 +186,14 @@ def sloped(h: Callable[[Values], float], *gradient: float) -> FunctionBarrier:
 
 
 @pytest.mark.parametrize(
-    ("gradient", "told"),
+    ("gradient", "reported"),
     [((2.0, 0.001), ""), ((2.0, 0.015), ""), ((2.04, 0.001), "got a slope of 2.04 in entry 0 of the state, wanted 2,")],
 )
-def test_a_hundredth_of_the_largest_part_may_be_missing(gradient: tuple[float, float], told: str) -> None:
+def test_a_hundredth_of_the_largest_part_may_be_missing(gradient: tuple[float, float], reported: str) -> None:
     barrier = sloped(lambda x: 2.0 * x[0] + 0.001 * x[1], *gradient)
     found = gradient_issues(made(barrier), [probe(at, 0.0, h=2.0 * at, moved=[0.1, 0.1]) for at in (0.0, 1.0)])
-    assert bool(found) is bool(told)
-    assert told in "".join(issue.sentence for issue in found)
+    assert bool(found) is bool(reported)
+    assert reported in "".join(issue.sentence for issue in found)
 
 
 def test_where_a_slope_matters_most_is_reported_and_what_moves_somewhere_is_judged_everywhere() -> None:
@@ -208,10 +208,10 @@ def test_where_a_slope_matters_most_is_reported_and_what_moves_somewhere_is_judg
 
 @pytest.mark.parametrize("moved", [0.1, 1e-6])
 def test_what_bends_is_compared_close_by(moved: float) -> None:
-    for slope, told in ((2.0, False), (2.05, True)):
+    for slope, reported in ((2.0, False), (2.05, True)):
         barrier = sloped(lambda x: x[0] ** 2, slope)
         found = gradient_issues(made(barrier), [probe(1.0, h=1.0, moved=moved)] * 2)
-        assert bool(found) is told
+        assert bool(found) is reported
     assert "wanted 2," in found[0].sentence
 
 
@@ -282,12 +282,12 @@ def test_what_the_filter_itself_refuses_is_reported() -> None:
 
 def test_what_cannot_be_checked_is_an_error_of_one_line() -> None:
     safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 1.0 - x[0])], SETTINGS)
-    for given, words in (
+    for given, phrase in (
         ((3, [[0.5]]), "safe: got int"),
         ((safe, "a"), "states: got str"),
         ((safe, [[1.0], [1.0, 2.0]]), "states: got list"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(InputError, match=phrase):
             check_filter(*given)
     with pytest.raises(InputError, match="wanted an AbstractBarrier"):
         check_filter(safe, [[0.5]], barriers=[abs])  # type: ignore[list-item]

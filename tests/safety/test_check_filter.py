@@ -95,12 +95,12 @@ def test_the_point_robot_is_fine() -> None:
     model, settings, latent = load_model("point_wind"), settings_named("point"), np.array([0.5, -0.3])
     scene, random = PointScene(model, settings), np.random.default_rng(0)
     scene.learn(latent)
-    told = StateMessage(
+    reported = StateMessage(
         epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.0,) * 5, applied=(0.0, 0.0), applied_by="none",
         period=0.02, lockstep=True, goal=(1.0, 1.0), obstacles=((0.7, 0.0, 0.2), (-0.8, 0.3, 0.2)), field=(),
         footprint=(),
     )  # fmt: skip
-    barriers = scene.of(told)
+    barriers = scene.of(reported)
     assert not isinstance(barriers, str)
     states = random.uniform((-0.4, -0.4, -3, -0.3, -0.3), (0.4, 0.4, 3, 0.3, 0.3), (6, 5))
     safe = SafetyFilter.for_model(model, settings, barriers, backup=scene.backup)
@@ -120,9 +120,9 @@ def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
 
 @pytest.mark.long
 def test_the_example_among_discs_runs_and_hits_nothing() -> None:
-    said = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
-    assert said.startswith("Nothing amiss")
-    assert float(re.findall(r"least room (\S+) cm", said)[0]) >= 0.0
+    notice = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
+    assert notice.startswith("Nothing amiss")
+    assert float(re.findall(r"least room (\S+) cm", notice)[0]) >= 0.0
 
 
 def test_a_wrong_unit_and_actions_that_reach_less_than_the_margin_are_told() -> None:
@@ -234,8 +234,8 @@ def rollout(backup: Any) -> RolloutBarrier:
     return RolloutBarrier(lambda x: (0.5 * x, 0.1 * np.eye(1)), backup, first, 5, ["r"])
 
 
-@pytest.mark.parametrize(("foreign", "told"), [(False, ["h0"]), (True, ["r"])])
-def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: bool, told: list[str]) -> None:
+@pytest.mark.parametrize(("foreign", "reported"), [(False, ["h0"]), (True, ["r"])])
+def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: bool, reported: list[str]) -> None:
     """From 0.5 with -1 to 0.4: a condition of 0.9 x 0.5 + 0.002 is missed, by whichever backup the rollout thinks of.
 
     But with another one than the filter's, every condition of the rollout is about something that is not done.
@@ -244,7 +244,7 @@ def test_a_condition_that_breaks_is_reported_of_the_right_backup_only(foreign: b
     checked = made(first, rollout([0.5] if foreign else own), backup=lambda x: own)
     near = probe(0.5, h=[0.5, 9.0])
     found = backup_issues(checked, [near], stationary_for=True)
-    assert [name for issue in found for name in issue.names if name in told] == told
+    assert [name for issue in found for name in issue.names if name in reported] == reported
     assert all("the same; give the filter" in issue.sentence for issue in found) is foreign
     assert any("misses its condition" in issue.sentence for issue in found) is not foreign
     unasked = backup_issues(checked, [near], stationary_for=False)
@@ -279,11 +279,11 @@ def test_the_worst_is_named_first_and_gives_its_sentence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "said"),
+    ("count", "notice"),
     [(0, "scale: x"), (1, "scale (a): x"), (4, "scale (a, b, c, d): x"), (5, "scale (a, b, c, d, ...): x")],
 )
-def test_four_names_are_said_and_that_there_are_more(count: int, said: str) -> None:
-    assert str(FilterIssue("scale", NAMES[:count], "x")) == said
+def test_four_names_are_said_and_that_there_are_more(count: int, notice: str) -> None:
+    assert str(FilterIssue("scale", NAMES[:count], "x")) == notice
 
 
 def test_a_report_is_its_issues() -> None:

@@ -143,7 +143,7 @@ def test_a_kind_without_a_margin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("epsilon", "h", "reached", "said"),
+    ("epsilon", "h", "reached", "notice"),
     [
         (0.1, (0.5, 1.5), 0.3, ""),
         (0.1, (0.5, 1.0), 0.3, ""),
@@ -156,15 +156,15 @@ def test_a_kind_without_a_margin() -> None:
         (0.1, (0.5, 1.5), 1.01e5, "got epsilon = 0.1 where the actions change h by 1.01e+05"),
     ],
 )
-def test_units_that_do_not_fit(epsilon: float, h: tuple[float, float], reached: float, said: str) -> None:
+def test_units_that_do_not_fit(epsilon: float, h: tuple[float, float], reached: float, notice: str) -> None:
     found = scale_issues(made(first, epsilon=epsilon), [probe(0.0, h=h[0]), probe(1.0, h=h[1], reached=reached)][::-1])
     if reached == 0.3:
         assert found == scale_issues(made(first, epsilon=epsilon), [probe(0.0, h=h[0]), probe(1.0, h=h[1])])
     found = scale_issues(
         made(first, epsilon=epsilon), [probe(0.0, h=h[0], reached=reached), probe(1.0, h=h[1], reached=0.0)]
     )
-    assert [issue.subject for issue in found] == ["scale"] * bool(said)
-    assert said in "".join(issue.sentence for issue in found)
+    assert [issue.subject for issue in found] == ["scale"] * bool(notice)
+    assert notice in "".join(issue.sentence for issue in found)
 
 
 def test_the_unit_that_is_furthest_off_is_named_first() -> None:
@@ -195,14 +195,14 @@ def test_a_gradient_between_the_slopes_of_both_sides_is_right_at_a_kink() -> Non
 
 def test_a_gradient_wrong_at_few_states_is_a_kink() -> None:
     """A tenth of the states, and two of them."""
-    for count, states, told in ((1, 3, False), (2, 3, True), (2, 20, True), (2, 21, False), (3, 21, True)):
+    for count, states, reported in ((1, 3, False), (2, 3, True), (2, 20, True), (2, 21, False), (3, 21, True)):
         barrier = FunctionBarrier(
             lambda x: x[0],
             lambda x, count=count: np.array([5.0 if x[0] < count - 0.5 else 1.0]),
             ("h",),  # type: ignore[misc]
         )
         found = gradient_issues(made(barrier), [probe(float(at), h=float(at)) for at in range(states)])
-        assert bool(found) is told
+        assert bool(found) is reported
 
 
 def test_an_entry_that_nothing_moves_is_not_judged_and_a_gradient_of_a_constant_has_to_be_zero() -> None:
@@ -217,24 +217,24 @@ def wall(width: float) -> Callable[[Values], float]:
     return lambda x: float(1.0 - 3.0 * (abs(x[0] - 0.5) < 0.5 * width) - 0.01 * x[0])
 
 
-@pytest.mark.parametrize(("width", "told"), [(0.05, True), (0.5, False)])
-def test_a_hazard_thinner_than_a_tick_is_reported(width: float, told: bool) -> None:
+@pytest.mark.parametrize(("width", "reported"), [(0.05, True), (0.5, False)])
+def test_a_hazard_thinner_than_a_tick_is_reported(width: float, reported: bool) -> None:
     """It goes down with h by 0.25 to the right in a tick: over what is narrower it jumps."""
     checked = made(wall(width), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     found = tick_issues(checked, [probe(0.0, h=1.0)])
-    assert [issue.subject for issue in found] == ["ticks"] * told
-    if told:
+    assert [issue.subject for issue in found] == ["ticks"] * reported
+    if reported:
         assert "at two ticks" in found[0].sentence
 
 
 def test_a_fall_of_the_threshold_is_none() -> None:
-    for depth, told in ((0.9, False), (1.2, True)):
+    for depth, reported in ((0.9, False), (1.2, True)):
         checked = made(
             lambda x, depth=depth: 0.3 * depth if abs(x[0] - 0.375) > 0.06 else 0.0,
             epsilon=0.03,
             model=lambda x: (x + 0.25, 0.01 * np.eye(1)),
         )  # type: ignore[misc]
-        assert bool(tick_issues(checked, [probe(0.0, h=0.3 * depth)])) is told
+        assert bool(tick_issues(checked, [probe(0.0, h=0.3 * depth)])) is reported
 
 
 def test_what_dips_is_named_among_several_values_and_outside_nothing_is_followed() -> None:
@@ -284,7 +284,7 @@ def test_conditions_that_exclude_each_other() -> None:
     assert "keeps all of them together at 1 states" in found.sentence
 
 
-@pytest.mark.parametrize(("inside", "kept"), [(False, False), (True, True), (False, True)])
+@pytest.mark.parametrize(("inside", "retained"), [(False, False), (True, True), (False, True)])
 def test_states_outside_or_kept_are_no_issue(inside: bool, kept: bool) -> None:
     one = probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], inside=inside, kept=kept)
     assert condition_issues(made(first), [one]) == []
@@ -297,7 +297,7 @@ def test_the_worst_of_several_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    ("backup", "said"),
+    ("backup", "notice"),
     [
         (lambda x: [-1.0 - 1e-10], ""),
         (lambda x: [2.0 + 1e-10], ""),
@@ -308,11 +308,11 @@ def test_the_worst_of_several_is_said() -> None:
         (lambda x: 0.0, "wanted (1,) finite numbers"),
     ],
 )
-def test_a_backup_is_an_action_within_its_bounds(backup: Callable[[Any], Any], said: str) -> None:
+def test_a_backup_is_an_action_within_its_bounds(backup: Callable[[Any], Any], notice: str) -> None:
     checked = made(first, backup=lambda x: backup(x) if x[0] == 1.0 else [0.0])  # else it is refused when it is given
     found = backup_issues(checked, [probe(0.0), probe(1.0)], stationary_for=False)
-    assert [issue.subject for issue in found] == ["backup"] * bool(said)
-    assert said in "".join(issue.sentence for issue in found)
+    assert [issue.subject for issue in found] == ["backup"] * bool(notice)
+    assert notice in "".join(issue.sentence for issue in found)
 
 
 def test_without_a_backup_it_is_the_settings_action() -> None:
@@ -341,11 +341,11 @@ def rollout(backup: Any, horizon: int, names: Sequence[str] = ("r",)) -> Rollout
 
 def test_a_rollout_of_another_backup() -> None:
     part = rollout([-0.5], 5)
-    for own, told in (([-0.5], False), ([-0.5 + 1e-10], False), ([-0.4], True)):
+    for own, reported in (([-0.5], False), ([-0.5 + 1e-10], False), ([-0.4], True)):
         found = backup_issues(
             made(first, part, backup=lambda x, own=own: own), [probe(1.0), probe(2.0)], stationary_for=False
         )  # type: ignore[misc]
-        assert bool(found) is told
+        assert bool(found) is reported
     assert (found[0].names, len(found)) == (("r",), 1)
     assert "got [-0.4] from the filter's backup and [-0.5] from the barrier's at [1]" in found[0].sentence
 

@@ -162,7 +162,7 @@ def test_a_reach_once_known_is_not_forgotten_and_rounding_is_far_below_what_matt
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize(
-    ("missed", "kept"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
+    ("missed", "retained"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
 )
 def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: float, kept: bool, unit: float) -> None:
     """h now is 8, half of it may be used up: 4, but for the rounding of 8."""
@@ -294,9 +294,9 @@ def test_the_entry_that_is_out_of_its_range_is_named_and_what_is_no_number_is_no
         for side in (-1.0, 1.0):
             values = [0.0] * 5
             values[entry] = side * (entry + 1.5)
-            told = checked_input("state", made(values), BELIEVED)
-            assert isinstance(told, InvalidInput)
-            assert f" {name} = {values[entry]:g}, wanted {-entry - 1:g} to {entry + 1:g}" in told.reason
+            reported = checked_input("state", made(values), BELIEVED)
+            assert isinstance(reported, InvalidInput)
+            assert f" {name} = {values[entry]:g}, wanted {-entry - 1:g} to {entry + 1:g}" in reported.reason
         for number in (np.nan, np.inf, -np.inf):
             values = [9.0] * 5
             values[entry] = number
@@ -305,5 +305,5 @@ def test_the_entry_that_is_out_of_its_range_is_named_and_what_is_no_number_is_no
 
 @pytest.mark.parametrize("value", [np.array(1.0), np.zeros((5, 5)), np.zeros((1, 5)), np.zeros(4), [0.0] * 6, []])
 def test_another_shape_is_refused_and_reported(value: Any) -> None:
-    told = checked_input("state", value, BELIEVED)
-    assert told == InvalidInput(f"state has shape {np.shape(value)}, wanted (5,)")
+    reported = checked_input("state", value, BELIEVED)
+    assert reported == InvalidInput(f"state has shape {np.shape(value)}, wanted (5,)")

@@ -360,12 +360,17 @@ def test_it_rests_knows_nothing_and_says_why() -> None:
     assert verdict.status is Status.fallback
     assert verdict.intervened
     assert "Reason: no state has the right length." in verdict.sentence
-    told = verdict.as_dict()
-    assert told["action"] == [0.0, 0.1]
-    assert {name: told[name] for name in ("slack", "h_now", "h_next", "margin", "microseconds")} == {
+    reported = verdict.as_dict()
+    assert reported["action"] == [0.0, 0.1]
+    assert {name: reported[name] for name in ("slack", "h_now", "h_next", "margin", "microseconds")} == {
         "slack": 0.0, "h_now": 0.0, "h_next": 0.0, "margin": 0.0, "microseconds": 0.0,
     }  # fmt: skip
-    assert (told["active"], told["nominal"], told["known"], told["solver"]) == ([], None, False, "not run")
+    assert (reported["active"], reported["nominal"], reported["known"], reported["solver"]) == (
+        [],
+        None,
+        False,
+        "not run",
+    )
 
 
 def test_its_action_is_a_copy() -> None:

@@ -249,7 +249,7 @@ def test_failure_half_way_still_reports_h() -> None:
     assert (verdict.h_now, verdict.h_next) == (1.0, 1.0)
 
 
-def program_says(monkeypatch: pytest.MonkeyPatch, safe: SafetyFilter, *solutions: Solution) -> None:
+def program_reports(monkeypatch: pytest.MonkeyPatch, safe: SafetyFilter, *solutions: Solution) -> None:
     """The program's answers, one after the other, the last one again and again."""
     left = list(solutions)
     monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: left.pop(0) if len(left) > 1 else left[0])
@@ -266,7 +266,7 @@ GIVEN_UP = solution(0.1, False, "max iter reached")
 def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.MonkeyPatch, useless: Solution) -> None:
     """From the backup, which keeps the condition, as far towards the nominal action as it allows: 0.2 would be the nearest."""
     safe = scalar_filter()
-    program_says(monkeypatch, safe, useless)
+    program_reports(monkeypatch, safe, useless)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.solver == useless.status
@@ -279,7 +279,7 @@ def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.
 @pytest.mark.parametrize("beyond", [1.1, 7.0, -1.00001])
 def test_a_solution_beyond_the_bounds_is_judged_at_the_bounds(monkeypatch: pytest.MonkeyPatch, beyond: float) -> None:
     safe = scalar_filter()
-    program_says(monkeypatch, safe, solution(beyond))
+    program_reports(monkeypatch, safe, solution(beyond))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert 0.15 < verdict.action[0] <= 0.2
@@ -297,7 +297,7 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
 ) -> None:
     """By the linear program; and where that gives up as well, among the corners of the range."""
     safe = never_kept()
-    program_says(monkeypatch, safe, GIVEN_UP)
+    program_reports(monkeypatch, safe, GIVEN_UP)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.relaxed
     assert verdict.action[0] == pytest.approx(-1.0, abs=0.01)
@@ -313,7 +313,7 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
 def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
     """No action on the way from it to the nominal action keeps the condition: the backup itself, as a correction, with its h."""
     safe = scalar_filter(affine=lambda x: (x + 0.1, np.array([[0.2]])), backup=lambda state: np.array([0.5]))
-    program_says(monkeypatch, safe, GIVEN_UP)
+    program_reports(monkeypatch, safe, GIVEN_UP)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.action[0] == 0.5
@@ -323,7 +323,7 @@ def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkey
 
 def test_below_zero_a_solver_that_gives_up_leaves_the_best_of_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     safe = scalar_filter()
-    program_says(monkeypatch, safe, GIVEN_UP)
+    program_reports(monkeypatch, safe, GIVEN_UP)
     monkeypatch.setattr(safe.tools.highest.__class__, "solve", lambda *_: None)
     verdict = safe.decide(np.array([2.0]), [1.0])
     assert verdict.status is Status.violated
@@ -336,7 +336,7 @@ def test_search_that_finds_nothing_goes_from_the_backup_towards_the_nominal_acti
 ) -> None:
     """The QP misleads, always: what the backup leads to is taken as far as the condition allows, and said."""
     safe = scalar_filter()
-    program_says(monkeypatch, safe, solution(0.9))
+    program_reports(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == "Found from another start than the nominal action."
@@ -346,7 +346,7 @@ def test_search_that_finds_nothing_goes_from_the_backup_towards_the_nominal_acti
 def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: pytest.MonkeyPatch) -> None:
     """The backup 0.9 breaks it, the QP misleads: the linear program finds one that keeps it."""
     safe = scalar_filter(backup=lambda state: np.array([0.9]))
-    program_says(monkeypatch, safe, solution(0.9))
+    program_reports(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == "Found from another start than the nominal action."

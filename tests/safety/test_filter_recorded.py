@@ -79,8 +79,8 @@ def test_decisions_are_those_recorded(recorded: list[dict[str, Any]]) -> None:
     for scene in recorded:
         for case in scene["cases"]:
             found, wanted = answer(verdict_on(safe, scene["obstacles"], case)), case["verdict"]
-            for words in ("status", "reason", "active", "solver"):
-                assert found[words] == wanted[words], case
+            for phrase in ("status", "reason", "active", "solver"):
+                assert found[phrase] == wanted[phrase], case
             for numbers in ("action", "slack", "h_now", "h_next"):
                 np.testing.assert_allclose(found[numbers], wanted[numbers], rtol=0.0, atol=1e-6, err_msg=str(case))
 

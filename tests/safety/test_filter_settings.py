@@ -52,7 +52,7 @@ def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "phrase"),
     [
         ("etta = 0.1", r"etta: unknown key; did you mean 'eta'\?"),
         ("eta = 0", "eta: got 0, wanted more than 0"),
@@ -99,8 +99,8 @@ def test_keys_left_out_keep_their_defaults_and_a_nominal_action_may_be_believed_
         ("eta =", "not TOML"),
     ],
 )
-def test_errors_name_the_key(text: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
+def test_errors_name_the_key(text: str, phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=phrase):
         parse_settings(text)
     (tmp_path / "bad.toml").write_text(text)
     with pytest.raises(InputError, match=r"bad\.toml: "):

@@ -257,7 +257,7 @@ def test_the_newest_state_and_model_are_known_until_the_robot_leaves() -> None:
 
 
 PENDULUM, POINT = load_model("pendulum"), load_model("point_wind")
-STANDS_IN = "the resting action stood in for it"
+IS_STATIONARY_IN = "the resting action stood in for it"
 
 
 MOVER = (0.75, 0.0, 0.25, 0.0, 0.0, 1.5)
@@ -281,7 +281,7 @@ def pendulum_asked(nominal: Any) -> VerdictMessage:
 def test_without_a_nominal_action_a_robot_that_can_stand_is_stopped_and_another_one_filtered() -> None:
     verdict = pendulum_asked(Stale(NOMINAL, None))
     assert verdict.status == "corrected"
-    assert STANDS_IN in verdict.sentence
+    assert IS_STATIONARY_IN in verdict.sentence
     assert verdict.nominal == ()
     nominal = NominalMessage(**stamp(state_at(0)), values=(0.1,), controller="test")
     verdict = pendulum_asked(nominal)
@@ -290,7 +290,7 @@ def test_without_a_nominal_action_a_robot_that_can_stand_is_stopped_and_another_
     verdict = answer_to(node, state, {LATENT: latent_at(state), NOMINAL: Stale(NOMINAL, None)})
     assert verdict.status == "fallback"
     assert "the nominal action (" in verdict.sentence
-    assert STANDS_IN not in verdict.sentence
+    assert IS_STATIONARY_IN not in verdict.sentence
 
 
 def test_a_robot_whose_speed_is_not_reported_has_none_to_lose() -> None:

@@ -26,11 +26,16 @@ RANGES = (2.6, 0.68)
 
 def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float = 0.0) -> list[Transition]:
     """The periods of a robot whose commands act ``delay`` periods late; commands change every few ticks."""
-    random, state, trail, found = np.random.default_rng(seed), np.array([0.0, 0.0, 0.3, 0.5]), CommandHistory(model), []
+    random, state, history, found = (
+        np.random.default_rng(seed),
+        np.array([0.0, 0.0, 0.3, 0.5]),
+        CommandHistory(model),
+        [],
+    )
     commands = [(0.0, 0.0)]
     for tick in range(ticks):
-        trail.add(tick, tuple(state.tolist()), commands[-1], ())
-        passed = trail.passed(MOST)
+        history.add(tick, tuple(state.tolist()), commands[-1], ())
+        passed = history.passed(MOST)
         if passed is not None:
             found.append(passed)
         new = (float(random.uniform(0.0, 1.5)), float(random.uniform(-0.3, 0.3))) if tick % 4 == 0 else commands[-1]
@@ -75,7 +80,7 @@ def refuted_by_all_that_was_seen(periods: list[Transition]) -> list[int]:
     errors of unknown size in each state, is more than e^16 times its own; nothing is believed before six count.
     """
     errors: list[np.ndarray] = []
-    believed, told = 0, []
+    believed, reported = 0, []
     for passed in periods:
         commands = np.array([command for command, _ in passed.commands])
         if (np.ptp(commands, axis=0) > 0.01 * np.array(RANGES)).any():
@@ -87,8 +92,8 @@ def refuted_by_all_that_was_seen(periods: list[Transition]) -> list[int]:
             likelihood = -0.5 * weights.sum() * np.log(variances).sum(axis=1)
             left = np.flatnonzero(likelihood >= likelihood.max() - 16.0)
             believed = believed if believed in left else int(left[0])
-        told.append(believed)
-    return told
+        reported.append(believed)
+    return reported
 
 
 @pytest.mark.parametrize(("seed", "noise"), list(enumerate((0.01, 0.02, 0.03, 0.05, 0.08, 0.03, 1e-5))))
@@ -100,21 +105,21 @@ def test_what_is_believed_is_what_the_whole_past_at_once_says(seed: int, noise: 
         for place, late in enumerate((1, 5, 7, 3))
         for period in [*way(CAR, late, 50, 10 * seed + place, noise)[MOST:], *[at_rest] * 9]
     ]
-    found, told = after([]), []
+    found, reported = after([]), []
     assert found.periods == 0
     for passed in periods:
         found.observe(passed, LATENT_VALUES)
-        told.append(found.periods)
-    assert told == refuted_by_all_that_was_seen(periods)
-    assert len(set(told)) > 2
+        reported.append(found.periods)
+    assert reported == refuted_by_all_that_was_seen(periods)
+    assert len(set(reported)) > 2
 
 
 def test_three_periods_are_acted_upon_two_are_not_and_the_only_one_that_explains_everything_is_found() -> None:
     """Of 0.05 s each; a delay of 8 is the longest that is looked for. What the robot tells of counts as known."""
     found = after([])
-    for periods, told, seconds in ((2, 0.0, 0.0), (3, 0.0, 0.1), (3, 0.05, 0.05), (4, 0.05, 0.15), (8, 0.0, 0.35)):
+    for periods, reported, seconds in ((2, 0.0, 0.0), (3, 0.0, 0.1), (3, 0.05, 0.05), (4, 0.05, 0.15), (8, 0.0, 0.35)):
         found.periods = periods
-        assert found.beyond(told) == pytest.approx(seconds)
+        assert found.beyond(reported) == pytest.approx(seconds)
     assert MOST * CAR.period == pytest.approx(0.4)
     # The car stands, exactly, and of the last commands none but the one of three periods ago is to stand.
     commands = tuple(((0.0, 0.0) if n == 3 else (1.0, 0.0), None) for n in range(MOST + 1))
@@ -202,18 +207,18 @@ def test_what_does_not_fit_says_nothing() -> None:
 
 
 def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a_gap() -> None:
-    trail = CommandHistory(CAR)
+    history = CommandHistory(CAR)
     for tick, speed in enumerate((0.0, 0.1, 0.2)):
-        trail.add(tick, (0.0, 0.0, 0.0, speed), (speed, 0.0), ())
-    passed = trail.passed(4)
+        history.add(tick, (0.0, 0.0, 0.0, speed), (speed, 0.0), ())
+    passed = history.passed(4)
     assert passed is not None
     assert [command[0] for command, _ in passed.commands] == [0.2, 0.1, 0.0, 0.0, 0.0]
     assert (passed.before[3], passed.now[3]) == (0.1, 0.2)
     for tick in range(7, 12):
-        trail.add(tick, (0.0, 0.0, 0.0, 0.5), (float(tick), 0.0), ())
-        assert trail.passed(4) is None, "what was sent before the gap is not known"
-    trail.add(12, (0.0, 0.0, 0.0, 0.5), (12.0, 0.0), ())
-    passed = trail.passed(4)
+        history.add(tick, (0.0, 0.0, 0.0, 0.5), (float(tick), 0.0), ())
+        assert history.passed(4) is None, "what was sent before the gap is not known"
+    history.add(12, (0.0, 0.0, 0.0, 0.5), (12.0, 0.0), ())
+    passed = history.passed(4)
     assert passed is not None
     assert [command[0] for command, _ in passed.commands] == [12.0, 11.0, 10.0, 9.0, 8.0]
 
@@ -224,7 +229,7 @@ def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPa
     robot = RobotSession.begun(held, settings)
     assert robot.delay.beyond(0.0) == 0.0
     monkeypatch.setattr(robot.delay, "periods", 4)
-    drives = Lateness(0.15, told="nobody").robot(900, "none")
+    drives = Lateness(0.15, reported="no_one").robot(900, "none")
     robot.observe_state(drives.state_message())
     assert robot.until_action == pytest.approx(3 * CAR.period)
     assert robot.pending.sent, "what is on its way is known"
@@ -232,17 +237,17 @@ def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPa
 
 def test_what_the_robot_tells_is_not_counted_twice_and_the_verdict_says_what_was_found() -> None:
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
-    ticks = list(drive(Lateness(0.2, told="clock").robot(905, "box"), nodes, 60))
+    ticks = list(drive(Lateness(0.2, reported="clock").robot(905, "box"), nodes, 60))
     assert "later than told" not in ticks[-1].verdict.sentence
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
-    ticks = list(drive(Lateness(0.2, told="nobody").robot(905, "box"), nodes, 30))
+    ticks = list(drive(Lateness(0.2, reported="no_one").robot(905, "box"), nodes, 30))
     assert "later than told" not in ticks[3].verdict.sentence
     assert "later than told; the filter looks past that." in ticks[-1].verdict.sentence
 
 
 @pytest.mark.slow
 def test_drives_behind_an_unknown_delay_are_corrected_and_end_well() -> None:
-    found = delayed_drives(Lateness(0.2, told="nobody"), 4, 900, 8.0)
+    found = delayed_drives(Lateness(0.2, reported="no_one"), 4, 900, 8.0)
     assert found.collided == 0
     assert found.statuses["corrected"] > 0.08 * sum(found.statuses.values())
     assert found.least_h > -0.25, "without looking past it, -0.37"
@@ -308,19 +313,19 @@ def test_a_robot_below_a_tenth_of_a_metre_per_second_at_both_ends_was_stationary
 
 
 def test_six_periods_that_count_are_enough_where_one_delay_alone_explains_them() -> None:
-    found, told = delay(SHORT), list[int]()
+    found, reported = delay(SHORT), list[int]()
     for _ in range(8):
         found.observe(stayed(0.0, 1.0), None)
-        told.append(found.periods)
-    assert told == [0, 0, 0, 0, 0, 3, 3, 3]
+        reported.append(found.periods)
+    assert reported == [0, 0, 0, 0, 0, 3, 3, 3]
 
 
-@pytest.mark.parametrize(("away", "tells"), [(1.0, False), (-1.0, False), (1.0 + 1e-9, True), (-1.0 - 1e-9, True)])
-def test_commands_have_to_differ_by_more_than_a_hundredth_of_their_range(away: float, tells: bool) -> None:
+@pytest.mark.parametrize(("away", "reports"), [(1.0, False), (-1.0, False), (1.0 + 1e-9, True), (-1.0 - 1e-9, True)])
+def test_commands_have_to_differ_by_more_than_a_hundredth_of_their_range(away: float, reports: bool) -> None:
     found = delay(width=100.0)
     for _ in range(20):
         found.observe(stayed(0.0, away), None)
-    assert found.periods == (3 if tells else 0)
+    assert found.periods == (3 if reports else 0)
 
 
 @pytest.mark.parametrize(("place", "periods"), [(0.0, 3), (FAR, 0), (-FAR, 0)])

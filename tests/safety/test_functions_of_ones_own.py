@@ -47,11 +47,11 @@ def writing(h: Callable[[Any], float]) -> Callable[[Any], Any]:
     """The same h, told in one array that is written again with every call."""
     kept = np.zeros(1)
 
-    def told(x: Any) -> Any:
+    def reported(x: Any) -> Any:
         kept[0] = h(x)
         return kept
 
-    return told
+    return reported
 
 
 class Own(AbstractBarrier):
@@ -124,7 +124,7 @@ class Counts(AbstractBarrier):
 
 
 @pytest.mark.parametrize(
-    ("f", "g", "states", "words"),
+    ("f", "g", "states", "phrase"),
     [
         (None, np.array([[0.05]]), 2, "g of the model: got shape (1, 1), wanted (2, 1)"),
         (None, np.array([0.05]), 2, "g of the model: got shape (1,), wanted (2, 1)"),
@@ -135,11 +135,11 @@ class Counts(AbstractBarrier):
         (0.0, np.full((2, 1), 0.05), 2, "f of the model: got shape (), wanted (2,)"),
     ],
 )
-def test_a_model_whose_shapes_numpy_would_stretch(f: Any, g: Any, states: int, words: str) -> None:
+def test_a_model_whose_shapes_numpy_would_stretch(f: Any, g: Any, states: int, phrase: str) -> None:
     safe = SafetyFilter(lambda x: (x if f is None else f, g), [FunctionBarrier(wall)], SETTINGS)
     verdict = safe.decide(np.zeros(states), [0.1])
     assert verdict.status is Status.fallback
-    assert words in verdict.reason
+    assert phrase in verdict.reason
 
 
 def test_one_number_is_f_of_one_state() -> None:
@@ -228,7 +228,7 @@ class Kindless(Own):
 
 
 @pytest.mark.parametrize(
-    ("made", "words"),
+    ("made", "phrase"),
     [
         (lambda: SafetyFilter((wall, wall), [FunctionBarrier(wall)], SETTINGS), "affine: got tuple, wanted a function"),  # type: ignore[arg-type]
         (lambda: SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS, step=3), "step: got int, wanted a function"),  # type: ignore[arg-type]
@@ -255,11 +255,11 @@ class Kindless(Own):
         (lambda: HigherOrderBarrier([], []), "rates: got 0 for 0 derivatives, wanted h and its"),
     ],
 )
-def test_mistakes_are_reported_when_they_are_made(made: Callable[[], Any], words: str) -> None:
-    with pytest.raises(InputError, match="wanted") as told:
+def test_mistakes_are_reported_when_they_are_made(made: Callable[[], Any], phrase: str) -> None:
+    with pytest.raises(InputError, match="wanted") as reported:
         made()
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
+    assert phrase in str(reported.value)
+    assert "\n" not in str(reported.value)
 
 
 @pytest.mark.parametrize("given", [FunctionBarrier(wall), 3, iter([FunctionBarrier(wall)])])

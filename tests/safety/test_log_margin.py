@@ -49,49 +49,49 @@ def log_of(steps: ArrayLike, name: str = "run", gaps: int = 0) -> Run:
     return Run(name, true.system, t, states, actions, stretches)
 
 
-def told(*runs: Run, model: PhysicsModel = CAR) -> tuple[LogMargin, str]:
+def reported(*runs: Run, model: PhysicsModel = CAR) -> tuple[LogMargin, str]:
     found = log_margin(model, SETTINGS, runs, 0.99, "2026-11-28")
     return found, log_margin_message(model, found)
 
 
 def refused(*runs: Run, model: PhysicsModel = CAR) -> str:
     with pytest.raises(InputError) as caught:
-        told(*runs, model=model)
+        reported(*runs, model=model)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 def test_logs_of_the_models_own_rate_have_the_margin_that_they_had() -> None:
     run = log_of(np.full(300, 0.05))
-    found, said = told(run)
+    found, notice = reported(run)
     assert found.calibration == calibration_from_runs(CAR, SETTINGS, [run], 0.99, "2026-11-28")
-    assert (found.period, said) == (0.05, ""), "nothing to be told"
+    assert (found.period, notice) == (0.05, ""), "nothing to be told"
 
 
 @pytest.mark.parametrize("period", [0.01, 1.0 / 7.0, 0.1, 0.025])
 def test_logs_of_another_rate_have_a_margin_of_their_own_steps(period: float) -> None:
-    found, said = told(log_of(np.full(300, period)), log_of(np.full(200, 1.004 * period)))
+    found, notice = reported(log_of(np.full(300, period)), log_of(np.full(200, 1.004 * period)))
     assert found.calibration.period == found.period == pytest.approx(period)
     assert found.calibration.fingerprint == fingerprint(CAR), "it belongs to the model, whatever its steps"
     assert found.calibration.transitions == 500
     assert all(0.0 <= value < 0.2 for value in found.calibration.epsilon.values())
-    assert f"The margin is of steps of {period:.3g} s, as the recordings have them" in said
+    assert f"The margin is of steps of {period:.3g} s, as the recordings have them" in notice
     beyond = f"over the model's own, 0.05 s, it is {0.05 / period:.3g} times as wide and promises nothing"
-    assert (beyond if period < 0.05 else "over the model's own, 0.05 s, it is wider than needed") in said
+    assert (beyond if period < 0.05 else "over the model's own, 0.05 s, it is wider than needed") in notice
 
 
 def test_it_is_that_of_the_steps_themselves_and_not_one_that_was_scaled() -> None:
-    quick, slow = (told(log_of(np.full(400, period)))[0].calibration.epsilon for period in (0.01, 0.1))
+    quick, slow = (reported(log_of(np.full(400, period)))[0].calibration.epsilon for period in (0.01, 0.1))
     assert 0.0 < 3.0 * quick["obstacle"] < slow["obstacle"]
 
 
 def test_gaps_and_single_rows_are_left_out_and_a_jittering_clock_leaves_steps_near_the_usual_one() -> None:
-    found, _ = told(log_of(0.01 * DRAW.uniform(0.7, 1.3, 900)))
+    found, _ = reported(log_of(0.01 * DRAW.uniform(0.7, 1.3, 900)))
     assert found.period == pytest.approx(0.01, rel=0.03)
     assert 200 < found.calibration.transitions < 400
-    found, _ = told(log_of(0.01 * DRAW.uniform(0.97, 1.03, 300)))
+    found, _ = reported(log_of(0.01 * DRAW.uniform(0.97, 1.03, 300)))
     assert found.calibration.transitions == 300
-    found, _ = told(log_of(np.full(600, 0.01), gaps=5), log_of(np.full(50, 0.2), "alone", gaps=1))
+    found, _ = reported(log_of(np.full(600, 0.01), gaps=5), log_of(np.full(50, 0.2), "alone", gaps=1))
     assert found.period == pytest.approx(0.01)
     assert found.calibration.transitions == 480
 
@@ -99,11 +99,11 @@ def test_gaps_and_single_rows_are_left_out_and_a_jittering_clock_leaves_steps_ne
 def test_of_several_rates_the_models_own_counts_if_it_has_steps_enough() -> None:
     """However many others there are: of 60,000 rows each twentieth is taken, but these are not thinned out by that."""
     own, quick = log_of(np.full(99, 0.05), "own"), log_of(np.full(9000, 0.01), "quick")
-    found, said = told(quick, own)
+    found, notice = reported(quick, own)
     assert (found.period, found.calibration.transitions, found.others) == (0.05, 99, 9000)
-    assert said == "The margin is of the model's own steps of 0.05 s; 9000 steps of other lengths tell nothing of it."
+    assert notice == "The margin is of the model's own steps of 0.05 s; 9000 steps of other lengths tell nothing of it."
     both = log_of(np.concatenate([np.full(120, 0.05), np.full(3000, 0.01)]))
-    assert told(both)[0].calibration.transitions == pytest.approx(120, abs=1)
+    assert reported(both)[0].calibration.transitions == pytest.approx(120, abs=1)
 
 
 @pytest.mark.parametrize("together", [False, True])
@@ -111,8 +111,8 @@ def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) 
     """In two recordings or in one: nobody says at which of them the robot will drive."""
     parts = [np.full(900, 0.01), np.full(200, 1.0 / 7.0)]
     runs = [log_of(np.concatenate(parts))] if together else [log_of(part) for part in parts]
-    said = refused(*runs)
-    assert said == (
+    notice = refused(*runs)
+    assert notice == (
         "margin: got steps of 0.01 to 0.143 s, none of the model's own 0.05 s, wanted recordings of one rate or 99 "
         "steps of the model's own; diagnose those of one rate alone, or record at the model's"
     )
@@ -121,12 +121,12 @@ def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) 
 
 
 def test_the_rate_of_a_log_is_that_of_most_of_its_time_not_of_a_moment_or_of_rows() -> None:
-    found, said = told(log_of(np.concatenate([np.full(1000, 0.01), np.full(20, 0.04)])))
+    found, notice = reported(log_of(np.concatenate([np.full(1000, 0.01), np.full(20, 0.04)])))
     assert (found.calibration.transitions, found.others) == (1000, 20)
-    assert "20 steps of other lengths tell nothing of it" in said
+    assert "20 steps of other lengths tell nothing of it" in notice
     # Of quick steps there are many in a moment, of slow ones few in most of a drive.
     slow, moment = log_of(np.full(300, 1.0 / 7.0)), log_of(np.full(400, 0.01))
-    assert told(slow, moment)[0].period == pytest.approx(1.0 / 7.0)
+    assert reported(slow, moment)[0].period == pytest.approx(1.0 / 7.0)
     assert "got steps of 0.01 to 0.143 s" in refused(log_of(np.full(3000, 0.01)), slow)
     assert "no transition of 0.015 s, wanted runs with steps of that length" in refused(
         log_of(np.tile([0.01, 0.02], 150))
@@ -151,12 +151,12 @@ def test_a_log_without_a_step_is_refused_and_stretches_of_two_rows_have_one() ->
 
 def test_networks_tell_no_other_steps_than_those_that_they_were_trained_on() -> None:
     learned = load_model("car_learned")
-    said = refused(log_of(np.full(300, 0.01)), model=learned)
-    assert said == (
+    notice = refused(log_of(np.full(300, 0.01)), model=learned)
+    assert notice == (
         "margin: got steps of 0.01 s, wanted those of 0.05 s, on which the model's networks were trained; "
         "record at that rate"
     )
-    assert told(log_of(np.full(300, 0.05)), model=learned)[0].period == 0.05
+    assert reported(log_of(np.full(300, 0.05)), model=learned)[0].period == 0.05
 
 
 def test_the_command_that_drives_with_it_has_the_rate_of_its_steps() -> None:
@@ -172,7 +172,7 @@ def test_the_command_that_drives_with_it_has_the_rate_of_its_steps() -> None:
 
 def test_the_margin_of_a_model_with_free_numbers_stays_its_own() -> None:
     free = CAR.with_settings({"base.speed_gain": Setting(3.0, free=True)})
-    found, _ = told(log_of(np.full(300, 0.02)), model=free)
+    found, _ = reported(log_of(np.full(300, 0.02)), model=free)
     assert found.calibration.fingerprint == fingerprint(free)
     assert MarginCalibration.parse(found.calibration.write()) == found.calibration
 
@@ -249,8 +249,8 @@ def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
     assert far.constants == {"clip.a": 0.5, "drive.clip.a": 0.5}
-    nobody = [{"a": np.array([HSample(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
-    seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
+    no_one = [{"a": np.array([HSample(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
+    seen = calibration_from_drives(no_one, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert seen.constants["clip.a"] == 1.0, "where nobody came near, farther steps have to say something"
     assert seen.drive["a"] == pytest.approx(0.009)
     with pytest.raises(InputError, match="transitions: got 0"):
@@ -291,13 +291,13 @@ def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "phrase"),
     [("drives = -1", "drives: got -1"), ("origin = 3", "origin: got 3"), ("drive = 3", "drive: got 3")],
 )
-def test_the_contents_of_a_margin_file_are_checked(text: str, words: str, tmp_path: Path) -> None:
+def test_the_contents_of_a_margin_file_are_checked(text: str, phrase: str, tmp_path: Path) -> None:
     good = MarginCalibration({"a": 0.1}, 0.9, 50, "2026-11-22", "x").write()
     (tmp_path / "margin.toml").write_text(f"{text}\n{good}")
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=phrase):
         MarginCalibration.load(tmp_path / "margin.toml")
 
 

@@ -156,7 +156,7 @@ def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "phrase"),
     [
         ({"actions": [[1.0]]}, "transitions: got shapes"),
         ({"next_states": [[1.0, 1.0]] * 3}, "transitions: got shapes"),
@@ -170,7 +170,7 @@ def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None
         ({"states": np.zeros((0, 1)), "actions": np.zeros((0, 1)), "next_states": np.zeros((0, 1))}, "got shapes"),
     ],
 )
-def test_calibration_says_what_is_missing(changes: dict[str, Any], words: str) -> None:
+def test_calibration_says_what_is_missing(changes: dict[str, Any], phrase: str) -> None:
     good: dict[str, Any] = {
         "model": Prediction(lambda x: (x, np.eye(1))),
         "barriers": [FunctionBarrier(lambda x: x[0])],
@@ -181,7 +181,7 @@ def test_calibration_says_what_is_missing(changes: dict[str, Any], words: str) -
         "date": "2026-11-21",
     }
     assert calibrate_margin(**good).epsilon == {"function": 0.0}
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=phrase):
         calibrate_margin(**{**good, **changes})
 
 
@@ -204,7 +204,7 @@ GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "phrase"),
     [
         ("coverage = 0.95", "coverage = 1.0", "coverage: got 1"),
         ("coverage = 0.95", "coverage = 0.0", "coverage: got 0.0, wanted more than 0"),
@@ -233,12 +233,12 @@ GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"
         ("format = 2", "format", "not TOML"),
     ],
 )
-def test_margin_files_are_checked(old: str, new: str, words: str, tmp_path: Path) -> None:
+def test_margin_files_are_checked(old: str, new: str, phrase: str, tmp_path: Path) -> None:
     path = tmp_path / "margin.toml"
     path.write_text(GOOD_FILE)
     assert MarginCalibration.load(path).epsilon == {"obstacle": 0.02}
     path.write_text(GOOD_FILE.replace(old, new))
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=phrase):
         MarginCalibration.load(path)
 
 
@@ -343,11 +343,11 @@ def test_online_margin_refuses(bad: dict[str, Any]) -> None:
 def test_coverage_is_the_share_of_the_last_window() -> None:
     online = OnlineMargin(0.5, 0.9, rate=1e-6, window=4)
     assert online.coverage is None
-    told = []
+    reported = []
     for error in (0.9, 0.1, 0.1, 0.1, 0.1, 0.1, 2.0, 3.0):
         online.update(error)
-        told.append(online.coverage)
-    assert told == [0.0, 0.5, pytest.approx(2 / 3), 0.75, 1.0, 1.0, 0.75, 0.5]
+        reported.append(online.coverage)
+    assert reported == [0.0, 0.5, pytest.approx(2 / 3), 0.75, 1.0, 1.0, 0.75, 0.5]
 
 
 def test_two_hundred_errors_are_kept_by_default() -> None:

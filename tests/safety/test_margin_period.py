@@ -155,12 +155,12 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
     """Between two the longer one's; never less than that of shorter ones; beyond the last in proportion."""
     slower = {"0.2": dict.fromkeys(EPSILON, 0.02), "0.1": {"obstacle": 0.05, "field": 0.001, "speed": 0.01}}
     calibration = replace(OF_QUICK_STEPS, slower=slower)
-    told = {period: calibration.over(period, 0.05) for period in (QUICK, 0.05, 0.1, 0.11, 0.2, 0.4)}
-    assert [times for _, times in told.values()] == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 2.0])
-    assert told[QUICK][0].epsilon == EPSILON
-    assert told[0.05][0].epsilon == told[0.1][0].epsilon == {"obstacle": 0.05, "field": 0.002, "speed": 0.01}
-    assert told[0.11][0].epsilon == told[0.2][0].epsilon == {"obstacle": 0.05, "field": 0.02, "speed": 0.02}
-    assert told[0.4][0].epsilon == {"obstacle": 0.1, "field": 0.04, "speed": 0.04}
+    reported = {period: calibration.over(period, 0.05) for period in (QUICK, 0.05, 0.1, 0.11, 0.2, 0.4)}
+    assert [times for _, times in reported.values()] == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 2.0])
+    assert reported[QUICK][0].epsilon == EPSILON
+    assert reported[0.05][0].epsilon == reported[0.1][0].epsilon == {"obstacle": 0.05, "field": 0.002, "speed": 0.01}
+    assert reported[0.11][0].epsilon == reported[0.2][0].epsilon == {"obstacle": 0.05, "field": 0.02, "speed": 0.02}
+    assert reported[0.4][0].epsilon == {"obstacle": 0.1, "field": 0.04, "speed": 0.04}
     _, verdict = answered(calibration, 0.1)
     assert (verdict.margin, verdict.promised) == (0.05, 0.99)
     assert "times as long" not in verdict.sentence
@@ -172,7 +172,7 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
 
 
 @pytest.mark.parametrize(
-    ("slower", "said"),
+    ("slower", "notice"),
     [
         ([], r"slower: got \[\], wanted a table of margins for each period in s"),
         ({"0.1": {"obstacle": 0.1}}, r"slower\.0\.1: got obstacle, wanted numbers for obstacle, field, speed"),
@@ -183,8 +183,8 @@ def test_longer_steps_that_were_calibrated_have_what_was_measured_on_them() -> N
         ({"inf": EPSILON}, r"slower\.inf: got inf, wanted a finite number"),
     ],
 )
-def test_tables_of_longer_steps_are_checked(slower: Any, said: str) -> None:
-    with pytest.raises(InputError, match=f"^{said}"):
+def test_tables_of_longer_steps_are_checked(slower: Any, notice: str) -> None:
+    with pytest.raises(InputError, match=f"^{notice}"):
         replace(OF_QUICK_STEPS, slower=slower)
 
 

@@ -21,7 +21,7 @@ Row = tuple[float, float, float]
 Point = tuple[float, float]
 
 
-def nearest_kept(rows: Iterable[Row], nominal: Point, weights: Point) -> Point | None:
+def nearest_feasible(rows: Iterable[Row], nominal: Point, weights: Point) -> Point | None:
     """The point of the unit square; None where it has no answer."""
     return answer(HardQP2D(*nominal, *weights), rows)
 
@@ -49,7 +49,7 @@ def test_wherever_all_can_be_kept_it_answers_as_quadprog_does() -> None:
         rows = [(a, b, limit) for (a, b), limit in zip(A.tolist(), right.tolist(), strict=True)]
         C, d = np.vstack([A, np.eye(2), -np.eye(2)]), np.concatenate([right, [0.0, 0.0, -1.0, -1.0]])
         truth = quadprog.solve_qp(np.diag(2.0 * weights), 2.0 * weights * nominal, C.T, d)[0]
-        found = nearest_kept(rows, (nominal[0], nominal[1]), (weights[0], weights[1]))
+        found = nearest_feasible(rows, (nominal[0], nominal[1]), (weights[0], weights[1]))
         assert found == pytest.approx(truth, abs=1e-7)
 
 
@@ -61,7 +61,7 @@ def test_among_many_sides_it_gives_the_minimiser_or_nothing() -> None:
         angle, unit = random.uniform(0.0, 2.0 * np.pi, count), 10.0 ** random.uniform(-2.0, 0.0, count)
         A = np.stack([np.cos(angle), np.sin(angle)], axis=1) * unit[:, np.newaxis]
         right, nominal = A @ centre - 10.0 ** random.uniform(-2.0, 0.2) * unit, centre + random.normal(0.0, 3.0, 2)
-        found = nearest_kept(
+        found = nearest_feasible(
             [(a, b, c) for (a, b), c in zip(A.tolist(), right.tolist(), strict=True)], nominal, (1.0, 0.3)
         )
         C, d = np.vstack([A, np.eye(2), -np.eye(2)]), np.concatenate([right, [0.0, 0.0, -1.0, -1.0]])
@@ -72,11 +72,11 @@ def test_among_many_sides_it_gives_the_minimiser_or_nothing() -> None:
 
 
 def test_the_nominal_action_itself_a_foot_or_a_corner_is_nearest_and_weights_say_which_entry_moves_more() -> None:
-    assert nearest_kept([(1.0, 0.0, 0.2)], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
-    assert nearest_kept([(1.0, 0.0, 0.75)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
-    assert nearest_kept([(1.0, 0.0, 0.75), (0.0, 2.0, 1.5)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.75)
-    assert nearest_kept([], (2.0, -3.0), (1.0, 1.0)) == (1.0, 0.0)
-    found = nearest_kept([(1.0, 1.0, 1.6)], (0.5, 0.5), (1.0, 2.0))
+    assert nearest_feasible([(1.0, 0.0, 0.2)], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
+    assert nearest_feasible([(1.0, 0.0, 0.75)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
+    assert nearest_feasible([(1.0, 0.0, 0.75), (0.0, 2.0, 1.5)], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.75)
+    assert nearest_feasible([], (2.0, -3.0), (1.0, 1.0)) == (1.0, 0.0)
+    found = nearest_feasible([(1.0, 1.0, 1.6)], (0.5, 0.5), (1.0, 2.0))
     assert found == pytest.approx((0.9, 0.7))
 
 
@@ -84,10 +84,10 @@ def test_the_nominal_action_itself_a_foot_or_a_corner_is_nearest_and_weights_say
 def test_no_condition_is_too_dear_however_steep_for_one_robot_or_many(size: float) -> None:
     """There is no price at which one would rather be broken."""
     foot: list[Row] = [(size, 0.0, 0.75 * size)]
-    assert nearest_kept([*foot], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.5), abs=1e-6)
+    assert nearest_feasible([*foot], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.5), abs=1e-6)
     corner: list[Row] = [*foot, (0.0, size, 0.75 * size)]
     for order in (corner, corner[::-1]):
-        assert nearest_kept([*order], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75), abs=1e-6)
+        assert nearest_feasible([*order], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75), abs=1e-6)
     found, certain = one([[size, 0.0], [0.0, size]], [0.75 * size, 0.75 * size], (0.5, 0.5))
     assert certain
     np.testing.assert_allclose(found, 0.75, atol=1e-6)
@@ -97,7 +97,7 @@ def test_no_condition_is_too_dear_however_steep_for_one_robot_or_many(size: floa
 def test_in_whatever_order_a_condition_that_another_makes_needless_is_left_behind(order: tuple[int, ...]) -> None:
     """x >= 0.6 is kept by whoever keeps x >= 0.75; in whatever order they stand."""
     rows: list[Row] = [(1.0, 0.0, 0.6), (1.0, 0.0, 0.75), (1.0, 1.0, 1.2)]
-    assert nearest_kept([*[rows[index] for index in order]], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
+    assert nearest_feasible([*[rows[index] for index in order]], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
     rows: list[Row] = [(1.0, 0.0, 0.9), (-0.5, 0.5, 0.4), (-0.3, -0.7, -0.1)]
     found = nearest_with_slack([rows[index] for index in order], (0.5, 0.5), (1.0, 0.01))
     assert found == pytest.approx(nearest_with_slack(rows, (0.5, 0.5), (1.0, 0.01)), abs=1e-11)
@@ -106,39 +106,39 @@ def test_in_whatever_order_a_condition_that_another_makes_needless_is_left_behin
 def test_a_corner_with_one_foot_that_is_no_corner() -> None:
     """The corner of both would need to pull: the foot on the newest alone is the optimum."""
     rows: list[Row] = [(1.0, 1.0, 1.2), (1.0, -1.0, 0.3)]
-    found = nearest_kept([*rows], (0.5, 0.5), (1.0, 1.0))
+    found = nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0))
     assert found == pytest.approx((0.75, 0.45))
     rows = [(1.0, 0.0, 0.7), (2.0, 1.0, 2.2)]
-    assert nearest_kept([*rows], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.78, 0.64))
+    assert nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.78, 0.64))
 
 
 @pytest.mark.parametrize("missed", [0.9e-12, 1.1e-12])
 def test_what_rounding_breaks_is_kept(missed: float) -> None:
-    found = nearest_kept([(1.0, 0.0, 0.5 + missed)], (0.5, 0.5), (1.0, 1.0))
+    found = nearest_feasible([(1.0, 0.0, 0.5 + missed)], (0.5, 0.5), (1.0, 1.0))
     assert found is not None
     assert (found[0] == 0.5) == (missed < 1e-12)
 
 
 def test_faint_conditions_have_a_corner_too() -> None:
     rows: list[Row] = [(1e-5, 0.0, 0.75e-5), (0.0, 1e-5, 0.75e-5)]
-    assert nearest_kept([*rows], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75))
+    assert nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75))
 
 
 @pytest.mark.parametrize("row", [(0.0, 0.0, 0.1), (1.0, 0.0, 1.1), (nan, 0.0, 0.1), (1.0, inf, 0.1), (1.0, 0.0, nan)])
 def test_no_answer_where_there_is_none(row: Row) -> None:
-    assert nearest_kept([row], (0.5, 0.5), (1.0, 1.0)) is None
+    assert nearest_feasible([row], (0.5, 0.5), (1.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("nominal", [(nan, 0.5), (0.5, nan), (inf, 0.5), (0.5, -inf)])
 @pytest.mark.parametrize("rows", [[], [(1.0, 0.0, 0.6)], [(0.0, 1.0, 0.6), (1.0, 1.0, 1.2)]])
 def test_no_answer_to_a_nominal_action_that_is_not_finite(nominal: tuple[float, float], rows: list[Row]) -> None:
-    assert nearest_kept(rows, nominal, (1.0, 1.0)) is None
+    assert nearest_feasible(rows, nominal, (1.0, 1.0)) is None
 
 
 def test_rows_that_are_zero_or_almost_parallel_have_no_corner() -> None:
-    assert nearest_kept([(0.0, 0.0, 0.1)], (2.0, 0.5), (1.0, 1.0)) is None
+    assert nearest_feasible([(0.0, 0.0, 0.1)], (2.0, 0.5), (1.0, 1.0)) is None
     rows: list[Row] = [(1.0, 0.0, 0.6), (-1.0, 1e-12, -0.4)]
-    assert nearest_kept([*rows], (0.5, 0.5), (1.0, 1.0)) is None
+    assert nearest_feasible([*rows], (0.5, 0.5), (1.0, 1.0)) is None
 
 
 def test_one_action_and_three() -> None:
@@ -304,7 +304,7 @@ def alone(slopes: Any, limits: Any, nominal: Any) -> tuple[float, float] | None:
     rows: list[Row] = [
         (float(a), float(b), float(limit)) for (a, b), limit in zip(slopes, limits, strict=True) if limit > -inf
     ]
-    return nearest_kept(rows, (float(nominal[0]), float(nominal[1])), (float(WEIGHTS[0]), float(WEIGHTS[1])))
+    return nearest_feasible(rows, (float(nominal[0]), float(nominal[1])), (float(WEIGHTS[0]), float(WEIGHTS[1])))
 
 
 @pytest.mark.parametrize("rows", range(1, 10))

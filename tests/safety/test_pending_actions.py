@@ -44,18 +44,18 @@ def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
     random = np.random.default_rng(seed)
     late = PendingActions(affine, TICKS, (0.0,))
     x = np.array([random.uniform(-1.0, 0.0), 0.0])
-    xi, said, far = late.state(x), set(), -np.inf
+    xi, notice, far = late.state(x), set(), -np.inf
     plain = FunctionBarrier(room)
     known = SafetyFilter(late.prediction, [late.barrier(plain)], ON_A_LINE)
     blind = SafetyFilter(affine, [plain], ON_A_LINE)
     for _ in range(110):
         nominal = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
         verdict = known.decide(xi, nominal) if knows else blind.decide(x, nominal)
-        said.add(verdict.status)
+        notice.add(verdict.status)
         x = A @ x + B @ late.split(xi)[1][0]
         xi = late.next_state(xi, verdict.action, x)
         far = max(far, float(x[0]))
-    return far, said
+    return far, notice
 
 
 @pytest.mark.long
@@ -63,7 +63,7 @@ def test_a_delay_that_is_known_costs_nothing() -> None:
     """60 runs: none beyond the wall, none relaxed; without knowing of it many end up beyond."""
     found = [furthest(seed, True) for seed in range(60)]
     assert max(far for far, _ in found) < 1.0
-    assert set.union(*(said for _, said in found)) == {Status.passed, Status.corrected}
+    assert set.union(*(notice for _, notice in found)) == {Status.passed, Status.corrected}
     assert sum(furthest(seed, False)[0] > 1.0 for seed in range(20)) >= 4
 
 
@@ -120,14 +120,14 @@ def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
         SafetyFilter(other.prediction, barriers, settings, state_range=other.state_range)
     safe = SafetyFilter(late.prediction, barriers, settings, state_range=late.state_range)
     x = np.zeros(4)
-    xi, said = late.state(x), set()
+    xi, notice = late.state(x), set()
     for _ in range(80):
         verdict = safe.decide(xi, [2.0, 0.0], model.latent)
-        said.add(verdict.status)
+        notice.add(verdict.status)
         x = model.step(x, late.split(xi)[1][0])
         xi = late.next_state(xi, verdict.action, x)
         assert min(part.values(x).min() for part in scene) > 0.0
-    assert said == {Status.passed, Status.corrected}
+    assert notice == {Status.passed, Status.corrected}
 
 
 def test_the_gradient_by_the_chain_rule_is_that_of_its_values() -> None:
@@ -177,10 +177,10 @@ def test_what_is_no_delay_is_named() -> None:
         (lambda: late.reached(np.zeros(2)), "make it with state()"),
         (lambda: PendingActions(lambda x, a: x[:1], 1, (0.0,)).reached(np.zeros(3)), "predicted state"),
     ]
-    for made, said in cases:
+    for made, notice in cases:
         with pytest.raises(InputError) as error:
             made()
-        assert said in str(error.value)
+        assert notice in str(error.value)
 
 
 def test_a_barrier_is_judged_with_the_latent_that_it_was_given() -> None:
@@ -214,8 +214,8 @@ class Robot:
         self.applied, self.applied_by, self.tick = (0.0, 0.0), "none", 0
 
     def turn(self, nominal: tuple[float, float] = (1.0, 0.0)) -> VerdictMessage:
-        told: dict[str, Any] = {"applied": self.applied, "applied_by": self.applied_by}
-        state = state_at(self.tick, tuple(self.values.tolist()), until_action=self.until_action, **told)
+        reported: dict[str, Any] = {"applied": self.applied, "applied_by": self.applied_by}
+        state = state_at(self.tick, tuple(self.values.tolist()), until_action=self.until_action, **reported)
         verdict = asked(self.node, state, latent_at(state, self.model), nominal)
         lost = self.tick in self.lost
         self.applied, self.applied_by = ((0.0, 0.0), "watchdog") if lost else (verdict.action, "filter")

@@ -102,7 +102,7 @@ def test_slopes_are_those_of_differences_at_that_latent_and_time(name: str, seco
     given = latent if name == "another load" else None
     prediction, truth = Prediction.of_model(model), differences(model, latent, seconds)
     after = model.advance(np.array(STATE), np.array(ACTION), (), np.array(latent), time=seconds)[0]
-    prediction.tell_time(seconds)
+    prediction.report_time(seconds)
     sensitivity = prediction.sensitivity_of_one(STATE, ACTION, given)
     assert sensitivity is not None
     np.testing.assert_allclose(sensitivity, truth, atol=1e-7)

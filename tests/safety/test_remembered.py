@@ -123,15 +123,15 @@ def test_a_verdict_has_all_its_fields() -> None:
 @pytest.fixture
 def verdicts(monkeypatch: pytest.MonkeyPatch) -> list[Verdict]:
     """What every filter decides from now on."""
-    said: list[Verdict] = []
+    notice: list[Verdict] = []
     decide = SafetyFilter.decide
 
     def noted(self: SafetyFilter, *given: Any, **known: Any) -> Verdict:
-        said.append(decide(self, *given, **known))
-        return said[-1]
+        notice.append(decide(self, *given, **known))
+        return notice[-1]
 
     monkeypatch.setattr(SafetyFilter, "decide", noted)
-    return said
+    return notice
 
 
 def step(node: SafetyFilterNode, tick: int, robot: str = "r", **changed: Any) -> VerdictMessage:
@@ -200,7 +200,7 @@ def commands(count: int) -> list[tuple[float, float]]:
 
 def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[CommandHistory, list[tuple[float, ...]]]:
     """A trail of a robot whose action of tick i is in force from ``until_action`` after the state i, and its states."""
-    trail, states = CommandHistory(model), []
+    history, states = CommandHistory(model), []
     sent = commands(ticks)
     latent = np.array(LATENTS)
     begin = np.array((0.0, 0.0, 0.2, 0.5))
@@ -211,20 +211,20 @@ def followed(model: PhysicsModel, until_action: float, ticks: int) -> tuple[Comm
         if tick:
             memory = model.felt(applied, memory, LATENTS, period=PERIOD)[1]
         states.append(tuple(begin.tolist()))
-        trail.add(tick, states[-1], applied, memory)
-        trail.decided(LATENTS)
+        history.add(tick, states[-1], applied, memory)
+        history.decided(LATENTS)
         for start in np.arange(0.0, PERIOD, 0.01):  # in pieces of 10 ms, whatever is in force there
             number = int(np.floor((tick * PERIOD + start - until_action) / PERIOD + 1e-9))
             command = sent[number] if number >= 0 else (0.0, 0.0)
             begin, real = model.advance(begin, np.array(command), real, latent, period=0.01)
-    return trail, states
+    return history, states
 
 
 @pytest.mark.parametrize("model", [CAR, DELAYED, LAGGING], ids=["plain", "delayed", "lagging"])
 @pytest.mark.parametrize("until_action", [0.0, 0.03, 0.05, 0.12])
 def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_action: float) -> None:
-    trail, states = followed(model, until_action, 14)
-    delayed_prediction = trail.delayed_prediction(until_action)
+    history, states = followed(model, until_action, 14)
+    delayed_prediction = history.delayed_prediction(until_action)
     if model is CAR and until_action == 0.0:
         assert delayed_prediction is None
         return
@@ -239,8 +239,8 @@ def test_a_prediction_past_the_dead_time_comes_true(model: PhysicsModel, until_a
 def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_ones_expected_there(
     until_action: float,
 ) -> None:
-    trail, states = followed(CAR, until_action, 10)
-    pending = trail.pending(until_action)
+    history, states = followed(CAR, until_action, 10)
+    pending = history.pending(until_action)
     assert sum(seconds for _, seconds in pending.sent) == pytest.approx(until_action)
     assert pending.held == commands(10)[-2]
     begin = ActuatorModel(CAR).begin(states[-1], LATENTS, pending)
@@ -251,57 +251,59 @@ def test_the_state_is_taken_to_where_the_action_is_put_in_force_and_the_next_one
     if rest > 1e-9:
         state = CAR.advance(state, np.array(commands(10)[-2]), (), np.array(LATENTS), period=rest)[0]
     np.testing.assert_allclose(begin.state, state, atol=2e-3)
-    trail, states = followed(DELAYED, until_action, 10)
+    history, states = followed(DELAYED, until_action, 10)
     later = followed(DELAYED, until_action, 12)[1]
     assert later[:10] == states
-    rows = trail.expected(commands(10)[-1], LATENTS, trail.pending(until_action), 1)
+    rows = history.expected(commands(10)[-1], LATENTS, history.pending(until_action), 1)
     np.testing.assert_allclose(rows, [later[10]], atol=2e-3)
 
 
 def test_after_a_gap_nothing_is_known_of_before() -> None:
-    trail, _ = followed(DELAYED, 0.0, 8)
-    assert trail.delayed_prediction(0.0) is not None
+    history, _ = followed(DELAYED, 0.0, 8)
+    assert history.delayed_prediction(0.0) is not None
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
-    trail.add(20, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
-    trail.decided(LATENTS)
-    assert trail.delayed_prediction(0.0) is None
-    assert trail.pending(0.12).sent == (((0.0, 0.0), pytest.approx(0.02)), ((0.0, 0.0), PERIOD), ((0.0, 0.0), PERIOD))
+    history.add(20, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
+    history.decided(LATENTS)
+    assert history.delayed_prediction(0.0) is None
+    assert history.pending(0.12).sent == (((0.0, 0.0), pytest.approx(0.02)), ((0.0, 0.0), PERIOD), ((0.0, 0.0), PERIOD))
 
 
 def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
-    trail = CommandHistory(DELAYED)
+    history = CommandHistory(DELAYED)
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENTS))
     for tick in range(9):
-        trail.add(tick, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
-    assert trail.delayed_prediction(0.0) is None
+        history.add(tick, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
+    assert history.delayed_prediction(0.0) is None
 
 
 def test_the_earlier_commands_come_in_order_and_none_after_a_gap() -> None:
     assert CommandHistory(CAR).commands(3, (9.0, 0.0)) == [(9.0, 0.0)]
-    trail = CommandHistory(CAR)
+    history = CommandHistory(CAR)
     for tick in range(5):
-        trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
+        history.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
     first = [(float(tick), 0.0) for tick in range(5)]
-    assert trail.commands(5, (9.0, 0.0)) == [*first, (9.0, 0.0)]
-    assert trail.commands(4, (9.0, 0.0)) == [*first[:4], (9.0, 0.0)], "the newest tick's own is given"
+    assert history.commands(5, (9.0, 0.0)) == [*first, (9.0, 0.0)]
+    assert history.commands(4, (9.0, 0.0)) == [*first[:4], (9.0, 0.0)], "the newest tick's own is given"
     for tick in (6, 3):
-        assert trail.commands(tick, (9.0, 0.0)) == [(9.0, 0.0)]
+        assert history.commands(tick, (9.0, 0.0)) == [(9.0, 0.0)]
 
 
 def test_as_much_is_remembered_as_the_longest_dead_time_and_the_oldest_state_need() -> None:
-    trail = CommandHistory(CAR)
+    history = CommandHistory(CAR)
     for tick in range(300):
-        trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
-    assert len(trail.commands(300, (0.0, 0.0))) == LONGEST + 20 + 2 + 1, "a second at 20 Hz, both ends, and the new one"
+        history.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
+    assert len(history.commands(300, (0.0, 0.0))) == LONGEST + 20 + 2 + 1, (
+        "a second at 20 Hz, both ends, and the new one"
+    )
 
 
 def test_what_is_expected_goes_on_under_the_newest_action() -> None:
     """It is in force from 0.12 s after its state on: from the third row on, and for as long as is asked."""
-    trail, _ = followed(DELAYED, 0.12, 10)
+    history, _ = followed(DELAYED, 0.12, 10)
     later = followed(DELAYED, 0.12, 14)[1]
-    rows = trail.expected(commands(10)[-1], LATENTS, trail.pending(0.12), 3)
+    rows = history.expected(commands(10)[-1], LATENTS, history.pending(0.12), 3)
     np.testing.assert_allclose(rows, later[10:13], atol=2e-3)
-    assert trail.expected(commands(10)[-1], None, trail.pending(0.12), 3) == rows, "the model's own latent"
+    assert history.expected(commands(10)[-1], None, history.pending(0.12), 3) == rows, "the model's own latent"
 
 
 @pytest.mark.parametrize(("until_action", "ticks"), [(0.0, 5), (0.05, 7), (0.12, 11)])
@@ -313,13 +315,13 @@ def test_a_prediction_is_compared_with_the_measurement_as_soon_as_possible(until
 
 def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATENTS) -> CommandHistory:
     """Nine ticks of a robot that drives straight on; in those of ``far`` it is measured 100 m away."""
-    trail = CommandHistory(DELAYED)
+    history = CommandHistory(DELAYED)
     memory = DELAYED.initial_memory(np.array((1.0, 0.0)), np.array(LATENTS))
     for tick in range(9):
-        trail.add(tick, (0.05 * tick + 100.0 * (tick in far), 0.0, 0.0, 1.0), (1.0, 0.0), memory)
+        history.add(tick, (0.05 * tick + 100.0 * (tick in far), 0.0, 0.0, 1.0), (1.0, 0.0), memory)
         if tick != undecided:
-            trail.decided(latent)
-    return trail
+            history.decided(latent)
+    return history
 
 
 def test_a_prediction_begins_where_the_dead_time_began_and_not_before() -> None:
@@ -355,11 +357,11 @@ def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
 @pytest.mark.parametrize("count", [2, 3, 5, 9])
 def test_a_period_comes_with_the_earlier_commands_and_the_memory_of_then(count: int) -> None:
     """Command by command, the newest first; before the first tick that of the first was always in force."""
-    trail = CommandHistory(CAR)
+    history = CommandHistory(CAR)
     for tick in range(count):
-        trail.add(tick, (float(tick),) * 4, (0.1 * tick, 0.0), f"after {tick}")
-        assert (trail.passed(3) is None) == (tick == 0)
-    found = trail.passed(3)
+        history.add(tick, (float(tick),) * 4, (0.1 * tick, 0.0), f"after {tick}")
+        assert (history.passed(3) is None) == (tick == 0)
+    found = history.passed(3)
     assert found is not None
     assert (found.before, found.now) == ((count - 2.0,) * 4, (count - 1.0,) * 4)
     wanted = [((0.1 * tick, 0.0), f"after {tick - 1}") for tick in range(count - 1, 0, -1)]

@@ -54,25 +54,25 @@ def rollout(horizon: int = 40) -> RolloutBarrier:
 def drive(barrier: AbstractBarrier, seed: int, ticks: int) -> tuple[float, set[Status]]:
     """Least room on the way of a robot that is driven at the discs, and what the filter said."""
     random, x, least = np.random.default_rng(seed), np.zeros(4), np.inf
-    safe, said = SafetyFilter(affine, [barrier], SETTINGS, backup=brake), set()
+    safe, notice = SafetyFilter(affine, [barrier], SETTINGS, backup=brake), set()
     for tick in range(ticks):
         if tick % 40 == 0:
             target = DISCS[random.integers(3), :2] + 0.1 * random.normal(size=2)
         nominal = np.clip(3.0 * (target - x[:2]) - 0.2 * x[2:] + random.normal(size=2), -1.0, 1.0)
         verdict = safe.decide(x, nominal)
-        said.add(verdict.status)
+        notice.add(verdict.status)
         x = A @ x + B @ verdict.action
         least = min(least, float(room(x).min()))
-    return least, said
+    return least, notice
 
 
 def test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed() -> None:
     plain = [drive(FunctionBarrier(room, names=NAMES), seed, 150)[0] for seed in range(10)]
     assert sum(least < 0.0 for least in plain) >= 4, "the plain distance is no barrier of such a robot"
     for seed in range(5):
-        least, said = drive(rollout(), seed, 120)
+        least, notice = drive(rollout(), seed, 120)
         assert least >= 0.0
-        assert said <= {Status.passed, Status.corrected}
+        assert notice <= {Status.passed, Status.corrected}
 
 
 def test_the_backup_keeps_every_condition_wherever_it_is_promised() -> None:
@@ -184,7 +184,7 @@ def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed:
     random = np.random.default_rng(seed)
     x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
     unit, push_unit, height_unit = np.repeat((10.0**place, 10.0**speed), 2), 10.0**push, 10.0**height
-    told = RolloutBarrier(
+    reported = RolloutBarrier(
         lambda y: (unit * affine(y / unit)[0], unit[:, np.newaxis] * B / push_unit),
         lambda y: push_unit * brake(y / unit),
         lambda y: height_unit * room(y / unit),
@@ -193,7 +193,7 @@ def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed:
     )
     origin = x + 0.02 * random.normal(size=4)
     h, gradient = rollout().since(origin).evaluate(x)
-    other, slopes = told.since(unit * origin).evaluate(unit * x)
+    other, slopes = reported.since(unit * origin).evaluate(unit * x)
     np.testing.assert_allclose(other / height_unit, h, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(slopes * unit / height_unit, gradient, rtol=0.0, atol=1e-6)
 
@@ -203,14 +203,14 @@ def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height:
     settings = FilterSettings(
         action_low=(-push, -push), action_high=(push, push), eta=0.2, epsilon=0.002 * height, backup_action=(0.0, 0.0)
     )
-    told = RolloutBarrier(
+    reported = RolloutBarrier(
         lambda y: (place * affine(y / place)[0], place * B / push),
         lambda y: push * brake(y / place),
         lambda y: height * room(y / place),
         40,
         NAMES,
     )
-    safe = SafetyFilter(told.loop.prediction, [told], settings, backup=told.backup)
+    safe = SafetyFilter(reported.loop.prediction, [reported], settings, backup=reported.backup)
     plain = SafetyFilter(affine, [rollout()], SETTINGS, backup=brake)
     random, x, seen = np.random.default_rng(4), np.zeros(4), set()
     for _ in range(50):
@@ -225,10 +225,10 @@ def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height:
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_slopes_at_rest_where_nothing_tells_how_large_a_step_is(unit: float) -> None:
-    told = RolloutBarrier(
+    reported = RolloutBarrier(
         lambda y: (unit * affine(y / unit)[0], unit * B), lambda y: brake(y / unit), lambda y: room(y / unit), 40, NAMES
     )
-    gradient = told.evaluate(np.zeros(4))[1] * unit
+    gradient = reported.evaluate(np.zeros(4))[1] * unit
     towards = -DISCS[:, :2] / np.hypot(*DISCS[:, :2].T)[:, np.newaxis]
     np.testing.assert_allclose(gradient[:, :2], towards, atol=1e-6)
 
@@ -345,8 +345,8 @@ def test_what_cannot_be_rolled_out_is_named() -> None:
         (lambda: RolloutBarrier(lambda x, a: x * np.nan, (0.0,), room, 5).values(np.zeros(4)), "NaN or infinity"),
         (lambda: rollout().backup(None), "got no state"),
     ]
-    for made, said in cases:
-        with pytest.raises(InputError, match=said):
+    for made, notice in cases:
+        with pytest.raises(InputError, match=notice):
             made()
     np.testing.assert_array_equal(RolloutBarrier(affine, (0.5, 0.0), room, 5, NAMES).backup(None), [0.5, 0.0])
 

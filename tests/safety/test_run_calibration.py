@@ -192,7 +192,7 @@ def test_over_gaps_and_where_adaptation_was_silent_there_is_no_transition() -> N
     assert RecordedTransitions([[tick(0), tick(2), tick(3)]]).state[:, 0].tolist() == [2.0]
 
 
-@pytest.mark.parametrize("by", ["watchdog", "nobody"])
+@pytest.mark.parametrize("by", ["watchdog", "no_one"])
 def test_steps_under_another_action_than_the_filters_are_left_out(by: str) -> None:
     found = RecordedTransitions([[tick(0), tick(1, by=by), tick(2)]])
     assert found.state[:, 0].tolist() == [1.0]
@@ -204,10 +204,10 @@ def test_where_none_is_left_it_says_so(ticks: list[DriveTick]) -> None:
         RecordedTransitions([ticks])
 
 
-def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab") -> Path:
+def recorded(path: Path, *reported: tuple[str, int, int], model: str = "0123456789ab") -> Path:
     """State and latent of each (robot, epoch, tick), in this order; of tick 2 no latent was heard."""
     with McapRecorder(path) as recorder:
-        for robot, epoch, number in told:
+        for robot, epoch, number in reported:
             state = replace(tick(number).state, epoch=epoch, values=(0.01 * number, 0.0, 0.0, 0.2))
             latent = replace(LATENT, epoch=epoch, tick=number, values=tuple(CAR.latent.tolist()), model=model)
             recorder.write(key_of("fleet", robot, STATES), encode(state), number, number)
@@ -218,8 +218,8 @@ def recorded(path: Path, *told: tuple[str, int, int], model: str = "0123456789ab
 
 def test_each_start_of_each_robot_is_a_drive_with_its_ticks_in_order(tmp_path: Path) -> None:
     """Three robots that start twice each, and messages in any order; the fifth drive measures the coverage."""
-    told = [(robot, epoch, number) for robot in "abc" for epoch in (7, 8) for number in range(60)]
-    mixed = [told[place] for place in np.random.default_rng(0).permutation(len(told)).tolist()]
+    reported = [(robot, epoch, number) for robot in "abc" for epoch in (7, 8) for number in range(60)]
+    mixed = [reported[place] for place in np.random.default_rng(0).permutation(len(reported)).tolist()]
     path = recorded(tmp_path / "drive.mcap", *mixed, model=fingerprint(CAR))
     made = calibration_from_recordings(CAR, SETTINGS, [path], 0.5, "2024-01-01")
     assert (made.drives, made.transitions, made.period) == (5, 5 * 59, 0.05)

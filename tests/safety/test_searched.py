@@ -42,8 +42,8 @@ HELD = " Found a moment ago, and no worse now."
 
 
 def same(one: Verdict, other: Verdict) -> bool:
-    told = (one.status, one.reason.removesuffix(HELD), one.slack, one.h_next, one.action.tolist())
-    return told == (other.status, other.reason, other.slack, other.h_next, other.action.tolist())
+    reported = (one.status, one.reason.removesuffix(HELD), one.slack, one.h_next, one.action.tolist())
+    return reported == (other.status, other.reason, other.slack, other.h_next, other.action.tolist())
 
 
 def test_within_a_twentieth_of_a_second_the_action_is_held_without_another_search() -> None:
@@ -86,10 +86,10 @@ def test_an_action_that_is_worse_by_a_hundredth_is_searched_for_again(h: float, 
     robot, other = Robot(step=-SLOW), Robot(step=-SLOW)
     robot.at(0.0)
     robot.asked = 0
-    found, anew = robot.at(0.005, h=h), other.at(0.005, h=h)
+    found, again = robot.at(0.005, h=h), other.at(0.005, h=h)
     assert (robot.asked < other.asked) is held
-    assert found.status is anew.status is Status.relaxed
-    assert found.h_next == pytest.approx(anew.h_next, abs=1e-5)
+    assert found.status is again.status is Status.relaxed
+    assert found.h_next == pytest.approx(again.h_next, abs=1e-5)
 
 
 def test_an_action_that_misses_more_is_searched_for_again() -> None:

@@ -129,9 +129,9 @@ def test_a_speed_s_slope_is_one_over_its_own_entry(index: int | None) -> None:
     part, entry = SpeedBarrier(-1.0, 2.0, index), 3 if index is None else index
     assert part.reads == (("x", "y", "yaw", "speed") if index is None else ())
     state = [0.1, 0.2, 0.3, 0.4, 0.5]
-    told = part.steepest(Given(state, part.shared, part.each[0], part.form), FLOATS)
-    assert list(told) == [float(at == entry) for at in range(5)]
-    np.testing.assert_array_equal(np.abs(part.evaluate(np.array(state[:4]))[1]), [told[:4]] * 2)
+    reported = part.steepest(Given(state, part.shared, part.each[0], part.form), FLOATS)
+    assert list(reported) == [float(at == entry) for at in range(5)]
+    np.testing.assert_array_equal(np.abs(part.evaluate(np.array(state[:4]))[1]), [reported[:4]] * 2)
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,8 @@ def test_standing_despite_a_nominal_action_is_counted_and_reported_after_five_se
     assert stood(4.9, 0.005, 0.0).reason("corrected", ("obstacle 0",), False) == ""
     later = stood(6.0, 0.005, 0.0)
     assert later.seconds == pytest.approx(6.0)
-    told = later.reason("corrected", ("obstacle 0", "left wall"), False)
-    assert told.startswith("boxed in: obstacle 0 and left wall")
+    reported = later.reason("corrected", ("obstacle 0", "left wall"), False)
+    assert reported.startswith("boxed in: obstacle 0 and left wall")
     assert later.reason("relaxed", ("obstacle 0",), False).startswith("margin: obstacle 0")
     assert later.reason("corrected", ("obstacle 0",), True).startswith("margin")
     assert later.reason("fallback", (), False).startswith("no decision")
@@ -201,8 +201,14 @@ def verdict(time: float, stationary_for: float, why: str) -> VerdictMessage:
 
 def test_stands_are_collected_one_by_one_and_the_newest_reason_counts() -> None:
     found: list[Stand] = []
-    told = ((3.0, 3.0, ""), (5.05, 5.05, "boxed in"), (5.1, 5.1, "dead band"), (6.0, 0.0, ""), (20.0, 6.0, "margin"))
-    for item in told:
+    reported = (
+        (3.0, 3.0, ""),
+        (5.05, 5.05, "boxed in"),
+        (5.1, 5.1, "dead band"),
+        (6.0, 0.0, ""),
+        (20.0, 6.0, "margin"),
+    )
+    for item in reported:
         record_deadlock(found, verdict(*item))
     assert found == [
         {"from": 0.0, "seconds": 5.1, "reason": "dead band"},

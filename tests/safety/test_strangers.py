@@ -87,7 +87,7 @@ def test_settings_name_their_system_the_defaults_are_the_cars_and_come_back_from
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "phrase"),
     [
         ({"system": "drone"}, r"action_low: got none for the system 'drone', wanted its bounds"),
         ({"system": "drone", "action_low": (0.0,)}, r"action_high: got none for the system 'drone'"),
@@ -95,8 +95,8 @@ def test_settings_name_their_system_the_defaults_are_the_cars_and_come_back_from
         ({"action_low": (), "action_high": ()}, r"action_high: got 0 numbers"),
     ],
 )
-def test_settings_of_no_known_bounds(given: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_settings_of_no_known_bounds(given: dict[str, Any], phrase: str) -> None:
+    with pytest.raises(InputError, match=phrase):
         FilterSettings(**given)
 
 
@@ -126,9 +126,9 @@ def test_wrong_pairs_are_refused(made: Any, model: str, settings: str) -> None:
 @pytest.mark.parametrize(("model", "settings"), WRONG)
 def test_wrong_pairs_are_refused_by_the_command(capsys: Any, model: str, settings: str) -> None:
     assert safedpa.run(["up", "--robot", model, "--settings", settings, "--headless"]) == 2
-    said = capsys.readouterr().err
-    assert f"--settings {settings}: settings: made for the system '{settings}'" in said
-    assert said.count("\n") == 1
+    notice = capsys.readouterr().err
+    assert f"--settings {settings}: settings: made for the system '{settings}'" in notice
+    assert notice.count("\n") == 1
 
 
 @pytest.mark.parametrize(("model", "settings"), WRONG)
@@ -213,16 +213,16 @@ def test_default_settings_around_a_users_functions_are_refused() -> None:
         SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings())
     with pytest.raises(InputError, match="made for the system 'pendulum'"):
         SafetyFilter(lambda x: (x, np.eye(1)), None, settings_named("pendulum"))
-    for told in (
+    for reported in (
         {"barriers": car_scene()},
         {"barriers": one, "state_range": Plausible(CAR.state_low, CAR.state_high, CAR.state_names)},
     ):
-        SafetyFilter(lambda x: (x, np.zeros((4, 2))), settings=FilterSettings(), **told)  # type: ignore[arg-type]
+        SafetyFilter(lambda x: (x, np.zeros((4, 2))), settings=FilterSettings(), **reported)  # type: ignore[arg-type]
     SafetyFilter(lambda x: (x, np.eye(1)), one, FilterSettings(system="my cart", action_low=(0,), action_high=(1,)))
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("changed", "phrase"),
     [
         ({"action_low": (-1.0,), "action_high": (1.0,), "system": "car"}, "got bounds of 1 actions, .* 'car' has 2"),
         ({"action_low": (-1.0,), "action_high": (1.0,)}, r"got bounds of 1 actions, .* \(target_speed, steer\)"),
@@ -230,8 +230,8 @@ def test_default_settings_around_a_users_functions_are_refused() -> None:
         ({"action_low": (-9.0, -0.3)}, r"got bounds of -9 to 2 m/s for target_speed"),
     ],
 )
-def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], phrase: str) -> None:
+    with pytest.raises(InputError, match=phrase):
         SafetyFilter.for_model(load_model("car"), FilterSettings(**changed))
 
 
@@ -344,9 +344,9 @@ def test_the_filters_own_process_refuses_a_stranger(
         env={**os.environ, "SAFEDPA_EFFECTS": str(OWN)}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert found.returncode == 2
-    said = [line for line in found.stderr.splitlines() if not line.startswith("margin: none was")]
-    assert len(said) == 1
-    assert f"of the system '{name}', x, y" in said[0]
+    notice = [line for line in found.stderr.splitlines() if not line.startswith("margin: none was")]
+    assert len(notice) == 1
+    assert f"of the system '{name}', x, y" in notice[0]
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -355,10 +355,10 @@ def test_the_command_refuses_a_stranger(
 ) -> None:
     monkeypatch.setenv("SAFEDPA_EFFECTS", str(OWN))  # the command sets it, for the processes that it starts
     assert safedpa.run(["up", "--headless", "--model", str(files[name]), "--effects", str(OWN), "--json"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert f"a {name} with " in said
-    assert "(states x, y, " in said
+    notice = capsys.readouterr().err
+    assert notice.count("\n") == 1
+    assert f"a {name} with " in notice
+    assert "(states x, y, " in notice
 
 
 def test_a_base_cannot_borrow_a_shipped_name(tmp_path: Path) -> None:

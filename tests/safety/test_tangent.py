@@ -23,7 +23,7 @@ WIDTHS = [2.0, 0.5]
 G = [[1.0, 0.0], [0.0, -4.0]]
 
 
-class Slopes:
+class Gradients:
     """Of h: one row of (states,) each."""
 
     def __init__(self, *rows: list[float], steepest: list[float] | None = None) -> None:
@@ -41,19 +41,19 @@ class Slopes:
         return chain_rule([self.rows[row] for row in rows], g)
 
 
-def drawn(barriers: Slopes, known: float = 0.0) -> tuple[Linearization, list[float]]:
+def drawn(barriers: Gradients, known: float = 0.0) -> tuple[Linearization, list[float]]:
     scales = [known] * len(barriers.rows)
     return Linearization(barriers, G, [7.0, 8.0], WIDTHS, scales), scales
 
 
 def test_a_row_keeps_its_condition_where_the_tangent_says_so_and_is_asked_for_once() -> None:
     """A a >= b just where residual + p'g (a - about) >= the mark."""
-    tangent, _ = drawn(Slopes([3.0, 1.0], [0.0, 0.5]))
+    tangent, _ = drawn(Gradients([3.0, 1.0], [0.0, 0.5]))
     A, b = tangent.at([0.3, -0.2], [0.5, 0.1], 0.0)
     assert A == [[3.0, -4.0], [0.0, -2.0]]
     reach = [3.0 * 2.0 + 4.0 * 0.5, 2.0 * 0.5]
     np.testing.assert_allclose(b, [1.5 - 0.4 - 0.3 + MARK * reach[0], -0.2 + 0.2 + MARK * reach[1]], atol=1e-15)
-    barriers = Slopes([3.0, 1.0], [0.0, 0.5])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5])
     tangent, _ = drawn(barriers)
     tangent.at([0.0, 0.0], [0.0, 0.0], 0.0)
     tangent.at([0.0, 1.0], [0.0, 0.0], 0.0)
@@ -64,7 +64,7 @@ def test_a_row_keeps_its_condition_where_the_tangent_says_so_and_is_asked_for_on
 @pytest.mark.parametrize("overshoot", [0.25, 0.5, 2.0])
 def test_of_what_is_missing_a_share_is_asked_for_on_top(overshoot: float) -> None:
     """Of what is kept by some distance nothing is."""
-    tangent, _ = drawn(Slopes([3.0, 1.0], [0.0, 0.5], [0.0, 0.5]))
+    tangent, _ = drawn(Gradients([3.0, 1.0], [0.0, 0.5], [0.0, 0.5]))
     residual = [0.3, -0.2, 0.0]
     plain, more = (np.array(tangent.at(residual, [0.5, 0.1], share)[1]) for share in (0.0, overshoot))
     np.testing.assert_allclose(more - plain, [0.0, 0.2 * overshoot, 0.0], atol=1e-15)
@@ -75,7 +75,7 @@ def test_the_mark_is_above_the_rounding_of_a_solution_and_far_below_what_matters
 
 
 def test_what_actions_change_is_learned_and_never_less_than_known() -> None:
-    barriers = Slopes([3.0, 1.0], [0.0, 0.5])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5])
     tangent, scales = drawn(barriers)
     tangent.at([0.0, 0.0], [0.0, 0.0], 0.0)
     assert scales == [8.0, 1.0]
@@ -86,7 +86,7 @@ def test_what_actions_change_is_learned_and_never_less_than_known() -> None:
 
 def test_rows_that_no_action_breaks_are_not_even_asked_for() -> None:
     """No slope is steeper than (3, 1): 3 * 2 + 4 * 0.5 = 8, and a little for rounding."""
-    barriers = Slopes([3.0, 1.0], [0.0, 0.5], [3.0, 0.0], steepest=[3.0, 1.0])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [3.0, 0.0], steepest=[3.0, 1.0])
     tangent, _ = drawn(barriers)
     A, b = tangent.at([8.0, 8.0 + 1e-6, 7.0], [0.0, 0.0], 0.0)
     assert A == [[3.0, -4.0], [3.0, 0.0]]
@@ -102,12 +102,12 @@ def test_rows_that_no_action_breaks_are_not_even_asked_for() -> None:
     ("residual", "near"), [(8.0, True), (8.0 * (1.0 + 0.9e-9), True), (8.0 * (1.0 + 1.1e-9), False)]
 )
 def test_rounding_leaves_no_row_out(residual: float, near: bool) -> None:
-    tangent, _ = drawn(Slopes([3.0, 1.0], steepest=[3.0, 1.0]))
+    tangent, _ = drawn(Gradients([3.0, 1.0], steepest=[3.0, 1.0]))
     assert bool(tangent.at([residual], [0.0, 0.0], 0.0)[0]) is near
 
 
 def test_all_asks_for_what_is_missing_only() -> None:
-    barriers = Slopes([3.0, 1.0], [0.0, 0.5], [1.0, 0.0], steepest=[3.0, 1.0])
+    barriers = Gradients([3.0, 1.0], [0.0, 0.5], [1.0, 0.0], steepest=[3.0, 1.0])
     tangent, _ = drawn(barriers)
     tangent.at([9.0, 0.0, 9.0], [0.0, 0.0], 0.0)
     assert tangent.all(3) == [[3.0, -4.0], [0.0, -2.0], [1.0, 0.0]]
@@ -119,24 +119,24 @@ def test_all_asks_for_what_is_missing_only() -> None:
 def test_slopes_that_are_no_numbers_are_refused(number: float) -> None:
     for rows in ([number, 0.0], [0.0, number]):
         with np.errstate(invalid="ignore"), pytest.raises(InputError, match="gradient of h: got NaN or infinity"):
-            drawn(Slopes([1.0, 0.0], rows))[0].at([0.0, 0.0], [0.0, 0.0], 0.0)
+            drawn(Gradients([1.0, 0.0], rows))[0].at([0.0, 0.0], [0.0, 0.0], 0.0)
 
 
 def test_one_slope_that_is_no_number_is_enough_but_the_largest_float_is_one() -> None:
-    barriers = Slopes([3.0, 1.0])
+    barriers = Gradients([3.0, 1.0])
     barriers.along = lambda *_: [[float("nan"), 1.0]]  # type: ignore[method-assign]
     tangent, _ = drawn(barriers)
     with pytest.raises(InputError, match="gradient of h: got NaN or infinity"):
         tangent.at([-0.1], [0.0, 0.0], 0.0)
     # Their sum is infinite, they are not.
-    tangent, scales = drawn(Slopes([1.7e308, 0.0]))
+    tangent, scales = drawn(Gradients([1.7e308, 0.0]))
     assert tangent.all(1) == [[1.7e308, 0.0]]
     assert scales == [np.inf]
 
 
 def test_steepest_slopes_of_other_states_are_refused() -> None:
     with pytest.raises(ValueError, match="the model has slopes of 2 states, the barriers of 3"):
-        drawn(Slopes([1.0, 0.0], steepest=[1.0, 1.0, 1.0]))
+        drawn(Gradients([1.0, 0.0], steepest=[1.0, 1.0, 1.0]))
 
 
 SIDES = ((0.0, 10.0, 10.0), (-1.0, 1.0, 2.0))

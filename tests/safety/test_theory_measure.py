@@ -267,8 +267,8 @@ def test_the_scales_are_those_of_the_first_of_ten_blocks() -> None:
     errors = np.abs(own_errors(MODEL, found))
     aside = np.concatenate([np.arange(100), np.arange(1000, 1100)])
     scale = np.quantile(errors[aside], 0.99, axis=0)
-    told = [bound.constants[f"scale.{name}"] for name in MODEL.system.state_names]
-    assert told == pytest.approx(scale.tolist(), rel=1e-12)
+    reported = [bound.constants[f"scale.{name}"] for name in MODEL.system.state_names]
+    assert reported == pytest.approx(scale.tolist(), rel=1e-12)
 
 
 def test_too_few_transitions_are_refused_and_a_robot_without_such_barriers_has_no_such_margin() -> None:

@@ -41,7 +41,7 @@ def backup_of(model: PhysicsModel) -> BrakingByThrottle:
     return BrakingByThrottle(model, BRAKING, (-1.0, 1.0))
 
 
-def told(values: tuple[float, ...], tick: int = 0) -> StateMessage:
+def reported(values: tuple[float, ...], tick: int = 0) -> StateMessage:
     return StateMessage(
         epoch=1, tick=tick, robot_time=0.05 * tick, publish_time=0.0, values=values, applied=(0.0, 0.0),
         applied_by="filter", period=0.05, lockstep=True, goal=(1.0, 0.0), obstacles=((3.0, 0.0, 0.3),),
@@ -67,7 +67,7 @@ def test_no_h_falls_under_it(name):
     scene = scene_of(model, SETTINGS)
     state, lowest = (0.0, 0.2, 0.1, 1.8), []
     for tick in range(60):
-        stack = scene.of(told(state, tick))
+        stack = scene.of(reported(state, tick))
         lowest.append(min(stack.heights(state)[:-2]))  # room; the last two are the limits of the speed
         state = tuple(model.step(np.array(state), scene.backup(np.array(state))).tolist())
     assert np.diff(lowest).min() > -2e-4
@@ -84,10 +84,10 @@ def test_a_state_that_tells_nothing_is_braked_from_the_last_that_did_and_no_furt
     model = model_with({})
     scene = scene_of(model, SETTINGS)
     assert scene.backup(None).tolist() == [0.0, 0.0]
-    scene.of(told((0.0, 0.0, 0.0, 1.5)))
+    scene.of(reported((0.0, 0.0, 0.0, 1.5)))
     nothing, throttles = (float("nan"),) * 4, []
     for tick in range(1, 40):
-        scene.of(told(nothing, tick))
+        scene.of(reported(nothing, tick))
         throttles.append(float(scene.backup(None)[0]))
     assert throttles[0] == pytest.approx(-BRAKING.deceleration / 4.48, abs=1e-3)
     assert all(now >= before - 1e-9 for before, now in pairwise(throttles))
@@ -97,7 +97,7 @@ def test_a_state_that_tells_nothing_is_braked_from_the_last_that_did_and_no_furt
 
 def test_another_model_takes_over_what_the_last_one_knew():
     before, after = scene_of(model_with({}), SETTINGS), scene_of(model_with(EFFECTS["dead zone"]), SETTINGS)
-    before.of(told((0.0, 0.0, 0.0, 1.0)))
+    before.of(reported((0.0, 0.0, 0.0, 1.0)))
     after.remember(before)
     assert after.backup(None)[0] < -0.16
 
@@ -128,7 +128,7 @@ def rolled(broken, ticks: int = 60) -> float:
     model = load_model("dart_car")
     node, true = SafetyFilterNode(model, SETTINGS, margin_for(model)), np.array([0.0, 0.0, 0.0, 1.5])
     for tick in range(ticks):
-        state = replace(told(tuple(true.tolist()), tick), obstacles=())
+        state = replace(reported(tuple(true.tolist()), tick), obstacles=())
         state, values = (state, tuple(model.latent.tolist())) if tick == 0 else broken(state, tuple(model.latent))
         stamp = {"epoch": 1, "tick": tick, "robot_time": state.robot_time, "publish_time": 0.0}
         latent = LatentMessage(**stamp, model=fingerprint(model), values=values, deviations=(0.1,) * len(model.latent))
@@ -160,13 +160,13 @@ def test_whatever_is_reported_wrongly_the_backup_stops_the_car_and_never_drives_
 def test_after_a_step_that_raised_the_car_is_braked_and_not_let_roll():
     model = load_model("dart_car")
     node = SafetyFilterNode(model, SETTINGS, margin_for(model))
-    state = told((0.0, 0.0, 0.0, 1.5))
+    state = reported((0.0, 0.0, 0.0, 1.5))
     node.prepare("r", state)
     first = node.rescue("r", state, "a fault")[ACTION].values
     again = node.rescue("r", replace(state, tick=1), "a fault")[ACTION].values
     assert first[0] < -0.2
     assert again[0] < -0.2
-    assert node.rescue("nobody", state, "a fault")[ACTION].values == (0.0, 0.0), "nothing is known of it"
+    assert node.rescue("no_one", state, "a fault")[ACTION].values == (0.0, 0.0), "nothing is known of it"
 
 
 def halved(x: Any, latent: Any = None) -> Any:

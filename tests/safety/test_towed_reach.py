@@ -156,10 +156,10 @@ def test_a_robot_that_was_not_watched_may_have_been_reversed(later: StateMessage
 
 def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
     room = []
-    tells = CarScene(SETTINGS)
+    reports = CarScene(SETTINGS)
     places = [*np.arange(0.0, 1.0, 0.1), *np.arange(0.9, 0.2, -0.1)]
     for tick, x in enumerate(places):
-        found = tells.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
+        found = reports.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
         assert not isinstance(found, str)
         room.append(found.heights((float(x), 0.0, 0.0, 0.0))[0])
     assert room[9] == pytest.approx(1.0 - 0.2 - FOOTPRINT[2] - SETTINGS.barrier("clearance"))
@@ -288,10 +288,10 @@ def test_no_slope_exceeds_the_stated_bound_and_unread_states_have_slope_zero() -
     braking, random = braking_of(DEFAULTS), np.random.default_rng(3)
     for state in random.uniform((-1.0, -1.0, -3.0, -0.8), (1.0, 1.0, 3.0, 2.0), (60, 4)):
         part = ObstacleBarrier([(*random.uniform(-1.0, 1.0, 2), 0.1)], BODY, braking)
-        told = steepest(Given([*state.tolist(), 7.0], part.shared, (), part.form), FLOATS)
-        assert told[4:] == [0.0]
+        reported = steepest(Given([*state.tolist(), 7.0], part.shared, (), part.form), FLOATS)
+        assert reported[4:] == [0.0]
         _, gradient = part.evaluate(state)
-        assert (np.abs(gradient[0]) <= np.array(told[:4]) + 1e-9).all()
+        assert (np.abs(gradient[0]) <= np.array(reported[:4]) + 1e-9).all()
         assert hypot(*gradient[0, :2]) <= 1.0 + 1e-9
 
 
@@ -396,8 +396,8 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
 def test_whatever_a_declared_robot_raises_or_however_many_obstacles_it_has_a_sentence_says_so() -> None:
     scene = declared(lambda *_: [FunctionBarrier(lambda x: 1.0 - x[0])])
     assert not isinstance(scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 64)), str)
-    told = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 65))
-    assert told == "scene (obstacles: got 65, wanted at most 64; send the nearest)"
+    reported = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * 65))
+    assert reported == "scene (obstacles: got 65, wanted at most 64; send the nearest)"
 
     def broken(*_: Any) -> Any:
         raise KeyError("towed")

@@ -30,9 +30,9 @@ def at(latent: float) -> Barriers:
     return Barriers((FunctionBarrier(lambda x: x[0] - latent),))
 
 
-def seen(watch: OnlineMarginMonitor, ceiling: ErrorClip = NO_CLIP) -> float | None:
+def seen(watch: OnlineMarginMonitor, clip: ErrorClip = NO_CLIP) -> float | None:
     """The error that was observed last; None where nothing came near."""
-    errors = ceiling.errors("function", np.array([watch.seen["function"]]))
+    errors = clip.errors("function", np.array([watch.seen["function"]]))
     return float(errors[0]) if len(errors) else None
 
 
@@ -99,13 +99,13 @@ def test_only_a_calibration_promises_a_coverage_and_a_kind_that_always_missed_ha
 
 
 def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
-    watch, told = OnlineMarginMonitor(CALIBRATION), []
+    watch, reported = OnlineMarginMonitor(CALIBRATION), []
     for step in range(502):
         watch.expect([1.0])
         watch.observe([1.0 if step else 0.0], at(0.0))
-        told.append(watch.coverage)
-    assert told[499] == pytest.approx(499 / 500)
-    assert told[500] == 1.0
+        reported.append(watch.coverage)
+    assert reported[499] == pytest.approx(499 / 500)
+    assert reported[500] == 1.0
 
 
 def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
@@ -160,13 +160,13 @@ def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
 
 
 def test_an_error_far_from_the_boundary_is_none_and_one_near_it_is_whole() -> None:
-    ceiling = ErrorClip(0.2, {"function": 0.5})
-    watch = OnlineMarginMonitor(CALIBRATION, ceiling)
+    clip = ErrorClip(0.2, {"function": 0.5})
+    watch = OnlineMarginMonitor(CALIBRATION, clip)
     errors, shares = [], []
     for hoped, measured in ((3.0, 0.6), (3.0, 0.4), (0.4, 0.6), (0.4, 0.1)):
         watch.expect([hoped], at(0.0))
         watch.observe([measured], at(0.0))
-        errors.append(seen(watch, ceiling))
+        errors.append(seen(watch, clip))
         shares.append(watch.coverage)
     assert errors == [None, pytest.approx(0.1), pytest.approx(-0.1), pytest.approx(0.3)]
     assert shares == [-1.0, 0.0, 0.5, pytest.approx(1 / 3)], "the first was none"
@@ -182,27 +182,27 @@ def test_the_least_of_a_kind_counts() -> None:
 
 
 def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
-    ceiling = ErrorClip.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
-    assert ceiling.of("function", 0.01) == pytest.approx(0.5)
-    assert ceiling.of("function", 0.3) == pytest.approx(1.5)
-    assert ceiling.of("other", 0.3) == np.inf
+    clip = ErrorClip.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
+    assert clip.of("function", 0.01) == pytest.approx(0.5)
+    assert clip.of("function", 0.3) == pytest.approx(1.5)
+    assert clip.of("other", 0.3) == np.inf
     assert NO_CLIP.of("function", 0.3) == np.inf
     heights = np.array([HSample(0.6, 0.7), HSample(0.6, 0.4), HSample(0.3, 0.4)])
-    assert ceiling.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
+    assert clip.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
     assert NO_CLIP.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
     late = HSample(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
-    assert ceiling.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
+    assert clip.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
     assert NO_CLIP.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
-    assert ceiling.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
+    assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
     assert ErrorClip.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
 def test_the_settings_leave_room_for_ten_layers_and_a_margin_that_just_fits_keeps_its_ceiling() -> None:
     """epsilon / eta is 0.2 for a; a kind without a margin has no ceiling, and the default is a kind of its own."""
-    ceiling = ErrorClip.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
-    assert ceiling.error("a", HSample(2.1, 2.1), 0.0) is None
-    assert ceiling.error("a", HSample(2.1, 1.9), 0.0) == pytest.approx(0.1)
-    assert ceiling.error("b", HSample(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
+    clip = ErrorClip.of_settings(FilterSettings(eta=0.5, epsilon={"a": 0.1, "b": 0.0, "default": 0.2}))
+    assert clip.error("a", HSample(2.1, 2.1), 0.0) is None
+    assert clip.error("a", HSample(2.1, 1.9), 0.0) == pytest.approx(0.1)
+    assert clip.error("b", HSample(1e6, 1e6 - 1.0), 0.0) == pytest.approx(1.0)
     low = ErrorClip(0.25, {"a": 0.5})
     assert low.fitting("a", lambda _: 0.125) == (0.125, low)
     assert low.fitting("a", lambda _: 0.126) == (0.126, ErrorClip(0.25, {"a": 1.0}))
@@ -223,12 +223,12 @@ def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(
     count = len(h)
     hoped = [max(value, (1.0 - eta) * now + epsilon) for value, now in zip(predicted, h, strict=False)]
     rows = Barriers((FunctionBarrier(lambda x: x, names=tuple(map(str, range(count)))),))
-    ceiling = ErrorClip(eta, {"function": 0.4})
-    watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), ceiling)
-    top = ceiling.of("function", epsilon)
+    clip = ErrorClip(eta, {"function": 0.4})
+    watch = OnlineMarginMonitor(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), clip)
+    top = clip.of("function", epsilon)
     watch.expect(hoped, rows)
     watch.observe(measured[:count], rows)
-    error = ceiling.errors("function", np.array([watch.seen["function"]]), epsilon).sum()  # none or one
+    error = clip.errors("function", np.array([watch.seen["function"]]), epsilon).sum()  # none or one
     if error <= epsilon:
         assert min(*measured[:count], top) >= (1.0 - eta) * min(*h, top) - 1e-9
 

@@ -22,7 +22,7 @@ SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=
 LAYER = 0.2
 PERIOD = 0.1
 
-Heights = Callable[[float, int], list[float]]
+HValues = Callable[[float, int], list[float]]
 """h after so many ticks under an action."""
 
 
@@ -32,7 +32,7 @@ def way_out() -> DeadlockEscape:
 
 
 def here(
-    tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0, margins: list[float] | None = None
+    tick: int, heights: HValues, known: int = 99, fails: float = 0.0, now: int = 0, margins: list[float] | None = None
 ) -> TickContext:
     """At the ``now``-th tick of a manoeuvre; the model has numbers for ``known`` ticks."""
 
@@ -47,7 +47,7 @@ def verdict(status: Status = Status.relaxed, nominal: float = -1.0) -> Verdict:
     return replace(resting_verdict(np.zeros(1), "none"), status=status, nominal=np.array([nominal]), h_next=0.19)
 
 
-def led(out: DeadlockEscape, heights: Heights, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
+def led(out: DeadlockEscape, heights: HValues, ticks: int = 3, stood: float = 1.0, **known: float) -> Verdict:
     """The verdict after so many ticks of standing."""
     for tick in range(ticks):
         found = out.instead_of(verdict(), here(tick, heights, **known), stood)  # type: ignore[arg-type]
@@ -83,7 +83,7 @@ def test_it_is_judged_again_in_every_tick_and_ends_where_its_predictions_do() ->
         lambda action, ticks: [0.19 - 0.001 * ticks],  # it leads nowhere any more
     ],
 )
-def test_it_ends_where_the_measured_state_tells_otherwise(changed: Heights) -> None:
+def test_it_ends_where_the_measured_state_tells_otherwise(changed: HValues) -> None:
     out = way_out()
     led(out, dips, ticks=1)
     assert out.instead_of(verdict(), here(1, dips, now=1), 1.0).action[0] == 1.0

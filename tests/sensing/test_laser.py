@@ -17,7 +17,7 @@ from safedpa.perception.settings import PerceptionSettings
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, StepsOut, Walks
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
 
 FIELD = (-4.0, 4.0, -3.0, 3.0)
@@ -42,27 +42,27 @@ def driven(
     laser: Laser, ticks: int, people: tuple[Walks | StepsOut, ...] = ()
 ) -> tuple[CarRobot, list[list[ScanMessage]]]:
     scene = Scene(0, None, FIELD, ((2.0, 0.0, 0.5),), (0.0, 0.0, 0.3))
-    robot = CarRobot(scene, senses=SimulatedSensors((laser,), people))
-    told = []
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((laser,), people))
+    reported = []
     for _ in range(ticks):
-        told.append(robot.scans())
+        reported.append(robot.scans())
         robot.advance()
-    return robot, told
+    return robot, reported
 
 
 def test_scans_come_at_the_lasers_own_rate_and_late() -> None:
-    _, told = driven(Laser(LaserSettings(rate=10.0, latency=0.07)), 20)
-    scans = [scan for one in told for scan in one]
+    _, reported = driven(Laser(LaserSettings(rate=10.0, latency=0.07)), 20)
+    scans = [scan for one in reported for scan in one]
     assert [scan.number for scan in scans] == list(range(9))
     np.testing.assert_allclose([scan.robot_time for scan in scans], np.arange(9) * 0.1)
-    for tick, one in enumerate(told):
+    for tick, one in enumerate(reported):
         for scan in one:
             assert 0.07 - 1e-9 <= tick * 0.05 - scan.robot_time < 0.12
 
 
 def test_what_is_measured_lies_on_the_things() -> None:
-    robot, told = driven(Laser(EXACT), 4)
-    scan = told[1][0]
+    robot, reported = driven(Laser(EXACT), 4)
+    scan = reported[1][0]
     outline = Outline(robot.scene.obstacles, (), (FIELD,))
     ahead, aside, turned = scan.mount
     x, y = ahead * cos(0.3) - aside * sin(0.3), ahead * sin(0.3) + aside * cos(0.3)
@@ -94,7 +94,7 @@ def test_noise_drop_outs_blind_sectors_and_glass() -> None:
     pane = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0), polygons=(box(1.0, 0.0, 0.1, 1.0),))
     ranges = []
     for glass in ((), (0,)):
-        robot = CarRobot(pane, senses=SimulatedSensors((Laser(EXACT),), glass=glass))
+        robot = CarRobot(pane, sensor_inputs=SimulatedSensors((Laser(EXACT),), glass=glass))
         robot.advance()
         ranges.append(robot.scans()[0].ranges[len(exact[1][0].ranges) // 2])
     assert ranges[0] == pytest.approx(0.83, abs=1e-9)
@@ -108,8 +108,8 @@ def test_a_scan_comes_back_as_it_was_and_two_drives_with_the_same_seed_are_the_s
     assert decode(ScanMessage, payload) == scan
 
     def once() -> tuple[str, list[list[ScanMessage]]]:
-        robot, told = driven(Laser(LaserSettings(), seed=2), 40, (Walks((-2.0, 0.0), 1.5, 3),))
-        return robot.trajectory_hash, [[scan.ranges for scan in one] for one in told]
+        robot, reported = driven(Laser(LaserSettings(), seed=2), 40, (Walks((-2.0, 0.0), 1.5, 3),))
+        return robot.trajectory_hash, [[scan.ranges for scan in one] for one in reported]
 
     assert once() == once()
 
@@ -117,7 +117,7 @@ def test_a_scan_comes_back_as_it_was_and_two_drives_with_the_same_seed_are_the_s
 def test_people_walk_within_the_field_and_as_fast_as_they_may() -> None:
     people = tuple(Walks((-2.0 + 0.5 * index, 2.0), 1.5, index) for index in range(4))
     scene = Scene(0, None, FIELD, ((2.0, 0.0, 0.5),), (0.0, 0.0, 0.3))
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(EXACT),), people))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(EXACT),), people))
     outline = Outline(scene.obstacles, (), (FIELD,))
     walked = 0.0
     for _ in range(600):
@@ -137,7 +137,9 @@ def test_a_person_steps_out_when_the_robot_is_near_and_a_collision_has_the_speed
     assert far.place == (3.5, 2.5)
     assert near.place[1] == pytest.approx(2.0 - 1.5 * 0.95, abs=0.1)
     scene = Scene(0, None, FIELD, (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),)))
+    robot = CarRobot(
+        scene, sensor_inputs=SimulatedSensors((Laser(EXACT),), (StepsOut((0.2, 2.0), (0.2, -2.0), 1.0, 10.0),))
+    )
     for _ in range(60):
         robot.advance()
     assert [(item.what, item.speed < 0.01) for item in robot.collisions] == [("person 0", True)]

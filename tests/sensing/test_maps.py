@@ -97,7 +97,7 @@ def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path
     from safedpa_sim.robots.core import CarRobot
     from safedpa_sim.robots.scene import Scene
     from safedpa_sim.sensing import Laser, LaserSettings
-    from safedpa_sim.sensing.senses import SimulatedSensors
+    from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
     pixels = np.full((20, 40), 254)
     pixels[:, 30:32] = 0
@@ -107,7 +107,7 @@ def test_a_file_with_a_map_contains_it_and_perception_reports_its_walls(tmp_path
     assert "room" not in text
     assert parse_perception(text) == own
     scene = Scene(0, None, (-4.0, 4.0, -4.0, 4.0), (), (0.0, 0.0, 0.0))
-    state = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),))).state_message()
+    state = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings()),))).state_message()
     (message,) = PerceptionNode(own).step("r1", state, {}).values()
     assert message.zones == ("closed walls",)
     assert message.borders == ()
@@ -121,7 +121,7 @@ def car_state() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "notice"),
     [
         ("image: room.pgm", "image: none.pgm", "cannot be read"),
         ("image: room.pgm\n", "", "image: missing"),
@@ -136,7 +136,7 @@ def car_state() -> None:
     ],
 )
 def test_what_is_no_map_is_refused_with_its_file_and_the_key(
-    tmp_path: Path, before: str, after: str, said: str
+    tmp_path: Path, before: str, after: str, notice: str
 ) -> None:
     path = written(tmp_path, np.array([[0, 254], [254, 254]]))
     text = path.read_text(encoding="utf-8")
@@ -145,12 +145,12 @@ def test_what_is_no_map_is_refused_with_its_file_and_the_key(
     (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
     with pytest.raises(InputError) as raised:
         load_perception(tmp_path / "perception.toml")
-    assert said in str(raised.value)
+    assert notice in str(raised.value)
     assert str(tmp_path) in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    ("picture", "said"),
+    ("picture", "notice"),
     [
         (b"P2\n2 2\n255\n0 0 0 0\n", "no binary PGM"),
         (b"\x89PNG", "no binary PGM"),
@@ -162,10 +162,10 @@ def test_what_is_no_map_is_refused_with_its_file_and_the_key(
         (b"P5\n900000 900000\n255\n", "got 0 bytes"),
     ],
 )
-def test_a_picture_that_is_none_is_refused_at_once(tmp_path: Path, picture: bytes, said: str) -> None:
+def test_a_picture_that_is_none_is_refused_at_once(tmp_path: Path, picture: bytes, notice: str) -> None:
     path = written(tmp_path, np.array([[0]]))
     (tmp_path / "room.pgm").write_bytes(picture)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=notice):
         read_map(path)
 
 
@@ -206,7 +206,7 @@ def test_a_large_picture_that_is_occupied_all_over_takes_no_more_memory_than_som
 
 
 @pytest.mark.parametrize(
-    ("packed", "said"),
+    ("packed", "notice"),
     [
         ("", "no packed cells"),
         ("0 0 2 2 AAAA", "no packed cells"),
@@ -217,8 +217,8 @@ def test_a_large_picture_that_is_occupied_all_over_takes_no_more_memory_than_som
         ("0 0 100 100 eJxjAAAAAQAB", "wanted 1250 of 100 x 100"),
     ],
 )
-def test_cells_that_were_not_packed_by_us_are_refused(packed: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_cells_that_were_not_packed_by_us_are_refused(packed: str, notice: str) -> None:
+    with pytest.raises(InputError, match=notice):
         PackedCells(packed)
 
 

@@ -22,14 +22,14 @@ from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 MODEL, SETTINGS = load_model("car"), settings_named("car")
 PILLAR = Scene(0, None, (-3.0, 4.0, -3.0, 3.0), ((1.2, 0.0, 0.3),), (0.0, 0.0, 0.0))
 
 
 def car(latency: float = 0.05) -> CarRobot:
-    return CarRobot(PILLAR, senses=SimulatedSensors((Laser(LaserSettings(latency=latency), 1),)))
+    return CarRobot(PILLAR, sensor_inputs=SimulatedSensors((Laser(LaserSettings(latency=latency), 1),)))
 
 
 def stamp(state: StateMessage) -> dict[str, object]:
@@ -99,12 +99,12 @@ def test_sources_that_vanish_leave_no_empty_world() -> None:
     verdict = asked(node, gone, surroundings(gone))
     assert (verdict.status, verdict.action) == ("fallback", (0.0, 0.0))
     assert "no longer named" in verdict.sentence
-    anew = replace(gone, epoch=2, tick=0, obstacles=())
-    assert asked(node, anew, surroundings(anew)).status == "passed", "a restarted robot may have none"
+    again = replace(gone, epoch=2, tick=0, obstacles=())
+    assert asked(node, again, surroundings(again)).status == "passed", "a restarted robot may have none"
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "notice"),
     [
         ({"ages": (-1.0,)}, "old"),
         ({"ages": (9.0,)}, "old"),
@@ -115,13 +115,13 @@ def test_sources_that_vanish_leave_no_empty_world() -> None:
         ({"points": tuple((3.0, 0.1 * k, 0.05) for k in range(100)), "movers": ((np.nan,) * 6,)}, "NaN"),
     ],
 )
-def test_surroundings_that_cannot_be_of_this_moment_brake_the_robot(wrong: dict[str, object], said: str) -> None:
+def test_surroundings_that_cannot_be_of_this_moment_brake_the_robot(wrong: dict[str, object], notice: str) -> None:
     state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     seen = replace(surroundings(state), **wrong)  # type: ignore[arg-type]
     verdict = asked(node, state, seen)
     assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0)), "as hard as it can, at 1 m/s"
-    assert said in verdict.sentence
+    assert notice in verdict.sentence
 
 
 @pytest.mark.parametrize("until_action", [0.0, 0.1])
@@ -161,7 +161,7 @@ def test_rows_of_a_wrong_width_are_reported_however_late_the_action_acts(
     assert "rows of other lengths" in verdict.sentence
 
 
-def commands_while_told(
+def commands_while_reported(
     state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True
 ) -> list[float]:
     """The commands while the laser is lost and these speeds are reported; one tick in ``every`` comes."""
@@ -179,20 +179,20 @@ def commands_while_told(
     return commands
 
 
-@pytest.mark.parametrize("told", [0.03, 0.09, -0.09, 0.101])
-def test_a_speed_that_is_a_little_wrong_at_rest_does_not_make_the_car_creep(told: float) -> None:
-    commands = commands_while_told(car().state_message(), [told] * 120)
+@pytest.mark.parametrize("reported", [0.03, 0.09, -0.09, 0.101])
+def test_a_speed_that_is_a_little_wrong_at_rest_does_not_make_the_car_creep(reported: float) -> None:
+    commands = commands_while_reported(car().state_message(), [reported] * 120)
     assert set(commands[-40:]) == {0.0}
 
 
 def test_lost_ticks_speeds_or_reports_of_applied_actions_begin_no_braking_that_drives_backwards() -> None:
-    commands = commands_while_told(car().state_message(), [1.0] * 60, applied=False)
+    commands = commands_while_reported(car().state_message(), [1.0] * 60, applied=False)
     assert commands[0] == -0.6
     assert set(commands[-20:]) == {0.0}
     state = car().state_message()
-    commands = commands_while_told(state, [1.0] * 20, every=5)
+    commands = commands_while_reported(state, [1.0] * 20, every=5)
     assert 5 * state.period * sum(command < 0.0 for command in commands) < 1.2 + 5 * state.period
-    commands = commands_while_told(car().state_message(), [np.nan if k % 20 == 19 else 1.0 for k in range(80)])
+    commands = commands_while_reported(car().state_message(), [np.nan if k % 20 == 19 else 1.0 for k in range(80)])
     assert set(commands[-20:]) == {0.0}
 
 
@@ -211,9 +211,9 @@ def test_a_new_model_begins_no_new_braking() -> None:
 
 def test_a_car_that_follows_its_commands_may_brake_hard_again() -> None:
     scene, state = scene_of(MODEL, SETTINGS), car().state_message()
-    told = [(1.0, -0.6)] * 60 + [(0.0, 0.0)] * 10 + [(0.3, 1.0), (0.5, 1.0)]
+    reported = [(1.0, -0.6)] * 60 + [(0.0, 0.0)] * 10 + [(0.3, 1.0), (0.5, 1.0)]
     hardest = []
-    for tick, (speed, command) in enumerate(told):
+    for tick, (speed, command) in enumerate(reported):
         scene.follow(replace(state, tick=tick, values=(0.0, 0.0, 0.0, speed), applied=(command, 0.0)))
         assert scene.backup is not None
         hardest.append(float(np.asarray(scene.backup(np.array((0.0, 0.0, 0.0, 1.0))))[0]))
@@ -335,15 +335,15 @@ def test_a_robot_that_heads_west_with_a_wrapped_heading_is_believed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ahead", "tells_tick"), [(0.3, True), (3.0, True), (100.0, True), (3.0, False), (100.0, False)]
+    ("ahead", "reports_tick"), [(0.3, True), (3.0, True), (100.0, True), (3.0, False), (100.0, False)]
 )
 def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_comes_there(
-    ahead: float, tells_tick: bool
+    ahead: float, reports_tick: bool
 ) -> None:
     node = PerceptionNode()
     for tick in range(120):
         time = tick * PERIOD + 0.01 + ahead
-        node.hear("r", scan_of(tick, time, tick if tells_tick else int(time / PERIOD)))
+        node.hear("r", scan_of(tick, time, tick if reports_tick else int(time / PERIOD)))
         message = step(node, state_of(tick + 1))
         assert message.ages == (-1.0,)
     assert message.problems == (
@@ -383,18 +383,18 @@ def test_scans_between_states_wait_for_the_state_after_them_even_of_the_next_epo
 def test_a_late_scan_forgets_no_person_who_went_out_of_sight_since() -> None:
     hiding, none, all_of_it = OcclusionMap(31, 0.2, 1.5), np.zeros((31, 31), bool), np.ones((31, 31), bool)
     hiding.look(0.9, all_of_it, none, none, none)
-    somebody = none.copy()
-    somebody[15, 15] = True
-    beside = all_of_it.copy()
-    beside[10:21, 10:21] = False
-    hiding.look(1.0, beside, none, none, somebody)  # the newer one sees him, and nothing around him
+    person = none.copy()
+    person[15, 15] = True
+    alongside = all_of_it.copy()
+    alongside[10:21, 10:21] = False
+    hiding.look(1.0, alongside, none, none, person)  # the newer one sees him, and nothing around him
     hiding.look(0.8, all_of_it, none, none, none)  # the other was there before him
     for time in (0.93, 1.06):
         hiding.wait(time)
-    hiding.look(1.1, beside, none, none, none)
+    hiding.look(1.1, alongside, none, none, none)
     assert hiding.present[15, 15]
     hiding.look(1.2, all_of_it, none, none, none)
-    hiding.look(1.3, beside, none, none, none)
+    hiding.look(1.3, alongside, none, none, none)
     assert not hiding.present[15, 15], "a look that is newer than he is rules him out"
 
 
@@ -415,9 +415,9 @@ def test_the_front_of_hidden_people_moves_at_their_top_speed_whatever_the_rate_o
     gap: float, way: tuple[int, int]
 ) -> None:
     """But for the cell that it is in, and 3 % of the way: it goes from cell to cell."""
-    hiding, none, beside = OcclusionMap(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
-    beside[50, 50] = False
-    hiding.look(0.0, beside, none, none, none)
+    hiding, none, alongside = OcclusionMap(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
+    alongside[50, 50] = False
+    hiding.look(0.0, alongside, none, none, none)
     for look in range(1, int(1.2 / gap) + 1):
         hiding.look(look * gap, none, none, none, none)
         reached = max(n for n in range(25) if hiding.present[50 + n * way[0], 50 + n * way[1]])

@@ -19,7 +19,7 @@ from safedpa.perception.scan import ScanRays
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, cast, clearance_at, clearances_at
 
 FIELD = (-3.0, 4.0, -3.0, 3.0)
@@ -37,8 +37,8 @@ def driven(
     ticks: int, action: tuple[float, float] = (0.4, 0.1), people: tuple[Person, ...] = (), scene: Scene = SCENE,
     laser: LaserSettings | None = None, change: Changes = unchanged, settings: PerceptionSettings | None = None,
 ) -> list[tuple[CarRobot, StateMessage, SurroundingsMessage]]:  # fmt: skip
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(laser or LaserSettings(), 1),), people))
-    node, told = PerceptionNode(settings), []
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser or LaserSettings(), 1),), people))
+    node, reported = PerceptionNode(settings), []
     for tick in range(ticks):
         state = robot.state_message()
         for scan in robot.scans():
@@ -47,10 +47,10 @@ def driven(
                 node.hear("r", heard)
         message = node.step("r", state, {})[SURROUNDINGS]
         assert isinstance(message, SurroundingsMessage)
-        told.append((robot, state, message))
+        reported.append((robot, state, message))
         robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=action))
         robot.advance()
-    return told
+    return reported
 
 
 def seen_from(name: str, x: float, time: float, radius: float, state: StateMessage) -> ScanRays:
@@ -78,16 +78,16 @@ def test_what_one_source_saw_is_not_dropped_since_another_one_sees_its_other_sid
             time = 0.1 * tick + later
             things.take(seen_from(name, x, time, radius, state), own)
             if tick > 31:
-                told = things.places(things.moving_now(time))
-                assert told[:, 0].min() < 1.0 - radius + 0.03
-                assert told[:, 0].max() > 1.0 + radius - 0.03
+                reported = things.places(things.moving_now(time))
+                assert reported[:, 0].min() < 1.0 - radius + 0.03
+                assert reported[:, 0].max() > 1.0 + radius - 0.03
 
 
 def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
     """What comes out of a shadow may move for a quarter of a second: whether it was hidden is not known."""
-    told = driven(140)
+    reported = driven(140)
     restless = []
-    for _, _, message in told[20:]:
+    for _, _, message in reported[20:]:
         assert len(message.points) > 60
         restless.append(len(message.movers))
         assert not message.problems
@@ -99,8 +99,8 @@ def test_points_lie_on_what_is_at_rest_and_nothing_is_seen_to_move() -> None:
 
 def test_every_near_object_is_covered() -> None:
     """Every visible place on a surface within 1.5 m is at most 5 cm outside of the discs."""
-    told = driven(100)
-    _, state, message = told[-1]
+    reported = driven(100)
+    _, state, message = reported[-1]
     discs = np.array(message.points)
     table = np.linspace(0.0, 2.0 * np.pi, 200)
     surface = np.column_stack([2.0 + 0.3 * np.cos(table), 0.5 + 0.3 * np.sin(table)])
@@ -113,7 +113,7 @@ def test_every_near_object_is_covered() -> None:
 
 def test_a_walking_person_is_among_the_movers() -> None:
     person = Walks((1.0, 2.2), 1.2, 5)
-    robot = CarRobot(SCENE, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
+    robot = CarRobot(SCENE, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
     node, walked, in_sight = PerceptionNode(), 0, 0
     for _ in range(200):
         state = robot.state_message()
@@ -126,9 +126,9 @@ def test_a_walking_person_is_among_the_movers() -> None:
         in_sight = 0 if blocked else in_sight + 1
         if state.robot_time > 1.0:
             walked += 1
-            told = message.movers if in_sight > 10 else message.movers + message.hidden  # gone behind the box
+            reported = message.movers if in_sight > 10 else message.movers + message.hidden  # gone behind the box
             nearest = min(
-                (hypot(x - person.place[0], y - person.place[1]) - radius for x, y, radius, *_ in told), default=9.0
+                (hypot(x - person.place[0], y - person.place[1]) - radius for x, y, radius, *_ in reported), default=9.0
             )
             assert nearest < person.radius, f"at {state.robot_time} s"
         robot.advance()
@@ -157,16 +157,16 @@ def room_to_all(places: np.ndarray) -> np.ndarray:
 def test_a_hidden_person_comes_out_through_a_reported_disc(action: tuple[float, float]) -> None:
     """A person stands behind the box and is never seen: every path from there to the robot meets a reported disc."""
     place = (0.9, -2.5)
-    told = driven(60, action=action, people=(StepsOut(place, (0.9, 2.0), 1.5, 0.01),))
-    for _, state, message in told[3:]:
+    reported = driven(60, action=action, people=(StepsOut(place, (0.9, 2.0), 1.5, 0.01),))
+    for _, state, message in reported[3:]:
         ways = reachable(place, message)
         assert np.hypot(ways[:, 0] - state.values[0], ways[:, 1] - state.values[1]).min() > 0.8, state.robot_time
 
 
 def test_no_person_is_reported_to_hide_behind_the_walls() -> None:
     """A person may be there and cannot come in: near the middle of a closed room no wall has a disc."""
-    told = driven(60, action=(0.0, 0.0))
-    _, _, message = told[-1]
+    reported = driven(60, action=(0.0, 0.0))
+    _, _, message = reported[-1]
     assert message.hidden
     for x, y, radius, _ in message.hidden:
         assert max(abs(x) - 4.0, abs(y) - 3.0) < radius, (x, y, radius)
@@ -185,9 +185,9 @@ def test_where_too_much_is_seen_one_disc_covers_several_objects() -> None:
 
 def test_a_person_out_of_sight_does_not_grow_for_ever() -> None:
     """A person walks behind the box: the disc of the last sighting gives way to the hidden room."""
-    told = driven(120, action=(0.0, 0.0), people=(StepsOut((2.6, -1.0), (-2.0, -2.6), 1.5, 9.0),))
-    assert any(message.movers for _, _, message in told)
-    for _, _, message in told:
+    reported = driven(120, action=(0.0, 0.0), people=(StepsOut((2.6, -1.0), (-2.0, -2.6), 1.5, 9.0),))
+    assert any(message.movers for _, _, message in reported)
+    for _, _, message in reported:
         assert all(radius < 1.0 for _, _, radius, *_ in message.movers)
 
 
@@ -196,8 +196,8 @@ def test_what_was_seen_long_ago_is_wider_by_what_the_robot_may_have_misjudged_it
 
     def seen_of_the_box(drift: float) -> list[float]:
         own = PerceptionSettings(drift=drift)
-        told = driven(100, action=(0.6, -0.02), laser=LaserSettings(field_of_view=2.4), settings=own)
-        return [radius for x, y, radius in told[-1][2].points if abs(x - 0.5) < 0.5 and abs(y + 1.5) < 0.5]
+        reported = driven(100, action=(0.6, -0.02), laser=LaserSettings(field_of_view=2.4), settings=own)
+        return [radius for x, y, radius in reported[-1][2].points if abs(x - 0.5) < 0.5 and abs(y + 1.5) < 0.5]
 
     exact, drifted = seen_of_the_box(0.0), seen_of_the_box(0.05)
     assert len(exact) == len(drifted) > 0
@@ -207,8 +207,10 @@ def test_what_was_seen_long_ago_is_wider_by_what_the_robot_may_have_misjudged_it
 def test_a_laser_that_looks_over_a_low_thing_does_not_erase_it() -> None:
     """Two lasers: one sees the pillar at its height, the other looks over it."""
     low, high = LaserSettings(name="low"), LaserSettings(name="high", mount=(0.0, 0.0, 0.0))
-    robot = CarRobot(SCENE, senses=SimulatedSensors((Laser(low, 1), Laser(high, 2))))
-    bare = CarRobot(replace(SCENE, obstacles=(), polygons=()), senses=SimulatedSensors((Laser(low, 3), Laser(high, 4))))
+    robot = CarRobot(SCENE, sensor_inputs=SimulatedSensors((Laser(low, 1), Laser(high, 2))))
+    bare = CarRobot(
+        replace(SCENE, obstacles=(), polygons=()), sensor_inputs=SimulatedSensors((Laser(low, 3), Laser(high, 4)))
+    )
     node = PerceptionNode()
     for tick in range(60):
         state = robot.state_message()
@@ -284,13 +286,13 @@ def test_growing_and_shrinking_are_each_others_mirror() -> None:
 
 
 def frozen_after(seconds: float) -> Changes:
-    kept: list[ScanMessage] = []
+    retained: list[ScanMessage] = []
 
     def change(scan: ScanMessage, state: StateMessage) -> ScanMessage:
-        if state.robot_time < seconds or not kept:
-            kept[:] = [scan]
+        if state.robot_time < seconds or not retained:
+            retained[:] = [scan]
             return scan
-        return replace(scan, ranges=kept[0].ranges)
+        return replace(scan, ranges=retained[0].ranges)
 
     return change
 
@@ -319,7 +321,7 @@ def blinded(scan: ScanMessage, state: StateMessage) -> ScanMessage:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "notice"),
     [
         (lambda scan, state: None, "nothing was heard"),
         (frozen_after(2.0), "frozen"),
@@ -330,15 +332,15 @@ def blinded(scan: ScanMessage, state: StateMessage) -> ScanMessage:
         (blinded, "measures 0 %"),
     ],
 )
-def test_a_fault_of_a_source_is_reported(change: Changes, said: str) -> None:
-    told = driven(120, action=(0.5, 0.3), change=change)
-    assert any(said in sentence for _, state, message in told for sentence in message.problems)
-    assert change is turned or said in " ".join(told[-1][2].problems)
+def test_a_fault_of_a_source_is_reported(change: Changes, notice: str) -> None:
+    reported = driven(120, action=(0.5, 0.3), change=change)
+    assert any(notice in sentence for _, state, message in reported for sentence in message.problems)
+    assert change is turned or notice in " ".join(reported[-1][2].problems)
 
 
 def test_a_source_that_speaks_again_is_believed_again() -> None:
-    told = driven(120, change=silent_between(2.0, 3.0))
-    problems = [state.robot_time for _, state, message in told if message.problems]
+    reported = driven(120, change=silent_between(2.0, 3.0))
+    problems = [state.robot_time for _, state, message in reported if message.problems]
     assert min(problems[1:]) < 2.7
     assert 2.9 < max(problems) < 3.3
 

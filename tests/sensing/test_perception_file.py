@@ -16,7 +16,7 @@ from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sensing-zones.md"
 SQUARE = "polygon = [[0, 0], [1, 0], [1, 1], [0, 1]]"
@@ -143,14 +143,14 @@ REFUSED = (  # a file, and what its refusal says
 )
 
 
-@pytest.mark.parametrize(("text", "said"), REFUSED)
-def test_what_is_wrong_is_named(text: str, said: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("text", "notice"), REFUSED)
+def test_what_is_wrong_is_named(text: str, notice: str, tmp_path: Path) -> None:
     path = tmp_path / "perception.toml"
     path.write_text(text)
     with pytest.raises(InputError) as refusal:
         load_perception(path)
     assert str(refusal.value).startswith(f"{path}: ")
-    assert said in str(refusal.value)
+    assert notice in str(refusal.value)
 
 
 def test_polygons_may_bend_inwards_either_way_round_and_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_polygons_may_bend_inwards_either_way_round_and_a_file_that_is_not_there
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("phrase", "notice"),
     [
         ("up --headless --seconds 1 --laser --perception bad.toml", "did you mean 'fastest'?"),
         ("up --headless --seconds 1 --laser --perception nothing.toml", "cannot be read"),
@@ -170,23 +170,23 @@ def test_polygons_may_bend_inwards_either_way_round_and_a_file_that_is_not_there
     ],
 )
 def test_a_wrong_file_is_refused_before_any_process_starts(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    phrase: str, notice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("[perception]\nfastst = 1")
     Path("good.toml").write_text(DOCK)
     Path("robot.toml").write_text('format = 2\nname = "r1"\nrobot = "car"\n')
-    assert safedpa.run(words.split()) == 2
+    assert safedpa.run(phrase.split()) == 2
     error = capsys.readouterr().err
     lines = [line for line in error.splitlines() if not line.startswith("{")]  # events of a second ago may come late
     assert len(lines) == 1
-    assert said in lines[0]
+    assert notice in lines[0]
     assert not Path("runs").exists()
 
 
 def node_that_met_a_car(text: str, name: str = "r1") -> tuple[PerceptionNode, CarRobot]:
     room = Scene(0, None, (-3.0, 4.0, -3.0, 3.0), (), (0.0, 0.0, 0.0))
-    robot = CarRobot(room, senses=SimulatedSensors((Laser(LaserSettings(), 1),)))
+    robot = CarRobot(room, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),)))
     node = PerceptionNode(parse_perception(text))
     for _ in range(10):
         stepped(node, robot, name)
@@ -217,8 +217,8 @@ def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
     assert "source laser off (was on), zone dock off (was on), from its next tick after 10 on" in answer.sentence
     assert "no source is left, so the filter brakes" in answer.sentence
     assert "switched off" in stepped(node, robot, name).problems[0]
-    told = node.switches.answer(name, Request(do="status")).sentence
-    assert told == (
+    reported = node.switches.answer(name, Request(do="status")).sentence
+    assert reported == (
         "robot 'watched': source laser off, zone dock off, zone wet on; no source is left, so the filter brakes"
     )
     node.rescue(name, robot.state_message(), "a fault")
@@ -236,7 +236,7 @@ def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
 
 
 @pytest.mark.parametrize(
-    ("switches", "said"),
+    ("switches", "notice"),
     [
         (("source lasr=off",), "source 'lasr': the robot has none of that name; did you mean 'laser'?"),
         (("zone dok=on",), "did you mean 'dock'?"),
@@ -250,13 +250,13 @@ def test_an_order_takes_effect_at_the_next_tick_and_reports_the_previous_state(
         (("zone dock=off", "zone wet2=off"), "zone 'wet2'"),
     ],
 )
-def test_an_order_that_is_wrong_in_one_part_changes_nothing(switches: tuple[str, ...], said: str) -> None:
+def test_an_order_that_is_wrong_in_one_part_changes_nothing(switches: tuple[str, ...], notice: str) -> None:
     elsewhere = WET.replace('"wet"', '"wet2"') + 'robots = ["r2"]\n'
     node, robot = node_that_met_a_car(DOCK + elsewhere)
     before = node.switches.answer("r1", Request(do="status"))
     with pytest.raises(InputError) as refusal:
         node.switches.answer("r1", switch(*switches))
-    assert said in str(refusal.value)
+    assert notice in str(refusal.value)
     assert node.switches.answer("r1", Request(do="status")) == before
     assert stepped(node, robot).problems == ()
 
@@ -280,7 +280,7 @@ def test_the_command_asks_over_the_bus(monkeypatch: pytest.MonkeyPatch, capsys: 
     monkeypatch.setattr(sense, "bus_of", lambda options: Bus(MemoryTransport(broker), options["fleet"]))
     assert safedpa.run(["sense", "r1", "--zone", "dock=off"]) == 1
     assert "no perception answers" in capsys.readouterr().err
-    bus.answer_requests(node.switches.answer, tell=remember, kinds=(SENSE,))
+    bus.answer_requests(node.switches.answer, report_progress=remember, kinds=(SENSE,))
     assert safedpa.run(["sense", "r1", "--source", "laser=off", "--zone", "dock=off", "--who", "me"]) == 0
     assert "source laser off (was on), zone dock off (was on)" in capsys.readouterr().out
     assert heard == [("r1", Request(do="switch", switches=("source laser=off", "zone dock=off"), who="me"), True)]
@@ -319,25 +319,25 @@ def counted(one: SensorOverrides) -> str:
     return one.answer("r1", Request(do="status")).sentence.removeprefix("robot 'r1': ")
 
 
-def order(one: SensorOverrides, *words: str) -> str:
-    return one.answer("r1", Request(do="switch", switches=words)).sentence
+def order(one: SensorOverrides, *phrase: str) -> str:
+    return one.answer("r1", Request(do="switch", switches=phrase)).sentence
 
 
 def test_what_closes_and_which_sources_count_is_known_to_the_next_process(tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
-    said = order(switches(path), "source sonar=off", "zone dock=off", "zone wet=on")
-    assert said.endswith("from its next tick after 0 on, until another order")
+    notice = order(switches(path), "source sonar=off", "zone dock=off", "zone wet=on")
+    assert notice.endswith("from its next tick after 0 on, until another order")
     after = switches(path)
     assert counted(after) == "source laser on, source sonar off, zone dock off, zone wet on"
-    assert after.kept == {"r1": "source sonar off, zone dock off, zone wet on"}
+    assert after.retained == {"r1": "source sonar off, zone dock off, zone wet on"}
     assert after.in_force("r2", ("laser", "sonar"), 0).off == frozenset(), "another robot's are its own"
 
 
 def test_an_order_that_opens_a_zone_ends_with_the_process_as_the_answer_announces(tmp_path: Path) -> None:
     path = tmp_path / "senses.json"
     first = switches(path, dock="false", wet="true")
-    said = order(first, "source sonar=off", "zone dock=on", "zone wet=off")
-    assert said.endswith("until another order, zone dock, zone wet only until perception ends")
+    notice = order(first, "source sonar=off", "zone dock=on", "zone wet=off")
+    assert notice.endswith("until another order, zone dock, zone wet only until perception ends")
     assert counted(first) == "source laser on, source sonar off, zone dock on, zone wet off"
     assert counted(switches(path, dock="false", wet="true")) == (
         "source laser on, source sonar off, zone dock off, zone wet on"
@@ -388,8 +388,8 @@ def test_a_failing_disk_is_reported(tmp_path: Path) -> None:
     (tmp_path / "senses.json").mkdir()
     found = SensorOverrides(parse_perception(""), tmp_path / "missing" / "senses.json")
     found.in_force("r1", ("laser",), 0)
-    said = order(found, "source laser=off")
-    assert "until another order or perception's end: " in said
-    assert "cannot be written (No such file or directory)" in said
+    notice = order(found, "source laser=off")
+    assert "until another order or perception's end: " in notice
+    assert "cannot be written (No such file or directory)" in notice
     assert found.in_force("r1", ("laser",), 1).off == {"laser"}, "it holds all the same"
     assert switches(tmp_path / "senses.json").lost != "", "a folder is no file of orders"

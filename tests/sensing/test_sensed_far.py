@@ -13,7 +13,13 @@ from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking, performance_limits
+from safedpa.robots.car.dynamics.limits import (
+    IS_STATIONARY,
+    ORDINARY,
+    PerformanceLimits,
+    ReversalBraking,
+    performance_limits,
+)
 from safedpa.robots.car.scenes.sensed import MOST_ROWS, SensedBarriers, reversal_braking, sensed_barriers
 from safedpa.safety.barriers.stack import CompiledBarrierSet
 from safedpa.safety.barriers.stopping import Braking
@@ -27,7 +33,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing import Laser
 from safedpa_sim.sensing.laser import LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 SETTINGS = settings_named("car")
 COUNTER, BRAKING, CLEARANCE = reversal_braking(SETTINGS), braking_of(SETTINGS), SETTINGS.barrier("clearance")
@@ -43,8 +49,8 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def state_of(values: tuple[float, ...]) -> StateMessage:
-    told = CarRobot(Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))).state_message()
-    return replace(told, values=values, footprint=BODY)
+    reported = CarRobot(Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))).state_message()
+    return replace(reported, values=values, footprint=BODY)
 
 
 def seen_by(state: StateMessage, points: Rows = (), movers: Rows = (), hidden: Rows = ()) -> SurroundingsMessage:
@@ -124,13 +130,13 @@ def test_only_the_discs_that_count_give_barriers() -> None:
         assert (one.names, one.shared, one.each) == (wanted.names, wanted.shared, wanted.each)
 
 
-@pytest.mark.parametrize(("speed", "told"), [(0.1, ""), (0.11, "somebody whom nobody sees may be")])
-def test_only_a_moving_car_yields_to_hidden_people(speed: float, told: str) -> None:
+@pytest.mark.parametrize(("speed", "reported"), [(0.1, ""), (0.11, "somebody whom nobody sees may be")])
+def test_only_a_moving_car_yields_to_hidden_people(speed: float, reported: str) -> None:
     state, place = state_of((0.0, 0.0, 0.0, speed)), (0.6, 0.0, 0.1)
     assert sensed_barriers(SETTINGS, COUNTER, state, seen_by(state), None).yields_to == ""
     hidden = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, hidden=((*place, 1.5),)), None)
-    assert hidden.yields_to.startswith(told)
-    assert bool(hidden.yields_to) is bool(told)
+    assert hidden.yields_to.startswith(reported)
+    assert bool(hidden.yields_to) is bool(reported)
     away, near = (30.0, 0.0, 0.1, 0.0, 0.0, 1.5), (*place, 0.0, 0.0, 1.5)
     seen = sensed_barriers(SETTINGS, COUNTER, state, seen_by(state, (), (away, near)), None)
     assert seen.yields_to == "mover 1 may be at the robot before it stands"
@@ -170,24 +176,24 @@ def test_below_is_less_and_a_number_that_is_none_is_not() -> None:
 def test_rows_that_are_no_discs_are_refused(name: str, width: int) -> None:
     good = (1.0,) * width
 
-    def told(*rows: tuple[float, ...]) -> None:
+    def reported(*rows: tuple[float, ...]) -> None:
         if name == "points":
             discs_near(rows, 0.0, 0.0, 1.0, 0.1)
         else:
             fastest_of(rows if name == "movers" else (), rows if name == "hidden" else ())
 
-    told(good, good)
+    reported(good, good)
     for bad in ((1.0,) * (width - 1), (1.0,) * (width + 1), ()):
         with pytest.raises(InputError, match=f"{name}: got rows of other lengths, wanted {width} numbers each"):
-            told(good, bad)
+            reported(good, bad)
     for place in range(width):
         for number in (nan, inf, -inf):
             with pytest.raises(InputError, match=f"{name}: got NaN or infinity, wanted finite"):
-                told(good, (*good[:place], number, *good[place + 1 :]))
+                reported(good, (*good[:place], number, *good[place + 1 :]))
     for place in {2, width - 1}:
         with pytest.raises(InputError, match=f"{name}: got a radius or a speed below 0, wanted 0 or more"):
-            told((*good[:place], -0.1, *good[place + 1 :]), good)
-    told((1e308,) * width, (1e308,) * width)  # whose sum is no finite number
+            reported((*good[:place], -0.1, *good[place + 1 :]), good)
+    reported((1e308,) * width, (1e308,) * width)  # whose sum is no finite number
 
 
 MODELS = ("car", "car_fix", "car_learned", "car_measured", "car_mix", "car_rma_p", "car_simulated", "dart_car")
@@ -298,20 +304,20 @@ def test_a_person_heading_straight_for_car_or_load_arrives_after_it_stopped(
     draw, (rear, front, _) = np.random.default_rng(5), footprint(load_named(load))
     places = draw.uniform(-2.0, 2.0, (400, 2))
     h = barrier(load, [(x, y, 0.2, 1.5) for x, y in places.tolist()], way).values(np.array((0.0, 0.0, 0.0, speed)))
-    kept = places[h >= 0.0]
-    assert 20 < len(kept) < 400
+    retained = places[h >= 0.0]
+    assert 20 < len(retained) < 400
     v, x, driven = speed, 0.0, way
-    while abs(v) > STANDS:
+    while abs(v) > IS_STATIONARY:
         v = max(abs(v) - 0.005 * min(2.5 * (abs(v) + 0.6), 2.0), 0.0) * float(np.sign(v))
         x, driven = x + 0.005 * v, max(driven - 0.005 * v, 0.0)
         body = np.column_stack([x + np.linspace(-rear, front, 9), np.zeros(9)])
         load_there = region(load, driven) + np.array((x - rear, 0.0))
-        apart = np.vstack([body, load_there]) - kept[:, np.newaxis]
+        apart = np.vstack([body, load_there]) - retained[:, np.newaxis]
         away = np.hypot(apart[..., 0], apart[..., 1])
         away[:, :9] -= OWN
         assert (away.min(axis=1) > 0.2 - 0.01).all()
-        chosen = apart[np.arange(len(kept)), away.argmin(axis=1)]
-        kept = kept + 0.005 * 1.5 * chosen / np.hypot(*chosen.T)[:, np.newaxis]
+        chosen = apart[np.arange(len(retained)), away.argmin(axis=1)]
+        retained = retained + 0.005 * 1.5 * chosen / np.hypot(*chosen.T)[:, np.newaxis]
 
 
 @pytest.mark.parametrize("load", list(LOADS))
@@ -344,7 +350,7 @@ def test_a_load_needs_more_room_behind_and_without_an_own_radius_the_body_is_the
 
 @pytest.mark.parametrize("load", ["none", *LOADS])
 def test_a_car_may_creep_towards_unseen_room_only_as_fast_as_it_can_stop(load: str) -> None:
-    """h of a hidden place is 0 or more exactly where it is far enough or the car is slower than ``STANDS``."""
+    """h of a hidden place is 0 or more exactly where it is far enough or the car is slower than ``IS_STATIONARY``."""
     places = [(0.6, 0.1, 0.27, 1.5), (0.2, -0.5, 0.27, 1.5)]
     if load == "none":
         body = (0.08, 0.40, 0.12)
@@ -355,19 +361,19 @@ def test_a_car_may_creep_towards_unseen_room_only_as_fast_as_it_can_stop(load: s
         creeping = barrier(load, places, 0.3, hidden=True, creeps=CREEPS)
     for speed in np.linspace(-0.6, 1.5, 64).tolist():
         state = np.array((0.0, 0.0, 0.0, speed))
-        wanted = np.maximum(strict.values(state), CREEPS * (STANDS - abs(speed)))
+        wanted = np.maximum(strict.values(state), CREEPS * (IS_STATIONARY - abs(speed)))
         np.testing.assert_allclose(creeping.values(state), wanted, atol=1e-12)
-        if abs(speed) > STANDS:
+        if abs(speed) > IS_STATIONARY:
             assert ((creeping.values(state) >= 0.0) == (strict.values(state) >= 0.0)).all()
 
 
 def around(load: str, speed: float, **seen: object) -> tuple[SensedBarriers, StateMessage]:
     scene = Scene(0, load_named(load), (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings()),)))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings()),)))
     state = replace(robot.state_message(), values=(0.0, 0.0, 0.0, speed))
     stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
-    told: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
-    message = SurroundingsMessage(**stamp, **told)  # type: ignore[arg-type]
+    reported: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
+    message = SurroundingsMessage(**stamp, **reported)  # type: ignore[arg-type]
     return sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, message, None), state
 
 

@@ -16,7 +16,13 @@ from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.pruning import irrelevance_distance
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking, performance_limits
+from safedpa.robots.car.dynamics.limits import (
+    IS_STATIONARY,
+    ORDINARY,
+    PerformanceLimits,
+    ReversalBraking,
+    performance_limits,
+)
 from safedpa.robots.car.scenes.sensed import MOST_ROWS, reversal_braking, sensed_barriers
 from safedpa.runtime.calibrated_model import CalibratedModel
 from safedpa.runtime.node import SafetyFilterNode
@@ -31,7 +37,7 @@ from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut, Walks
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import box
 
 SETTINGS = settings_named("car")
@@ -96,7 +102,7 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TrailerE
         way = np.array((x, y)) - discs[:, :2]
         stood[:, :2] += 0.05 * discs[:, 3:] * way / np.hypot(*way.T)[:, np.newaxis]
         later = barrier(stood, towed=towed).values(after)
-        assert abs(speed) < STANDS or (later >= before - 5e-3).all()  # who stands may be touched
+        assert abs(speed) < IS_STATIONARY or (later >= before - 5e-3).all()  # who stands may be touched
         hoped = barrier(discs, towed=towed, period=0.05).values(after)
         assert (hoped <= later + 5e-3).all()
 
@@ -104,12 +110,12 @@ def test_braking_never_lowers_h_whatever_moves_as_fast_as_it_may(towed: TrailerE
 def test_time_and_distance_to_stop_are_no_less_than_guaranteed_braking_takes() -> None:
     for speed in (0.05, 0.3, 0.8, 1.4, 2.0, -0.5):
         v, seconds, way = speed, 0.0, 0.0
-        while abs(v) > STANDS:
+        while abs(v) > IS_STATIONARY:
             v, seconds = braked(v, 1e-5), seconds + 1e-5
             way += 1e-5 * abs(v)
-        late = 0.05 * min(abs(speed) / STANDS, 1.0)
-        told = float(COUNTER.seconds(speed, COUNTER.numbers, FLOATS))
-        assert seconds + late - 1e-4 <= told <= 1.1 * seconds + late + 1e-4
+        late = 0.05 * min(abs(speed) / IS_STATIONARY, 1.0)
+        reported = float(COUNTER.seconds(speed, COUNTER.numbers, FLOATS))
+        assert seconds + late - 1e-4 <= reported <= 1.1 * seconds + late + 1e-4
         assert way + 0.05 * abs(speed) <= abs(COUNTER.distance(speed, COUNTER.numbers, FLOATS)) + 1e-4
 
 
@@ -126,11 +132,11 @@ def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: floa
                 if nominal_speed != speed and abs(world.state[3]) >= abs(speed):
                     break
             began, taken, way = world.state[3], 0.0, 0.0
-            while abs(world.state[3]) > STANDS:
+            while abs(world.state[3]) > IS_STATIONARY:
                 command = float(counter.action(np.array(world.state), 0.05)[0])
                 for _ in range(20):
                     x, y, _, v = world.state
-                    if abs(v) <= STANDS:
+                    if abs(v) <= IS_STATIONARY:
                         break
                     world.advance(command, 0.0, 0.0025)
                     taken, way = taken + 0.0025, way + float(np.hypot(world.state[0] - x, world.state[1] - y))
@@ -138,7 +144,7 @@ def test_the_simulated_car_stops_within_the_promised_time(load: str, speed: floa
             assert way <= abs(float(counter.distance(began, counter.numbers, FLOATS))) + 0.0025
             for _ in range(10):  # and goes on standing
                 world.advance(float(counter.action(np.array(world.state), 0.05)[0]), 0.0, 0.05)
-                assert abs(world.state[3]) < STANDS
+                assert abs(world.state[3]) < IS_STATIONARY
 
 
 def test_a_car_with_a_throttle_has_no_speed_of_reversed_sign() -> None:
@@ -194,7 +200,8 @@ def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
 def decided(seen: SurroundingsMessage | Stale | None, speed: float = 1.0, nominal: float = 1.0) -> VerdictMessage:
     """One tick of the real node at the origin, driving east."""
     robot = CarRobot(
-        Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0)), senses=SimulatedSensors((Laser(LaserSettings()),))
+        Scene(0, None, (-9.0, 9.0, -9.0, 9.0), (), (0.0, 0.0, 0.0)),
+        sensor_inputs=SimulatedSensors((Laser(LaserSettings()),)),
     )
     state = replace(robot.state_message(), values=(0.0, 0.0, 0.0, speed))
     stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
@@ -242,7 +249,7 @@ def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_
 
 
 @pytest.mark.parametrize(
-    ("seen", "said"),
+    ("seen", "notice"),
     [
         (Stale(SURROUNDINGS, None), "no surroundings has arrived"),
         (Stale(SURROUNDINGS, 4), "4 ticks old"),
@@ -253,12 +260,12 @@ def test_a_person_who_may_touch_the_car_before_it_stops_is_reported_and_the_car_
     ],
 )
 def test_without_believable_surroundings_the_car_brakes_and_reports_why(
-    seen: SurroundingsMessage | Stale, said: str
+    seen: SurroundingsMessage | Stale, notice: str
 ) -> None:
     verdict = decided(seen)
     assert verdict.status == "fallback"
     assert verdict.action == (-0.6, 0.0), "as hard as it can"
-    assert said in verdict.sentence
+    assert notice in verdict.sentence
 
 
 def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> None:
@@ -271,9 +278,9 @@ def test_rows_left_out_are_farther_than_those_that_count_and_are_reported() -> N
     assert len(names) == MOST_ROWS
     assert " points near it, those with the least h were looked at" in found.left_out
     h = np.hypot(places[:, 0] - np.clip(places[:, 0], -0.08, 0.40), places[:, 1])
-    kept = {int(name.split()[1]) for name in names}
+    retained = {int(name.split()[1]) for name in names}
     ahead = np.abs(places[:, 1]) < 0.3
-    assert set(np.argsort(h)[:20].tolist()) <= kept | set(np.flatnonzero(ahead).tolist())
+    assert set(np.argsort(h)[:20].tolist()) <= retained | set(np.flatnonzero(ahead).tolist())
     few = sensed_barriers(SETTINGS, reversal_braking(SETTINGS), state, replace(seen, points=seen.points[:40]), None)
     assert few.left_out == ""
 
@@ -300,9 +307,9 @@ def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late
         latent = np.array([draw.choice(end) for end in ends])
         distance, angle = draw.uniform(0.5, farthest, 60), draw.uniform(-np.pi, np.pi, 60)
         places = state[:2] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        told = replace(state_of(), values=tuple(state.tolist()))
+        reported = replace(state_of(), values=tuple(state.tolist()))
         for barrier in of_some_kind(np.column_stack([places, np.full(60, 0.1)]), towed):
-            far = irrelevance_distance(barrier, told, SETTINGS.eta, 0.1, 0.05 * late, quick)
+            far = irrelevance_distance(barrier, reported, SETTINGS.eta, 0.1, 0.05 * late, quick)
             rows = barrier.values(state) >= far
             left_out += int(rows.sum())
             for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
@@ -321,17 +328,17 @@ def test_no_turn_brings_a_hiding_place_before_the_car_that_was_left_out_as_far(c
     draw, counter, left_out = np.random.default_rng(12), reversal_braking(SETTINGS), 0
     model, clearance = MODEL.with_period(0.05), SETTINGS.barrier("clearance")
     for state in states(60, 11):
-        told = replace(state_of(), values=tuple(state.tolist()))
+        reported = replace(state_of(), values=tuple(state.tolist()))
         distance, aside = draw.uniform(0.5, 6.0, 60), draw.choice((-1.0, 1.0), 60) * draw.uniform(1.5, 1.9, 60)
         aside += state[2]
         places = state[:2] + distance[:, None] * np.column_stack([np.cos(aside), np.sin(aside)])
         discs = np.column_stack([places, np.full(60, 0.2), np.full(60, coming)])
-        seen = surroundings(told, hidden=tuple(map(tuple, discs.tolist())))
-        found = sensed_barriers(SETTINGS, counter, told, seen, None, {"mover": 0.03})
+        seen = surroundings(reported, hidden=tuple(map(tuple, discs.tolist())))
+        found = sensed_barriers(SETTINGS, counter, reported, seen, None, {"mover": 0.03})
         rows = np.array([f"hidden {row}" not in found.barriers.names for row in range(60)])
         left_out += int(rows.sum())
         every = MovingObstacleBarrier(
-            discs, [True] * 60, told.footprint, braking_of(SETTINGS), counter, clearance, 0.05
+            discs, [True] * 60, reported.footprint, braking_of(SETTINGS), counter, clearance, 0.05
         )
         for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
             after = every.values(model.step(state, np.array(action)))
@@ -360,13 +367,13 @@ def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_t
 
 def test_what_is_far_is_nearer_for_a_slow_car_and_farther_where_its_action_acts_late() -> None:
     (still, _) = of_some_kind(np.array([[3.0, 0.0, 0.1]]), None)
-    told = [replace(state_of(), values=(0.0, 0.0, 0.0, speed)) for speed in (0.0, 1.0, -1.0)]
-    slow, quick, backwards = (irrelevance_distance(still, one, SETTINGS.eta, 0.03, 0.0, ORDINARY) for one in told)
+    reported = [replace(state_of(), values=(0.0, 0.0, 0.0, speed)) for speed in (0.0, 1.0, -1.0)]
+    slow, quick, backwards = (irrelevance_distance(still, one, SETTINGS.eta, 0.03, 0.0, ORDINARY) for one in reported)
     assert (
-        irrelevance_distance(still, told[0], SETTINGS.eta, 0.03, 0.0, PerformanceLimits(np.inf, np.inf, np.inf))
+        irrelevance_distance(still, reported[0], SETTINGS.eta, 0.03, 0.0, PerformanceLimits(np.inf, np.inf, np.inf))
         == np.inf
     )
-    assert slow < backwards == quick < irrelevance_distance(still, told[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
+    assert slow < backwards == quick < irrelevance_distance(still, reported[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
 
 
 class Ahead:
@@ -379,7 +386,7 @@ def driven(scene: Scene, people: tuple[Person, ...], seconds: float, seed: int =
     from safedpa.adaptation import AdaptationNode
     from safedpa.policy import PolicyNode
 
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), seed),), people))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), seed),), people))
     nodes = [
         AdaptationNode(MODEL),
         PerceptionNode(),
@@ -410,7 +417,7 @@ def test_the_car_stops_for_a_person_who_steps_out_from_behind_a_box(seed: int) -
     )
     robot = driven(scene, (person,), 12.0, seed)
     assert person.stepped
-    assert all(hit.speed < STANDS for hit in robot.collisions), [str(hit) for hit in robot.collisions]
+    assert all(hit.speed < IS_STATIONARY for hit in robot.collisions), [str(hit) for hit in robot.collisions]
 
 
 @pytest.mark.long
@@ -418,5 +425,5 @@ def test_among_people_the_car_never_moves_into_a_person() -> None:
     people = tuple(Walks(place, 1.2, index) for index, place in enumerate(((2.0, 2.0), (2.0, -2.0), (0.0, 2.0))))
     scene = Scene(0, None, (-4.0, 4.0, -3.0, 3.0), (), (-3.0, 0.0, 0.0), ((3.0, 0.0), (-3.0, 0.0)))
     robot = driven(scene, people, 20.0)
-    assert all(hit.speed < STANDS for hit in robot.collisions), [str(hit) for hit in robot.collisions]
+    assert all(hit.speed < IS_STATIONARY for hit in robot.collisions), [str(hit) for hit in robot.collisions]
     assert hypot(robot.values[0] + 3.0, robot.values[1]) > 0.2

@@ -26,24 +26,24 @@ from safedpa_lab.experiments.sensing import GUARDS, LOADS, POLICIES, Drive, run_
 from safedpa_lab.experiments.sensing_curves import CURVES, curves_experiment, curves_page, draw_curves
 from safedpa_lab.experiments.sensing_margins import SensedDrive, margins_of_sensing, order
 from safedpa_lab.experiments.sensing_page import page_of
+from safedpa_lab.experiments.sensing_reported import ReportsEverything
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
 from safedpa_lab.experiments.sensing_scores import NEAR, Score, Scores
-from safedpa_lab.experiments.sensing_told import TellsEverything
 from safedpa_lab.experiments.ways_around import WaysAround
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, box, clearance_at
 
 
 def test_a_drive_repeats_people_are_seen_by_sensing_alone_and_perfect_knowledge_drives_farther() -> None:
     once, again = (run_drive(Drive("people", 1000, 4.0, 1.5)) for _ in range(2))
     assert {**once, "microseconds": 0} == {**again, "microseconds": 0}
-    way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "safedpa")}
-    assert way["told"] > way["safedpa"] > 0.0
+    way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("reported", "safedpa")}
+    assert way["reported"] > way["safedpa"] > 0.0
 
 
 @pytest.mark.long
@@ -85,12 +85,12 @@ def test_scenes_that_do_not_exist_are_refused_and_so_are_their_margins() -> None
 
 def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
     scene, people = scene_and_people("rooms", 1004, "none")
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), people))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), people))
     state = robot.state_message()
-    told = TellsEverything(scene, people).step("r1", state, {})[SURROUNDINGS]
-    assert isinstance(told, SurroundingsMessage)
-    assert [one[:2] for one in told.movers] == [one.place for one in people]
-    points = np.array(told.points)
+    reported = ReportsEverything(scene, people).step("r1", state, {})[SURROUNDINGS]
+    assert isinstance(reported, SurroundingsMessage)
+    assert [one[:2] for one in reported.movers] == [one.place for one in people]
+    points = np.array(reported.points)
     solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
     x, y, _ = scene.start
     nearest = (np.hypot(points[:, 0] - x, points[:, 1] - y) - points[:, 2]).min()
@@ -99,12 +99,12 @@ def test_perfect_knowledge_includes_every_wall_and_every_person() -> None:
 
 @pytest.mark.long
 def test_a_result_has_the_share_of_perfect_knowledge_and_its_page_shows_it() -> None:
-    found = sensing_experiment([1003], 2.0, 1.5, 1, ("safedpa", "told"), scenes=["pillars"], loads=["none", "box"])
-    alone, told = found["rows"]
-    assert (alone["drives"], told["drives"]) == (2, 2)
+    found = sensing_experiment([1003], 2.0, 1.5, 1, ("safedpa", "reported"), scenes=["pillars"], loads=["none", "box"])
+    alone, reported = found["rows"]
+    assert (alone["drives"], reported["drives"]) == (2, 2)
     assert alone["share_95"][1] == pytest.approx(0.842, abs=0.001)
     goals = {"goals_a_minute": 30.0, "goals_beside_perfect_knowledge": [0.5, 0.4, 0.6], "which": ["seed 3: a wall"]}
-    page = page_of({**found, "rows": [{**alone, **goals}, told]})
+    page = page_of({**found, "rows": [{**alone, **goals}, reported]})
     assert "| 30.0 | 0.50 (0.40 to 0.60) |" in page
     assert "loads none, box, 2 s each" in page
     assert "- pillars, safedpa: seed 3: a wall" in page
@@ -115,16 +115,18 @@ def test_people_who_walk_into_a_stationary_car_are_counted_separately(monkeypatc
     speeds = ((0.0, 0.0), (1.0, 1.0), (0.0, 0.0), (2.0, -0.5), (0.0, 0.0))
     hits = [Collision(0.1, "car", "obstacle 0", 0.0, 0.0, *speed) for speed in speeds]
     monkeypatch.setattr(CarRobot, "collisions", property(lambda _: hits))
-    told = run_drive(Drive("pillars", 1000, 0.1, 1.5))
-    assert told["standing"] == 3
-    assert told["moving"] == [str(hits[1]), str(hits[3])]
-    assert told["run_into"] == 1
+    reported = run_drive(Drive("pillars", 1000, 0.1, 1.5))
+    assert reported["standing"] == 3
+    assert reported["moving"] == [str(hits[1]), str(hits[3])]
+    assert reported["run_into"] == 1
 
 
 @pytest.mark.long
 def test_knowing_all_but_hidden_people_the_car_drives_no_farther_than_knowing_all() -> None:
-    way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "told-but-hiding")}
-    assert way["told"] > way["told-but-hiding"] > 0.0
+    way = {
+        guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("reported", "told-but-hiding")
+    }
+    assert way["reported"] > way["told-but-hiding"] > 0.0
 
 
 @pytest.mark.long
@@ -139,19 +141,19 @@ def test_behind_each_guard_either_controller_drives(guard: str, policy: str) -> 
 def test_a_person_who_steps_out_meets_no_moving_car(load: str) -> None:
     """Behind the controller that looks around, which creeps past unseen room."""
     for seed in (3810, 3811):
-        told = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))
-        assert told["moving"] == []
-        assert told["way"] > 1.0
+        reported = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))
+        assert reported["moving"] == []
+        assert reported["way"] > 1.0
 
 
 def test_what_a_record_holds_is_not_driven_again(tmp_path: Path) -> None:
     path, wanted = tmp_path / "drives.jsonl", {"seeds": [1003], "seconds": 1.0, "coming": 1.5, "processes": 1}
-    some = {"guards": ("told",), "scenes": ["pillars"], "loads": ["none"]}
+    some = {"guards": ("reported",), "scenes": ["pillars"], "loads": ["none"]}
     first = sensing_experiment(**wanted, **some, record=path)
     lines = path.read_text(encoding="utf-8").splitlines()
     assert len(lines) == 2
-    told = json.loads(lines[1])
-    path.write_text("\n".join([lines[0], json.dumps({**told, "goals": 1000}), '{"scene": "pil']), encoding="utf-8")
+    reported = json.loads(lines[1])
+    path.write_text("\n".join([lines[0], json.dumps({**reported, "goals": 1000}), '{"scene": "pil']), encoding="utf-8")
     again = sensing_experiment(**wanted, **{**some, "loads": ["none", "box"]}, record=path)
     assert again["rows"][0]["drives"] == 2
     assert again["by_load"][0]["goals_a_minute"] == 60_000.0, "taken from the record"
@@ -164,7 +166,7 @@ def test_another_file_or_other_code_is_no_record(holds: str, tmp_path: Path) -> 
     path = tmp_path / "drives.jsonl"
     path.write_text(holds, encoding="utf-8")
     with pytest.raises(InputError, match=r"drives\.jsonl: .*wanted"):
-        sensing_experiment([1003], 1.0, 1.5, 1, ("told",), scenes=["pillars"], record=path)
+        sensing_experiment([1003], 1.0, 1.5, 1, ("reported",), scenes=["pillars"], record=path)
     assert path.read_text(encoding="utf-8") == holds
 
 
@@ -184,18 +186,20 @@ def test_a_row_is_of_the_drives_with_its_value(result: dict[str, Any]) -> None:
         assert row["metres_a_minute"] == pytest.approx(60.0 * way / 4.0)
         assert row["drives"] == 2
     plain = [row for row in result["rows"] if row["value"] in (1.5, 2.0 * pi)]
-    told = [run_drive(Drive("people", seed, 2.0, 1.5, "told", policy="way_seeker"))["goals"] for seed in (1003, 1004)]
-    assert plain[0]["goals_a_minute_told_everything"] == pytest.approx(60.0 * sum(told) / 4.0)
+    reported = [
+        run_drive(Drive("people", seed, 2.0, 1.5, "reported", policy="way_seeker"))["goals"] for seed in (1003, 1004)
+    ]
+    assert plain[0]["goals_a_minute_told_everything"] == pytest.approx(60.0 * sum(reported) / 4.0)
     assert {**plain[0], "curve": "", "value": 0, "median_microseconds": 0} == {
         **plain[1], "curve": "", "value": 0, "median_microseconds": 0
     }, "the values that are as elsewhere are the same drives"  # fmt: skip
 
 
 def test_what_curves_share_is_driven_once_and_the_progress_comes_to_its_end() -> None:
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     curves = {"walking": (0.0, 1.5), "noise": (0.02,)}
-    curves_experiment([1003], 0.5, 1, lambda done, of: told.append((done, of)), curves=curves)
-    assert told == [(done, 4) for done in (1, 2, 3, 4)], "two with the laser, and two with perfect knowledge"
+    curves_experiment([1003], 0.5, 1, lambda done, of: reported.append((done, of)), curves=curves)
+    assert reported == [(done, 4) for done in (1, 2, 3, 4)], "two with the laser, and two with perfect knowledge"
 
 
 def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,7 +257,7 @@ SMALLER = 0.04
 
 
 def car_in(scene: Scene, people: Any = ()) -> CarRobot:
-    return CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), people))
+    return CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), people))
 
 
 def test_wrong_odometry_reports_longer_paths_and_turns_and_leaves_the_scans_alone() -> None:
@@ -268,17 +272,19 @@ def test_wrong_odometry_reports_longer_paths_and_turns_and_leaves_the_scans_alon
             )
             assert robot.receive(action) is None
             robot.advance()
-    assert right.told_pose == pytest.approx(right.true_pose)
+    assert right.reported_pose == pytest.approx(right.true_pose)
     assert right.true_pose == wrong.true_pose
-    assert wrong.told_pose[2] - begun[2] == pytest.approx(1.2 * (right.true_pose[2] - begun[2]))
-    way = np.hypot(right.told_pose[0] - begun[0], right.told_pose[1] - begun[1])
-    assert np.hypot(wrong.told_pose[0] - begun[0], wrong.told_pose[1] - begun[1]) == pytest.approx(1.1 * way, rel=0.01)
+    assert wrong.reported_pose[2] - begun[2] == pytest.approx(1.2 * (right.true_pose[2] - begun[2]))
+    way = np.hypot(right.reported_pose[0] - begun[0], right.reported_pose[1] - begun[1])
+    assert np.hypot(wrong.reported_pose[0] - begun[0], wrong.reported_pose[1] - begun[1]) == pytest.approx(
+        1.1 * way, rel=0.01
+    )
     assert wrong.state_message().values[3] == pytest.approx(1.1 * right.state_message().values[3])
     ahead = np.array(
         [[right.true_pose[0] + np.cos(right.true_pose[2]), right.true_pose[1] + np.sin(right.true_pose[2])]]
     )
-    x, y, yaw = wrong.told_pose
-    assert wrong.in_told_frame(ahead)[0] == pytest.approx([x + np.cos(yaw), y + np.sin(yaw)])
+    x, y, yaw = wrong.reported_pose
+    assert wrong.in_reported_frame(ahead)[0] == pytest.approx([x + np.cos(yaw), y + np.sin(yaw)])
 
 
 def test_a_path_around_a_wall_is_reported_no_longer_than_it_is() -> None:
@@ -303,12 +309,13 @@ class _Farther:
         self.scores = scores
 
     def hear(self, item: ReceivedMessage) -> None:
-        told = item.message
-        if isinstance(told, SurroundingsMessage):
+        reported = item.message
+        if isinstance(reported, SurroundingsMessage):
             movers, hidden = (
-                tuple((*row[:2], row[2] - SMALLER, *row[3:]) for row in rows) for rows in (told.movers, told.hidden)
+                tuple((*row[:2], row[2] - SMALLER, *row[3:]) for row in rows)
+                for rows in (reported.movers, reported.hidden)
             )
-            item = item._replace(message=replace(told, movers=movers, hidden=hidden))
+            item = item._replace(message=replace(reported, movers=movers, hidden=hidden))
         self.scores.hear(item)
 
 
@@ -384,12 +391,12 @@ def test_another_file_is_no_record(holds: str, tmp_path: Path) -> None:
         margins_of_sensing(2, 1, 0.1, 0.6, record=path)
 
 
-@pytest.mark.parametrize(("drives", "coverage", "said"), [(98, 0.99, "at least 99"), (2, 1.0, "coverage")])
+@pytest.mark.parametrize(("drives", "coverage", "notice"), [(98, 0.99, "at least 99"), (2, 1.0, "coverage")])
 def test_too_few_drives_are_refused_before_they_are_driven(
-    drives: int, coverage: float, said: str, monkeypatch: pytest.MonkeyPatch
+    drives: int, coverage: float, notice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sensing_margins, "driven", lambda *_: pytest.fail("driven"))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=notice):
         margins_of_sensing(drives, 1, 8.0, coverage)
 
 

@@ -15,7 +15,7 @@ from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import STANDS, ReversalBraking
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
 from safedpa.robots.car.scenes.perceived import CarScene
 from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.node import SafetyFilterNode
@@ -29,7 +29,7 @@ from safedpa_sim.robots.loads import LOADS, load_named
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings, Person
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Outline, Point
 
 SETTINGS = settings_named("car")
@@ -37,9 +37,9 @@ BRAKING, COUNTER = Braking(2.0, 2.5), ReversalBraking(2.0, 2.5, 0.6)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
 
 
-SOMEBODY = 0.2
+PERSON = 0.2
 """m; radius."""
-Told = list[tuple[CarRobot, StateMessage, SurroundingsMessage, Person]]
+Reported = list[tuple[CarRobot, StateMessage, SurroundingsMessage, Person]]
 
 
 class GoesTo(Person):
@@ -58,21 +58,21 @@ class GoesTo(Person):
         return (speed * x / far, speed * y / far) if far > 1e-6 else (0.0, 0.0)
 
 
-def stands_by(load: str, person: Person, seconds: float) -> Told:
+def stands_by(load: str, person: Person, seconds: float) -> Reported:
     """A stationary car with its load, and what its laser sees."""
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
-    node, told = PerceptionNode(), Told()
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
+    node, reported = PerceptionNode(), Reported()
     for tick in range(round(seconds / 0.05)):
         state = robot.state_message()
         for scan in robot.scans():
             node.hear("r", scan)
         message = node.step("r", state, {})[SURROUNDINGS]
         assert isinstance(message, SurroundingsMessage)
-        told.append((robot, state, message, person))
+        reported.append((robot, state, message, person))
         robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0)))
         robot.advance()
-    return told
+    return reported
 
 
 def yields(state: StateMessage, seen: SurroundingsMessage) -> bool:
@@ -86,10 +86,10 @@ def yields(state: StateMessage, seen: SurroundingsMessage) -> bool:
 def test_a_car_waits_while_a_person_stands_at_its_load(load: str, side: float) -> None:
     """He comes from aside, seen all the way, and none of the rays that end within reach of the load is believed."""
     known = LOADS[load]
-    place = (-0.08 - known.length, side * (known.side / 2 + SOMEBODY + 0.02))
+    place = (-0.08 - known.length, side * (known.side / 2 + PERSON + 0.02))
     person = GoesTo((place[0], 2.5 * side), place)
-    told = stands_by(load, person, 7.0)
-    for _, state, seen, _ in told:
+    reported = stands_by(load, person, 7.0)
+    for _, state, seen, _ in reported:
         if state.robot_time > 3.2:
             assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
@@ -103,20 +103,20 @@ def test_a_person_who_goes_in_next_to_the_load_is_reported_though_a_ray_passes_t
 ) -> None:
     place = (-0.26, 0.26 if start[1] > 0.0 else -0.26)
     there = 1.0 + hypot(start[0] - place[0], start[1] - place[1]) / pace
-    told = stands_by(load, GoesTo(start, place, pace=pace), there + 1.5)
-    for _, state, seen, _ in told:
+    reported = stands_by(load, GoesTo(start, place, pace=pace), there + 1.5)
+    for _, state, seen, _ in reported:
         if state.robot_time > there:
             assert yields(state, seen), f"at {state.robot_time:.2f} s the person at the load is not reported"
 
 
 def test_a_car_continues_after_a_person_left_its_load_and_nobody_far_is_taken_to_be_at_it() -> None:
     known = LOADS["box"]
-    place = (-0.08 - known.length, known.side / 2 + SOMEBODY + 0.02)
-    told = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
-    _, state, seen, _ = told[-1]
+    place = (-0.08 - known.length, known.side / 2 + PERSON + 0.02)
+    reported = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
+    _, state, seen, _ = reported[-1]
     assert not yields(state, seen)
-    told = stands_by("chair", GoesTo((2.5, 2.0), (2.5, -2.0)), 5.0)
-    assert not any(yields(state, seen) for _, state, seen, _ in told)
+    reported = stands_by("chair", GoesTo((2.5, 2.0), (2.5, -2.0)), 5.0)
+    assert not any(yields(state, seen) for _, state, seen, _ in reported)
 
 
 def barrier(load: str, discs: object, hidden: bool, way: float = 0.0) -> MovingObstacleBarrier:
@@ -135,8 +135,8 @@ def test_h_of_a_person_who_may_touch_the_load_is_below_0_however_little_was_driv
     _, _, reach = towed_reach(load_named(load))
     angle = np.linspace(-np.pi, np.pi, 40)
     for room, below in ((-0.01, True), (0.01, False)):
-        far = reach + SOMEBODY + room
-        discs = [(-0.08 + far * np.cos(a), far * np.sin(a), SOMEBODY, 1.5) for a in angle if np.cos(a) < 0.0]
+        far = reach + PERSON + room
+        discs = [(-0.08 + far * np.cos(a), far * np.sin(a), PERSON, 1.5) for a in angle if np.cos(a) < 0.0]
         h = barrier(load, discs, False, way).values(np.zeros(4))
         assert ((h < 0.0) == below).all()
 
@@ -158,7 +158,7 @@ def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) ->
     """Unseen room behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
     model = load_model("car")
     scene = Scene(0, load_named(load), FIELD, (), (-2.5, 0.0, 0.0), ((2.5, 0.0),))
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),)))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),)))
     nodes = [
         AdaptationNode(model),
         PerceptionNode(),
@@ -167,7 +167,7 @@ def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) ->
     ]
     moving = []
     for tick in drive(robot, nodes, 80):
-        moving.append(abs(tick.state.values[3]) > STANDS)
+        moving.append(abs(tick.state.values[3]) > IS_STATIONARY)
         assert not (moving[-1] and tick.verdict.status in ("violated", "stopped"))
     assert sum(one != other for one, other in pairwise(moving)) == 1
     assert robot.values[0] > -1.0
@@ -180,11 +180,11 @@ class Pushes(Person):
     def __init__(self, place: Point, towards: Point) -> None:
         super().__init__(place)
         self._towards = towards
-        self.told = 0
+        self.reported = 0
 
     def touched(self, time: float) -> None:
         del time
-        self.told += 1
+        self.reported += 1
 
     def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
         del time, robot, outline
@@ -204,7 +204,7 @@ class Pushes(Person):
 def test_no_person_shoves_a_stationary_car_or_its_load(load: str, place: Point, towards: Point) -> None:
     scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
     person = Pushes(place, towards)
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), 1),), (person,)))
     pose = robot.world.towed.pose[:2] if robot.world.towed else (0.0, 0.0)
     for tick in range(60):
         robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0)))
@@ -212,7 +212,7 @@ def test_no_person_shoves_a_stationary_car_or_its_load(load: str, place: Point, 
         assert hypot(*robot.values[:2]) < 0.01
         after = robot.world.towed.pose[:2] if robot.world.towed else (0.0, 0.0)
         assert hypot(after[0] - pose[0], after[1] - pose[1]) < 0.02
-    assert person.told > 10
+    assert person.reported > 10
     assert robot.collisions[0].part == ("car" if load == "none" else "load")
     assert all(hit.speed < 0.01 for hit in robot.collisions)
 
@@ -231,7 +231,9 @@ def facing(apart: float) -> SharedField:
         Scene(1, None, FIELD, (), (-half, 0.0, 0.0), ((3.2, 0.0), (-3.2, 0.0))),
         Scene(2, None, FIELD, (), (half, 0.03, pi), ((-3.2, 0.0), (3.2, 0.0))),
     )
-    return SharedField([CarRobot(one, senses=SimulatedSensors((Laser(LaserSettings(), one.seed),))) for one in scenes])
+    return SharedField(
+        [CarRobot(one, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), one.seed),))) for one in scenes]
+    )
 
 
 def nodes(guard: AbstractNode) -> list[AbstractNode]:
@@ -252,21 +254,21 @@ def met(apart: float, *, filtered: bool, seconds: float = 4.0) -> SharedField:
 def test_head_on_they_touch_without_the_filter_and_with_it_do_not(apart: float) -> None:
     (touch,) = met(apart, filtered=False).touches[:1]
     assert min(touch.speeds) > 1.0
-    kept = met(apart, filtered=True)
-    assert [touch for touch in kept.touches if max(touch.speeds) >= STANDS] == []
-    assert all(abs(robot.values[0]) < apart / 2 + 0.5 for robot in kept.robots)
+    retained = met(apart, filtered=True)
+    assert [touch for touch in retained.touches if max(touch.speeds) >= IS_STATIONARY] == []
+    assert all(abs(robot.values[0]) < apart / 2 + 0.5 for robot in retained.robots)
 
 
 def test_each_is_a_mover_to_the_other() -> None:
     field, heard = facing(4.0), list[SurroundingsMessage]()
 
     class Hears(NoFilter):
-        senses = (SURROUNDINGS,)
+        sensor_inputs = (SURROUNDINGS,)
 
         def step(self, robot, state, inputs):  # type: ignore[no-untyped-def]
-            told = inputs.get(SURROUNDINGS)
-            if isinstance(told, SurroundingsMessage):
-                heard.append(told)
+            reported = inputs.get(SURROUNDINGS)
+            if isinstance(reported, SurroundingsMessage):
+                heard.append(reported)
             return super().step(robot, state, inputs)
 
     for _ in drive_together(field, [nodes(Hears()), nodes(NoFilter())], 16):

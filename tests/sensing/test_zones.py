@@ -25,7 +25,7 @@ from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 FIELD = (-3.0, 4.0, -3.0, 3.0)
 PILLAR = Scene(0, None, FIELD, ((1.5, 0.0, 0.3),), (0.0, 0.0, 0.0))
@@ -36,7 +36,7 @@ Discs = tuple[tuple[float, ...], ...]
 
 def car(scene: Scene = PILLAR, *lasers: LaserSettings) -> CarRobot:
     return CarRobot(
-        scene, senses=SimulatedSensors([Laser(one, k) for k, one in enumerate(lasers or (LaserSettings(),), 1)])
+        scene, sensor_inputs=SimulatedSensors([Laser(one, k) for k, one in enumerate(lasers or (LaserSettings(),), 1)])
     )
 
 
@@ -51,7 +51,7 @@ def stepped(node: PerceptionNode, robot: CarRobot, tick: int, speed: float = 0.0
     return message
 
 
-def told(own: PerceptionSettings, scene: Scene = PILLAR, *lasers: LaserSettings) -> SurroundingsMessage:
+def reported(own: PerceptionSettings, scene: Scene = PILLAR, *lasers: LaserSettings) -> SurroundingsMessage:
     """After a second and a half of a car that stands."""
     node, robot = PerceptionNode(own), car(scene, *lasers)
     return [stepped(node, robot, tick) for tick in range(30)][-1]
@@ -70,26 +70,26 @@ FRONT, BEHIND = ((1.05, -0.45), (1.6, 0.45)), ((1.9, -0.6), (3.0, 0.6))
 
 
 def test_objects_in_an_ignored_zone_are_left_out_those_behind_stay_hidden_and_the_way_there_is_free() -> None:
-    usual, ignoring = told(PerceptionSettings()), told(with_zones(DOCK))
+    usual, ignoring = reported(PerceptionSettings()), reported(with_zones(DOCK))
     assert middles(usual.points + usual.movers, *FRONT)
     assert not middles(ignoring.points + ignoring.movers, *FRONT)
     assert middles(ignoring.hidden, *BEHIND), "no ray looked there"
     assert not middles(ignoring.hidden, (1.1, -0.4), (1.9, 0.4)), "no person hides in it"
-    nothing = told(PerceptionSettings(), replace(PILLAR, obstacles=()))
+    nothing = reported(PerceptionSettings(), replace(PILLAR, obstacles=()))
     assert not middles(nothing.hidden, *BEHIND)
     assert not ignoring.problems
     # The rays that end in it passed it.
-    assert not middles(told(with_zones(DOCK)).hidden, (0.3, -0.5), (1.0, 0.5))
+    assert not middles(reported(with_zones(DOCK)).hidden, (0.3, -0.5), (1.0, 0.5))
 
 
 def test_a_zone_of_the_robot_s_frame_turns_with_it() -> None:
     scene = Scene(0, None, FIELD, ((1.0, 1.0, 0.3),), (1.0, -0.5, pi / 2.0))  # the pillar 1.5 m ahead of it
     low, high = (0.55, 0.6), (1.45, 1.1)
-    usual, ignoring = told(PerceptionSettings(), scene), told(with_zones(replace(DOCK, frame="robot")), scene)
+    usual, ignoring = reported(PerceptionSettings(), scene), reported(with_zones(replace(DOCK, frame="robot")), scene)
     assert middles(usual.points + usual.movers, low, high)
     assert not middles(ignoring.points + ignoring.movers, low, high)
     assert middles(ignoring.hidden, (0.4, 1.4), (1.6, 2.5))
-    elsewhere = told(with_zones(DOCK), scene)
+    elsewhere = reported(with_zones(DOCK), scene)
     assert middles(elsewhere.points, low, high), "the same numbers on the map are another place"
 
 
@@ -105,7 +105,7 @@ def test_an_object_seen_before_it_entered_a_zone_of_the_robot_s_frame_stays_repo
 
 def test_an_ignored_zone_in_which_no_ray_ends_hides_no_person() -> None:
     shadow = Zone("cupboard", "ignored", ((1.9, -0.8), (3.9, -0.8), (3.9, 0.8), (1.9, 0.8)))
-    usual, ignoring = told(PerceptionSettings()), told(with_zones(shadow))
+    usual, ignoring = reported(PerceptionSettings()), reported(with_zones(shadow))
     assert middles(usual.hidden, *BEHIND)
     assert not middles(ignoring.hidden, *BEHIND)
     assert middles(ignoring.points, *FRONT), "objects in front of it are reported as ever"
@@ -138,39 +138,39 @@ def test_a_ray_is_believed_up_to_where_it_first_comes_into_the_zone_that_it_ends
 def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_may_have() -> None:
     grid = Grid(2.0, 0.0, 0.0)
     square = Zone("z", "ignored", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
-    nobody = unoccupied_cells((square,), grid, (0.0, 0.0, 0.0))
+    no_one = unoccupied_cells((square,), grid, (0.0, 0.0, 0.0))
     x, y = grid.middles
     away = np.maximum(np.abs(x), np.abs(y))
-    assert nobody[away < 0.5].all(), "all of it,"
-    beside = (np.abs(y) < 0.4) & (away > 0.5)
-    assert nobody[beside & (away < 0.6)].all(), "and as far around it as a person would overlap,"
-    assert not nobody[away > 0.6].any(), "but no farther"
-    nothing = np.zeros_like(nobody)
-    outside = ~nobody & (away < 1.2)
+    assert no_one[away < 0.5].all(), "all of it,"
+    alongside = (np.abs(y) < 0.4) & (away > 0.5)
+    assert no_one[alongside & (away < 0.6)].all(), "and as far around it as a person would overlap,"
+    assert not no_one[away > 0.6].any(), "but no farther"
+    nothing = np.zeros_like(no_one)
+    outside = ~no_one & (away < 1.2)
     for marked in (True, False):
         hiding = OcclusionMap(grid.size, 0.2, 1.5)
-        hiding.nobody = nobody if marked else nothing
-        hiding.look(0.0, ~nobody, nothing, nothing, nothing)
+        hiding.no_one = no_one if marked else nothing
+        hiding.look(0.0, ~no_one, nothing, nothing, nothing)
         hiding.wait(0.2)
         assert bool(hiding.reached(0.2)[outside].any()) is not marked
         assert bool(hiding.ways_out[away < 1.2].any()) is not marked
     seen_through = OcclusionMap(grid.size, 0.2, 1.5)
-    seen_through.nobody = nobody
-    seen_through.look(0.0, np.ones_like(nobody), nothing, nothing, nothing)
-    assert (seen_through.reached(0.2) == nobody)[away < 1.2].all(), "it was empty; who stands in it now is not seen"
+    seen_through.no_one = no_one
+    seen_through.look(0.0, np.ones_like(no_one), nothing, nothing, nothing)
+    assert (seen_through.reached(0.2) == no_one)[away < 1.2].all(), "it was empty; who stands in it now is not seen"
 
 
-@pytest.mark.parametrize("kept", ["speed", "robots", "use"])
-def test_a_zone_that_does_not_count_changes_nothing(kept: str) -> None:
+@pytest.mark.parametrize("retained", ["speed", "robots", "use"])
+def test_a_zone_that_does_not_count_changes_nothing(retained: str) -> None:
     zone = {
         "speed": replace(DOCK, speed=(0.5, 1.0)),
         "robots": replace(DOCK, robots=("another",)),
         "use": replace(DOCK, use=False),
-    }[kept]
-    usual, other = told(PerceptionSettings()), told(with_zones(zone))
+    }[retained]
+    usual, other = reported(PerceptionSettings()), reported(with_zones(zone))
     assert replace(other, publish_time=0.0) == replace(usual, publish_time=0.0)
-    counting = {"speed": replace(zone, speed=(0.0, 0.5)), "robots": replace(zone, robots=("r",)), "use": DOCK}[kept]
-    assert told(with_zones(counting)).points != usual.points
+    counting = {"speed": replace(zone, speed=(0.0, 0.5)), "robots": replace(zone, robots=("r",)), "use": DOCK}[retained]
+    assert reported(with_zones(counting)).points != usual.points
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_every_place_of_a_closed_zone_within_reach_is_covered(
 def test_a_closed_zone_is_reported_with_what_is_seen_and_never_cut_off() -> None:
     hall = Zone("hall", "closed", ((-2.5, 1.0), (3.5, 1.0), (3.5, 2.8), (-2.5, 2.8)))
     own = replace(with_zones(hall), most=40)
-    message, usual = told(own), told(PerceptionSettings())
+    message, usual = reported(own), reported(PerceptionSettings())
     assert len(message.points) <= 40
     discs = np.array(message.points)
     grid = np.stack(np.meshgrid(np.arange(-2.5, 3.5, 0.05), np.arange(1.0, 2.8, 0.05)), axis=-1).reshape(-1, 2)
@@ -294,8 +294,8 @@ def test_lone_rays_are_noise_where_more_are_required_and_free_nothing_behind_a_w
     assert not near(heard(THREE, lone(30)))
     assert not near(heard(THREE, lone(30, width=2)))
     assert near(heard(THREE, lone(30, width=3)))
-    somebody = 2 * int(np.degrees(np.arcsin(0.2 / 1.0)))
-    assert near(heard(replace(THREE, min_points=8), lone(30, width=somebody)))
+    person = 2 * int(np.degrees(np.arcsin(0.2 / 1.0)))
+    assert near(heard(replace(THREE, min_points=8), lone(30, width=person)))
     assert near(heard(replace(THREE, sources={"laser": SourceSettings(min_points=1)}), lone(30)))
     assert not near(heard(PerceptionSettings(sources={"laser": SourceSettings(min_points=2)}), lone(30)))
     # The neighbouring rays see past; the wall of all others stays.
@@ -310,11 +310,11 @@ EMPTY = replace(PILLAR, obstacles=())
 
 
 def test_what_only_a_source_sees_that_is_off_is_hidden_and_its_silence_is_nothing() -> None:
-    both = told(PerceptionSettings(), EMPTY, FRONTAL, REAR)
-    one = told(PerceptionSettings(sources={"rear": SourceSettings(use=False)}), EMPTY, FRONTAL, REAR)
-    beside = ((-1.0, -1.0), (-0.2, 1.0))
-    assert not middles(both.hidden, *beside)
-    assert middles(one.hidden, *beside)
+    both = reported(PerceptionSettings(), EMPTY, FRONTAL, REAR)
+    one = reported(PerceptionSettings(sources={"rear": SourceSettings(use=False)}), EMPTY, FRONTAL, REAR)
+    alongside = ((-1.0, -1.0), (-0.2, 1.0))
+    assert not middles(both.hidden, *alongside)
+    assert middles(one.hidden, *alongside)
     assert [x for x, *_ in both.points if x < -2.5]
     assert not [x for x, *_ in one.points if x < -2.5]
     assert one.problems == ()
@@ -323,7 +323,7 @@ def test_what_only_a_source_sees_that_is_off_is_hidden_and_its_silence_is_nothin
 
 
 def test_without_any_source_the_filter_brakes() -> None:
-    message = told(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))
+    message = reported(PerceptionSettings(sources={"laser": SourceSettings(use=False)}))
     assert message.problems == ("no source is listened to: laser switched off",)
     assert message.ages == (-1.0,)
     model = load_model("car")

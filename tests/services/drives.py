@@ -7,13 +7,13 @@ from contextlib import redirect_stdout
 from safedpa_services.command_line import safedpa
 
 
-def run(*words):
+def run(*phrase):
     """The document that a command prints."""
-    said = io.StringIO()
-    with redirect_stdout(said):
-        assert safedpa.run([*words, "--json"]) == 0
-    assert said.getvalue().count("\n") == 1
-    return json.loads(said.getvalue())
+    notice = io.StringIO()
+    with redirect_stdout(notice):
+        assert safedpa.run([*phrase, "--json"]) == 0
+    assert notice.getvalue().count("\n") == 1
+    return json.loads(notice.getvalue())
 
 
 def drive(folder, *options):

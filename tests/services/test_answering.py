@@ -22,15 +22,15 @@ def test_lines_become_one_document(tmp_path: Path, capsys: pytest.CaptureFixture
     assert safedpa.run(["certificates", str(folder), "--robot", "r1", "--json"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert "robot.r1" in first["made"]
-    assert first["kept"] == []
+    assert first["retained"] == []
     assert safedpa.run(["certificates", str(folder), "--robot", "r1", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["kept"] == first["made"]
+    assert json.loads(capsys.readouterr().out)["retained"] == first["made"]
     assert safedpa.run(["certificates", str(folder), "--robot", "r1"]) == 0
     assert "robot.r1: there already" in capsys.readouterr().out
 
 
 def test_an_error_is_a_line_and_no_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["screenshot", "nothing.rrd", "--out", str(tmp_path / "p.png"), "--json"]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    notice = capsys.readouterr()
+    assert notice.out == ""
+    assert notice.err.count("\n") == 1

@@ -43,16 +43,16 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
     return seen
 
 
-def begun(command: Any, *words: str) -> None:
+def begun(command: Any, *phrase: str) -> None:
     """Runs a command up to where it would drive."""
-    assert isinstance(CliRunner().invoke(command, list(words)).exception, EnoughError)
+    assert isinstance(CliRunner().invoke(command, list(phrase)).exception, EnoughError)
 
 
 def test_the_demonstration_drives_the_car_whose_steering_is_bent(plans: list[Plan], tmp_path: Path) -> None:
     begun(demo.command, "--yes", "--headless", "--seed", "7", "--out", str(tmp_path))
     (plan,) = plans
     assert (plan.robot, plan.seed, plan.change, plan.change_after) == ("car", 7, "steering_offset", 25.0)
-    assert (plan.model, plan.load, plan.diagnosis, plan.senses) == ("car_measured", "none", True, False)
+    assert (plan.model, plan.load, plan.diagnosis, plan.sensor_inputs) == ("car_measured", "none", True, False)
     assert plan.folder.parent == tmp_path
 
 
@@ -76,14 +76,14 @@ def test_the_example_of_the_pages_is_served(plans: list[Plan], tmp_path: Path) -
 @pytest.mark.processes
 def test_the_demonstration_drives(tmp_path: Path) -> None:
     """The whole of it takes minutes (safedpa experiment demo); here until its diagnosis has begun to learn."""
-    words = [sys.executable, "-m", "safedpa_services", "demo", "--yes", "--headless", "--out", str(tmp_path)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    phrase = [sys.executable, "-m", "safedpa_services", "demo", "--yes", "--headless", "--out", str(tmp_path)]
+    with subprocess.Popen(phrase, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        said = [next(process.stdout), next(process.stdout)]
+        notice = [next(process.stdout), next(process.stdout)]
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=120.0)
-    assert "its steering is bent" in said[0]
-    assert "still learning what is usual" in said[1]
+    assert "its steering is bent" in notice[0]
+    assert "still learning what is usual" in notice[1]
     assert out.startswith("Drove for ")
     assert "0 collisions" in out
     assert error.startswith("safedpa: demo: drove for ")

@@ -119,7 +119,7 @@ def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(started, 
 
 
 @pytest.mark.parametrize(
-    ("log", "words"),
+    ("log", "phrase"),
     [
         (None, "it said nothing"),
         ("", "it said nothing"),
@@ -128,11 +128,11 @@ def test_a_process_that_dies_quickly_is_restarted_after_growing_pauses(started, 
         ('{"level": "warning"}\n', "it said nothing"),
     ],
 )
-def test_the_last_words_are_the_last_line_for_a_person(log, words, tmp_path):
+def test_the_last_words_are_the_last_line_for_a_person(log, phrase, tmp_path):
     child = child_of(tmp_path)
     if log is not None:
         child.log.write_text(log)
-    assert child.last_words() == words
+    assert child.last_text() == phrase
 
 
 STUBBORN = """
@@ -150,14 +150,14 @@ time.sleep(600)
 @pytest.mark.parametrize("stubborn", [False, True])
 def test_a_process_that_does_not_end_in_time_is_killed_with_its_group(stubborn, tmp_path):
     (tmp_path / "stubborn.py").write_text(STUBBORN)
-    told = tmp_path / "helper"
-    options = (str(told), *(["--stubborn"] if stubborn else []))
+    reported = tmp_path / "helper"
+    options = (str(reported), *(["--stubborn"] if stubborn else []))
     child = Child("robot", "stubborn", options, tmp_path / "log", environment={"PYTHONPATH": str(tmp_path)})
     child.start()
     until = time.monotonic() + 60.0
-    while not told.exists() and time.monotonic() < until:
+    while not reported.exists() and time.monotonic() < until:
         time.sleep(0.01)
-    helper, asked = int(told.read_text()), time.monotonic()
+    helper, asked = int(reported.read_text()), time.monotonic()
     child.end(0.3 if stubborn else 60.0)
     took = time.monotonic() - asked
     assert child.exit_code == (-signal.SIGKILL if stubborn else -signal.SIGTERM)

@@ -80,7 +80,7 @@ class Drive:
             document=f"model {self.model}", candidates=self.candidates, pending=self.pending,
         )  # fmt: skip
 
-    def tell(self, t, stage, error=0.3, *, number=1, text="", model=""):
+    def report(self, t, stage, error=0.3, *, number=1, text="", model=""):
         """A state at ``t`` [s] and m, and a finding."""
         self.watch.state = state_of(t, 0.0, 0.0, 1.0, robot_time=t)
         self.watch.finding = finding_of(
@@ -90,39 +90,39 @@ class Drive:
 
     def find(self, text):
         """Up to the first candidates."""
-        self.tell(1.0, "learning", 0.01, number=0)
-        self.tell(29.0, "raised")
-        self.tell(50.0, "candidates", text=text)
+        self.report(1.0, "learning", 0.01, number=0)
+        self.report(29.0, "raised")
+        self.report(50.0, "candidates", text=text)
         return self
 
-    def told(self, text):
+    def reported(self, text):
         return sum(text in line for line in self.lines)
 
 
 def test_a_finding_is_reported_accepted_and_its_effect_measured():
     """The error counts from 10 s after the change of the model on, and the story is over 20 s after it."""
     drive = Drive()
-    drive.tell(2.0, "searching", 0.9, number=0)  # neither is a finding yet
-    drive.tell(3.0, "watching", 0.9)
+    drive.report(2.0, "searching", 0.9, number=0)  # neither is a finding yet
+    drive.report(3.0, "watching", 0.9)
     drive.find(report())
     drive.story.look(drive.watch)
     assert drive.model == NEW
-    drive.tell(55.0, "learning", 0.2)
-    assert drive.told("model bbbbbbbb is in force instead of aaaaaaaa") == 1
+    drive.report(55.0, "learning", 0.2)
+    assert drive.reported("model bbbbbbbb is in force instead of aaaaaaaa") == 1
     for t in range(56, 76):
         assert not drive.story.done
-        drive.tell(float(t), "learning", 0.2 if t < 65 else 0.03)
+        drive.report(float(t), "learning", 0.2 if t < 65 else 0.03)
     assert drive.story.done
-    told = drive.story.document()
-    assert (told["raised"], told["candidates"], told["taken"]) == (29.0, 50.0, 55.0)
-    assert told["effect"] == "drag"
-    assert (told["error_before"], told["error_after"]) == pytest.approx((0.3, 0.03))
-    assert told["fall"] == pytest.approx(0.9)
-    assert told["way_after"] == pytest.approx(20.0)
+    reported = drive.story.document()
+    assert (reported["raised"], reported["candidates"], reported["taken"]) == (29.0, 50.0, 55.0)
+    assert reported["effect"] == "drag"
+    assert (reported["error_before"], reported["error_after"]) == pytest.approx((0.3, 0.03))
+    assert reported["fall"] == pytest.approx(0.9)
+    assert reported["way_after"] == pytest.approx(20.0)
     assert drive.story.models == ["model aaaaaaaa", "model bbbbbbbb"]
-    assert drive.told("--yes: drag is accepted; it promises 95 % less error") == 1
-    assert drive.told("where: yaw") == 1
-    assert [drive.told(f"it is {stage}") for stage in ("raised", "candidates")] == [1, 1]
+    assert drive.reported("--yes: drag is accepted; it promises 95 % less error") == 1
+    assert drive.reported("where: yaw") == 1
+    assert [drive.reported(f"it is {stage}") for stage in ("raised", "candidates")] == [1, 1]
 
 
 @pytest.mark.parametrize(
@@ -135,20 +135,20 @@ def test_a_promise_of_sixty_percent_is_accepted_and_an_indistinguishable_effect_
     """Of an error of 0.4 before: 0.16 is the most that may be left on unseen data."""
     drive, accepted = Drive(), None
     for search in (1, 2, 3):
-        drive.tell(10.0 * search, "candidates", text=report(error + 1e-6 * search, group))  # of other data each time
+        drive.report(10.0 * search, "candidates", text=report(error + 1e-6 * search, group))  # of other data each time
         drive.story.look(drive.watch)
         if "accept" in drive.asked and accepted is None:
             accepted = search
     assert accepted == accepted_after
-    assert bool(drive.told("one more search")) is (accepted_after != 1)
+    assert bool(drive.reported("one more search")) is (accepted_after != 1)
 
 
 def test_a_search_that_is_reported_again_is_no_second_one():
     drive = Drive()
     for t in (10.0, 20.0, 30.0):
-        drive.tell(t, "candidates", text=report(0.1, ("tow",)))
+        drive.report(t, "candidates", text=report(0.1, ("tow",)))
     assert "accept" not in drive.asked
-    assert drive.told("cannot be told from tow yet") == 1
+    assert drive.reported("cannot be told from tow yet") == 1
 
 
 def test_the_promise_is_that_of_the_accepted_entry():
@@ -156,11 +156,11 @@ def test_the_promise_is_that_of_the_accepted_entry():
     entries = [entry(0.05, group=("x",)), entry(0.1, decision="accepted")]
     document = {"stages": [{"heldout_error": 0.4}], "candidates": entries}
     drive = Drive().find(json.dumps(document))
-    assert drive.told("it promises 75 % less error") == 1
+    assert drive.reported("it promises 75 % less error") == 1
     drive = Drive(candidates=("tow",)).find(json.dumps(document))
-    assert drive.told("tow promises 0 % less error") == 1
+    assert drive.reported("tow promises 0 % less error") == 1
     drive = Drive().find(report(None))
-    assert drive.told("drag promises 0 % less error") == 1
+    assert drive.reported("drag promises 0 % less error") == 1
 
 
 @pytest.mark.parametrize(("pending", "candidates"), [("take", ("drag",)), ("", ("tow",)), ("", ())])
@@ -169,30 +169,30 @@ def test_nothing_is_accepted_amid_a_change_or_that_is_no_candidate_any_more(pend
     assert drive.asked.count("accept") == 1
     drive.pending, drive.candidates = pending, candidates
     for t in (56.0, 62.0):
-        drive.tell(t, "candidates")
+        drive.report(t, "candidates")
     assert drive.asked.count("accept") == 1
 
 
 def test_a_refused_acceptance_is_reported_and_tried_again_after_five_seconds():
     drive = Drive(takes=False, sentence="the filter refused it").find(report())
     for t in (51.0, 54.0, 54.9):
-        drive.tell(t, "candidates")
+        drive.report(t, "candidates")
     assert drive.asked.count("accept") == 1
     for t in (55.1, 58.0):
-        drive.tell(t, "candidates")
+        drive.report(t, "candidates")
     assert drive.asked.count("accept") == 2
     drive.story.look(drive.watch)
-    assert drive.told("the filter refused it") == 2
+    assert drive.reported("the filter refused it") == 2
 
 
 def test_without_yes_the_person_is_asked_and_nothing_is_accepted():
     drive = Drive(accepts=False).find(report())
-    assert drive.told("your turn: accept drag") == 1
+    assert drive.reported("your turn: accept drag") == 1
     assert "accept" not in drive.asked
 
 
 @pytest.mark.parametrize(
-    ("model", "pending", "sentence", "told"),
+    ("model", "pending", "sentence", "reported"),
     [
         (OLD, "", "the filter refused the change", 1),
         (OLD, "offer", "the filter refused the change", 0),
@@ -200,24 +200,26 @@ def test_without_yes_the_person_is_asked_and_nothing_is_accepted():
         (OLD, "", "so be it", 0),
     ],
 )
-def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_nothing(model, pending, sentence, told):
+def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_nothing(
+    model, pending, sentence, reported
+):
     """Not during a change, and not where its finding is still to come: a second click would change it twice."""
     drive = Drive(accepts=False).find(report())
     drive.model, drive.pending, drive.sentence = model, pending, sentence
     for t in (60.0, 66.0, 72.0):
-        drive.tell(t, "candidates", model=OLD)
-    assert drive.told("click Accept once more") == told
+        drive.report(t, "candidates", model=OLD)
+    assert drive.reported("click Accept once more") == reported
     assert not drive.story.done
     if model == NEW:
-        drive.tell(73.0, "learning", 0.2)
+        drive.report(73.0, "learning", 0.2)
         assert drive.story.document()["taken"] == 73.0
 
 
 def test_a_diagnosis_that_does_not_answer_within_seconds_is_reported(monkeypatch):
     drive, waited = Drive(), list[float]()
     monkeypatch.setattr(drive.story.bus, "request", lambda _robot, _request, seconds: waited.append(seconds))
-    drive.tell(1.0, "learning", number=0)
-    assert drive.told("the diagnosis did not answer in time; it is asked again") == 1
+    drive.report(1.0, "learning", number=0)
+    assert drive.reported("the diagnosis did not answer in time; it is asked again") == 1
     assert 1.0 <= waited[0] <= 4.0
     assert drive.story.models == []
 
@@ -230,7 +232,7 @@ def test_the_way_counts_from_the_change_of_the_model_on(late):
         drive.watch.state = None if late and t < 2.0 else state_of(x, 0.0, 0.0, 1.0, robot_time=t)
         drive.watch.finding = finding_of("watching", robot_time=t, model=model, number=0)
         drive.story.look(drive.watch)
-    assert drive.story.told.way_after == pytest.approx(3.0 if late else 5.0)
+    assert drive.story.reported.way_after == pytest.approx(3.0 if late else 5.0)
 
 
 def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
@@ -238,8 +240,8 @@ def test_a_stand_without_a_word_is_counted_and_an_explained_one_is_not():
     seen = UnreportedStop()
     for t in range(30):
         x = 0.04 * (t % 2) if t < 8 else 0.2
-        seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), said=t >= 15)
-    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=37.0), said=False)
+        seen.look(state_of(x, 0.0, 0.0, 1.0, robot_time=float(t)), notice=t >= 15)
+    seen.look(state_of(1.0, 0.0, 0.0, 1.0, robot_time=37.0), notice=False)
     assert seen.longest == 7.0
 
 
@@ -266,7 +268,7 @@ def test_each_step_of_a_demonstration_is_judged_by_itself():
         ({"taken": None}, "accepted"),
         ({"fall": 0.5}, "fell"),
         ({"way_after": 1.0}, "drove_on"),
-        ({"longest_stand_unsaid": 11.0}, "said"),
+        ({"longest_stand_unsaid": 11.0}, "notice"),
     ):
         bad = judged(good | change)
         assert not bad[step]
@@ -282,7 +284,7 @@ SUMMARY = {"robot_seconds": 61.0, "goals_reached": 4, "collisions": 0, "standsti
 def demonstrated(monkeypatch, tmp_path):
     """demonstrated(...): the document of the command, its error, and when its drive ended, which is played."""
 
-    def run(*words, seconds=300, after=0.03, takes=True, started=True):
+    def run(*phrase, seconds=300, after=0.03, takes=True, started=True):
         ended = [0.0]
 
         def driven(_plan, stop, shown_by):
@@ -305,7 +307,7 @@ def demonstrated(monkeypatch, tmp_path):
 
         monkeypatch.setattr(demo, "driven", driven)
         monkeypatch.setattr("safedpa_services.workbench.pictures.browser_at_hand", lambda: "chromium")
-        options = ["--yes", "--no-browser", "--json", "--seed", "1", "--out", str(tmp_path), *words]
+        options = ["--yes", "--no-browser", "--json", "--seed", "1", "--out", str(tmp_path), *phrase]
         result = CliRunner().invoke(demo.command, options)
         document = json.loads(result.stdout) if result.stdout else {}
         return document, str(result.exception or ""), ended[0]

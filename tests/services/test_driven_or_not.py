@@ -22,12 +22,12 @@ def test_networks_are_driven_at_the_rate_of_their_training_alone(name, times, re
     """A tick is what they predict: asked twice as often they would say that the robot goes half as far."""
     model = load_model(name)
     rate = robot_named(model.system.name).of_system(model.system).rate
-    said = refusal_reason(_at(name, times / rate))
+    notice = refusal_reason(_at(name, times / rate))
     if refused:
-        assert said.startswith(f"its networks were trained for {rate / times:g} ticks per second")
-        assert said.endswith(f"driven at {rate:g}")
+        assert notice.startswith(f"its networks were trained for {rate / times:g} ticks per second")
+        assert notice.endswith(f"driven at {rate:g}")
     else:
-        assert said == ""
+        assert notice == ""
 
 
 def test_equations_are_driven_at_any_rate():

@@ -73,15 +73,15 @@ def test_up_drives_it_and_its_recording_tells_what_is_hidden(
 ) -> None:
     file, out = FILES[name], tmp_path / "runs"
     world = [word for key, value in WORLDS[name].items() for word in ("--world", f"{key}={value}")]
-    words = ["up", "--robot-file", str(file), "--lockstep", "--headless", "--seconds", "6", "--json"]
-    assert safedpa.run([*words, *world, "--seed", "1", "--out", str(out)]) == 0
+    phrase = ["up", "--robot-file", str(file), "--lockstep", "--headless", "--seconds", "6", "--json"]
+    assert safedpa.run([*phrase, *world, "--seed", "1", "--out", str(out)]) == 0
     summary = json.loads(capfd.readouterr().out)
     assert summary["collisions"] == 0, summary
     (recording,) = out.glob("*/recording.mcap")
     page = tmp_path / "page"
     plain = str(file.with_name("plain.toml"))
-    words = ["diagnose", plain, str(recording), "--robot-file", str(file), "--json", "--out", str(page)]
-    assert safedpa.run(words) == 0
+    phrase = ["diagnose", plain, str(recording), "--robot-file", str(file), "--json", "--out", str(page)]
+    assert safedpa.run(phrase) == 0
     report = json.loads(capfd.readouterr().out)
     taken = [one for one in report["candidates"] if one["decision"] == "accepted"]
     named = {*report["added"], *(twin for one in taken for twin in one["indistinguishable_from"])}
@@ -94,15 +94,15 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_are_reported_in_a_l
     empty, half = tmp_path / "empty.py", tmp_path / "half.py"
     empty.write_text("from safedpa.effects import general_effects\n", encoding="utf-8")
     half.write_text("from safedpa.robot import AbstractRobot\nclass Half(AbstractRobot):\n    rate = 1.0\n", "utf-8")
-    for file, said in ((empty, "wanted a class derived from"), (half, "class Half: 'bases' is missing")):
+    for file, notice in ((empty, "wanted a class derived from"), (half, "class Half: 'bases' is missing")):
         assert safedpa.run(["check", str(file)]) == 2
         line = capsys.readouterr().err
-        assert said in line
+        assert notice in line
         assert line.count("\n") == 1
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "notice"),
     [
         ("    system = SYSTEM\n    rate", "    system = None\n    rate", "class Cleaner: system: got NoneType"),
         ("rate = 20.0", "rate = 0.0", "class Cleaner: rate: got 0.0, wanted ticks a second"),
@@ -146,7 +146,7 @@ def test_a_mistake_of_any_sort_is_reported_in_a_line(
     capsys: pytest.CaptureFixture[str],
     old: str,
     new: str,
-    said: str,
+    notice: str,
 ) -> None:
     source = FILES["cleaner"].read_text(encoding="utf-8")
     assert old in source
@@ -157,10 +157,10 @@ def test_a_mistake_of_any_sort_is_reported_in_a_line(
         assert safedpa.run(["check", str(file)]) == 2
     finally:
         load_own(FILES["cleaner"])
-    told = capsys.readouterr()
-    lines = [line for line in (told.out + told.err).splitlines() if said in line]
+    reported = capsys.readouterr()
+    lines = [line for line in (reported.out + reported.err).splitlines() if notice in line]
     assert len(lines) == 1
-    assert "Traceback" not in told.err
+    assert "Traceback" not in reported.err
 
 
 def _raises(*_: object) -> None:
@@ -176,7 +176,7 @@ def _of_another_robot(*_: object) -> list[FunctionBarrier]:
 
 
 @pytest.mark.parametrize(
-    ("broken", "said"),
+    ("broken", "notice"),
     [
         (_raises, "ZeroDivisionError: a tree of no size"),
         (_not_a_number, "NaN"),
@@ -186,7 +186,7 @@ def _of_another_robot(*_: object) -> list[FunctionBarrier]:
     ],
 )
 def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
-    broken: Callable[..., Any], said: str, monkeypatch: pytest.MonkeyPatch
+    broken: Callable[..., Any], notice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     load_own(FILES["drone"])
     robot, model = robot_named("drone"), load_model(str(robot_named("drone").model))
@@ -195,7 +195,7 @@ def test_a_defect_of_its_own_barriers_is_reported_and_the_backup_acts(
     nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("drone"))]
     ticks = list(drive(simulated, nodes, 5))
     assert {tick.verdict.status for tick in ticks} == {"fallback"}
-    assert said in ticks[-1].verdict.sentence
+    assert notice in ticks[-1].verdict.sentence
     assert np.hypot(*simulated.values[2:]) < 0.1
     assert [one for one in check_robot(robot) if not one.ends_well]
 
@@ -225,7 +225,7 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
 
 @pytest.mark.processes
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "notice"),
     [
         ("stranger_gone:ROBOT", "cannot be loaded"),
         ("stranger_glider:SYSTEM", "wanted an Abstract"),
@@ -233,7 +233,7 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
     ],
 )
 def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_sentence(
-    value: str, said: str, tmp_path: Path
+    value: str, notice: str, tmp_path: Path
 ) -> None:
     """A process looks once for what is installed."""
     info = tmp_path / "stranger-1.0.dist-info"
@@ -245,5 +245,5 @@ def test_the_robot_of_another_distribution_is_known_and_a_broken_one_is_a_senten
     asked = "from safedpa.robot import robots\ntry: print(robots()['glider'].rate)\nexcept Exception as e: print(e)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True)
-    assert said in done.stdout
+    assert notice in done.stdout
     assert done.stdout.count("\n") == 1

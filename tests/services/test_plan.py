@@ -40,8 +40,8 @@ def named(plan):
     return {child.name: child for child in plan.services()}
 
 
-def after(words, option):
-    return words[words.index(option) + 1]
+def after(phrase, option):
+    return phrase[phrase.index(option) + 1]
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_only_what_drives_is_essential_and_has_priority(planned):
     assert not children["diagnosis"].essential
     assert not children["workbench"].essential
     assert all(children[name].essential for name in (*LOOP, "recorder"))
-    words = children["diagnosis"].arguments
-    assert [after(words, option) for option in ("--margin", "--model", "--settings")] == ["car"] * 3
-    assert after(words, "--versions").endswith("/models"), "what was agreed on outlives the process"
+    phrase = children["diagnosis"].arguments
+    assert [after(phrase, option) for option in ("--margin", "--model", "--settings")] == ["car"] * 3
+    assert after(phrase, "--versions").endswith("/models"), "what was agreed on outlives the process"
 
 
 def test_perception_runs_with_a_laser_only_and_gets_its_settings_file(planned, tmp_path):
@@ -83,16 +83,16 @@ def test_perception_runs_with_a_laser_only_and_gets_its_settings_file(planned, t
     assert {"--laser", "--people=2"} <= set(plan.robot_process().arguments)
     file = tmp_path / "perception.toml"
     file.write_text("[perception]\nmin_points = 2\n")
-    told = named(planned("--headless", "--laser", "--perception", str(file)))["perception"].arguments
-    assert after(told, "--perception") == str(file)
+    reported = named(planned("--headless", "--laser", "--perception", str(file)))["perception"].arguments
+    assert after(reported, "--perception") == str(file)
 
 
 def test_several_robots_have_names_and_scenes_of_their_own(planned):
     plan = planned("--robots", "3", "--name", "r7", "--seed", "4")
     assert plan.names == ("r7", "r8", "r9")
     robots = [plan.robot_process(index) for index in range(3)]
-    told = [(after(robot.arguments, "--name"), after(robot.arguments, "--seed")) for robot in robots]
-    assert told == [("r7", "4"), ("r8", "5"), ("r9", "6")]
+    reported = [(after(robot.arguments, "--name"), after(robot.arguments, "--seed")) for robot in robots]
+    assert reported == [("r7", "4"), ("r8", "5"), ("r9", "6")]
     assert len({after(robot.arguments, "--summary") for robot in robots}) == len({robot.log for robot in robots}) == 3
     assert planned("--name", "ann").names == ("ann",)
     assert planned("--name", "ann", "--robots", "2").names == ("ann1", "ann2")
@@ -110,11 +110,11 @@ def test_several_robots_have_names_and_scenes_of_their_own(planned):
 def test_load_and_change_are_as_asked_and_none_by_default(planned, options, load, change):
     plan = planned("--headless", *options)
     assert (plan.load, plan.change) == (load, change)
-    words = plan.robot_process().arguments
-    assert after(words, "--load") == load
-    assert ("--change" in words) is bool(change)
+    phrase = plan.robot_process().arguments
+    assert after(phrase, "--load") == load
+    assert ("--change" in phrase) is bool(change)
     if change:
-        assert (after(words, "--change"), after(words, "--change-after")) == (change, "12.0")
+        assert (after(phrase, "--change"), after(phrase, "--change-after")) == (change, "12.0")
 
 
 def test_the_command_knows_all_changes_and_tasks_of_the_simulated_robots():
@@ -204,7 +204,7 @@ def test_a_drive_ends_with_its_summary_its_robots_last_words_or_the_status_of_an
     monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(MemoryBroker()))
     monkeypatch.setattr("safedpa_services.supervisor.supervisor.Supervisor", lambda *_: ended)
     (tmp_path / "robot.json").write_text('{"ticks": 7}')
-    robot = SimpleNamespace(begun=begun, last_words=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
+    robot = SimpleNamespace(begun=begun, last_text=lambda: "the motor is on fire", name="robot", pid=1, restarts=2)
     plan = SimpleNamespace(
         services=list, robot_process=lambda: robot, wallet=None, own_session=lambda: None, fleet="f", names=("r1",),
         recording=tmp_path / "drive.mcap", summary=tmp_path / "robot.json", other_summaries={},

@@ -119,14 +119,14 @@ def test_a_terminal_is_redrawn_four_times_a_second(watch, clock, tmp_path, monke
 
 
 def test_a_pipe_gets_each_hint_once_and_the_live_view_once_it_is_known(watch, tmp_path, capsys):
-    for quiet, said in ((True, ""), (False, "a hint\nlive view http://127.0.0.1:9090\n")):
+    for quiet, notice in ((True, ""), (False, "a hint\nlive view http://127.0.0.1:9090\n")):
         watch.health.clear()
         with screen(watch, [], child_of(tmp_path), ["a hint"], tmp_path, quiet=quiet) as redraw:
             for turn in range(4):
                 if turn == 2:
                     watch.health["dashboard"] = (health_of("dashboard", detail="http://127.0.0.1:9090"), 0.0)
                 redraw()
-        assert capsys.readouterr().err == said
+        assert capsys.readouterr().err == notice
 
 
 def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_time_from_the_loop(
@@ -160,21 +160,21 @@ def test_the_address_of_the_page_is_shown_once_it_answers_and_asking_takes_no_ti
 
 
 def test_a_warning_is_shown_within_half_a_second_and_its_like_five_seconds_later(clock, tmp_path):
-    clock.now, told, child = 100.0, list[tuple[float, str]](), child_of(tmp_path)
+    clock.now, reported, child = 100.0, list[tuple[float, str]](), child_of(tmp_path)
 
     def warn(kind):
         event = {"time": 1.0, "level": "warning", "kind": kind, "sentence": f"{kind} happened", "service": "policy"}
         with child.log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(event) + "\n")
 
-    shown = Warnings((child,), tmp_path, lambda line: told.append((clock.now - 100.0, line)))
+    shown = Warnings((child,), tmp_path, lambda line: reported.append((clock.now - 100.0, line)))
     for turn in range(240):
         clock.now = 100.0 + 0.05 * turn
         warn("flood")
         if turn == 43:
             warn("once")
         shown.look()
-    moments = {kind: [at for at, line in told if kind in line] for kind in ("flood", "once")}
+    moments = {kind: [at for at, line in reported if kind in line] for kind in ("flood", "once")}
     first, second, third = moments["flood"]
     assert first <= 0.5
     assert [second - first, third - second] == pytest.approx([5.0, 5.0], abs=0.5)

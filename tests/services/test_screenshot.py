@@ -46,16 +46,16 @@ def photographed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "notice"),
     [
         ("echo noise; echo 'no suitable graphics adapter found'; echo more noise; exit 1", "apt-get install mesa"),
         ("echo 'Failed to create a render context: no adapter'; exit 1", "apt-get install mesa"),
         ("echo noise; exit 1", "drive.rrd: no picture could be made ("),
     ],
 )
-def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(photographed, script, said):
+def test_a_missing_graphics_driver_is_named_and_else_the_last_thing_that_was_reported(photographed, script, notice):
     error, _ = photographed(script)
-    assert said in error
+    assert notice in error
     assert "noise" not in error
     assert "\n" not in error
 
@@ -66,8 +66,8 @@ def test_a_viewer_that_does_nothing_is_given_up_within_a_minute(photographed):
     assert 10.0 <= took <= 60.0
 
 
-@pytest.mark.parametrize("said", ["", "Traceback\n"])
-def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(said, tmp_path, monkeypatch):
+@pytest.mark.parametrize("notice", ["", "Traceback\n"])
+def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ended(notice, tmp_path, monkeypatch):
     """It has reported the reason itself."""
     pytest.importorskip("playwright")
     done: list[str] = []
@@ -75,7 +75,7 @@ def test_a_page_that_is_not_served_cannot_be_photographed_and_its_server_is_ende
     def started(command, **_):
         done.append(command[3])
         return SimpleNamespace(
-            stdout=io.StringIO(said), terminate=lambda: done.append("terminate"), wait=lambda _: done.append("wait")
+            stdout=io.StringIO(notice), terminate=lambda: done.append("terminate"), wait=lambda _: done.append("wait")
         )
 
     monkeypatch.setattr(subprocess, "Popen", started)

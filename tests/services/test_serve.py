@@ -35,8 +35,8 @@ def served(monkeypatch, tmp_path):
         monkeypatch.setattr("safedpa.bus.ZenohTransport", lambda _: MemoryTransport(broker))
         file = tmp_path / "robot.toml"
         file.write_text('format = 2\nrobot = "car"\nname = "own"\n', encoding="utf-8")
-        words = [str(file), "--headless", "--policy", "random", "--no-diagnosis", "--out", str(tmp_path)]
-        result = CliRunner().invoke(serve.command, words)
+        phrase = [str(file), "--headless", "--policy", "random", "--no-diagnosis", "--out", str(tmp_path)]
+        result = CliRunner().invoke(serve.command, phrase)
         assert result.exception is None, result.output
         return [line for line in result.output.splitlines() if line.startswith("robot own:")]
 

@@ -38,8 +38,8 @@ def test_shipped_robots_have_margins_of_their_longer_steps_beside_their_own(name
     margin = margin_for(model)
     assert margin is not None
     assert margin.period == model.period
-    told = [margin_for(model, f"{name}_{rate}_hz") for rate in hertz]
-    alone = [one for one in told if one is not None]
+    reported = [margin_for(model, f"{name}_{rate}_hz") for rate in hertz]
+    alone = [one for one in reported if one is not None]
     assert [one.period for one in alone] == [1.0 / rate for rate in hertz]
     assert margin.slower == {f"{one.period:g}": one.epsilon for one in alone}
     for one in alone:
@@ -58,9 +58,9 @@ def test_a_file_of_longer_steps_that_covers_less_promises_no_more_for_the_others
     """In whatever order the files stand; what covers more than is promised may stand in."""
     model = load_model("car")
     own = replace(MarginCalibration({"obstacle": 0.01}, 0.9, 100, "2026-11-28", fingerprint(model)), period=0.05)
-    told = {"a": (0.1, 0.8), "b": (0.05, 0.9), "c": (0.4, 0.99), "d": (0.2, 0.9)}
+    reported = {"a": (0.1, 0.8), "b": (0.05, 0.9), "c": (0.4, 0.99), "d": (0.2, 0.9)}
     (tmp_path / "named_margins").mkdir()
-    for name, (period, coverage) in told.items():
+    for name, (period, coverage) in reported.items():
         replace(own, period=period, coverage=coverage).save(tmp_path / "named_margins" / f"{name}.toml")
     monkeypatch.setattr(defaults, "files", lambda _: tmp_path)
     assert margin_for(model) == replace(own, slower={"0.2": own.epsilon, "0.4": own.epsilon})

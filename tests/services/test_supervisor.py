@@ -46,7 +46,7 @@ class Process:
         self.ends_at = inf
         return True
 
-    def last_words(self):
+    def last_text(self):
         return f"{self.name} says why"
 
     def kill(self):
@@ -68,7 +68,7 @@ class Watch:
     clock: Any
     heard_at: dict[str, float] = field(default_factory=dict)
     silent: dict[str, float] = field(default_factory=dict)
-    stands_at: float = 0.0
+    is_stationary_at: float = 0.0
     takes_orders: bool = True
     orders: list[float] = field(default_factory=list)
     listened_at: list[float] = field(default_factory=list)
@@ -89,7 +89,7 @@ class Watch:
         return self.takes_orders
 
     def stationary_for(self):
-        return self.clock.now >= self.stands_at
+        return self.clock.now >= self.is_stationary_at
 
 
 @dataclass
@@ -284,7 +284,7 @@ def test_other_robots_have_five_seconds_after_the_first_ones_end(loop, other_end
 
 
 @pytest.mark.parametrize(
-    ("stands_at", "takes_orders", "hurried_at", "robot_ends_at", "braked_for"),
+    ("is_stationary_at", "takes_orders", "hurried_at", "robot_ends_at", "braked_for"),
     [
         (0.0, True, inf, inf, 0.05),
         (3.0, True, inf, inf, 2.0),
@@ -296,7 +296,7 @@ def test_other_robots_have_five_seconds_after_the_first_ones_end(loop, other_end
     ],
 )
 def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
-    loop, stands_at, takes_orders, hurried_at, robot_ends_at, braked_for
+    loop, is_stationary_at, takes_orders, hurried_at, robot_ends_at, braked_for
 ):
     """Five seconds to a standstill, eight for the robot's process, six for a service; none of it in a hurry."""
     made = loop(stopped_at=1.0, hurried_at=hurried_at)
@@ -304,7 +304,7 @@ def test_a_stopped_robot_brakes_first_and_the_recorder_ends_after_the_services(
     made.add("recorder")
     made.add("policy")
     made.add("robot", ends_at=robot_ends_at)
-    made.watch.stands_at, made.watch.takes_orders = stands_at, takes_orders
+    made.watch.is_stationary_at, made.watch.takes_orders = is_stationary_at, takes_orders
     assert made.run() == 0
     assert max(made.turned) - 1.0 == pytest.approx(braked_for, abs=0.06)
     assert len(made.watch.orders) == (hurried_at > 1.0)
@@ -320,7 +320,7 @@ def test_every_robot_is_listened_to_and_brakes_until_it_stands(loop):
     made = loop(stopped_at=1.0)
     made.add("robot")
     made.add("robot 2")
-    made.other_watch.stands_at = 3.0
+    made.other_watch.is_stationary_at = 3.0
     assert made.run() == 0
     assert len(made.watch.orders) == len(made.other_watch.orders) == 1
     assert max(made.turned) == pytest.approx(3.0, abs=0.06)
@@ -331,7 +331,7 @@ def test_every_robot_is_listened_to_and_brakes_until_it_stands(loop):
 def test_a_robot_that_has_ended_gets_no_order_to_stop(loop):
     made = loop(stopped_at=9.0)
     made.add("robot", ends_at=1.0)
-    made.watch.stands_at = inf
+    made.watch.is_stationary_at = inf
     assert made.run() == 0
     assert made.watch.orders == []
     assert max(made.turned) < 1.1

@@ -21,8 +21,8 @@ from safedpa_services import serving
 from safedpa_services.command_line import change_requests, stop_orders
 from safedpa_services.command_line.bus_options import request_answer
 from safedpa_services.metrics.exporter import FleetCollector
-from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.router import Router
+from safedpa_services.router.watchdog import LoopWatchdog
 
 OPTIONS = {"who": "ann", "as_json": True, "certificates": None, "connect": (), "fleet": "f"}
 
@@ -124,7 +124,7 @@ def test_an_order_is_answered_within_seconds_or_fails():
 
 
 @pytest.mark.parametrize(
-    ("robot", "status", "stands_at", "speed", "does", "ends_at"),
+    ("robot", "status", "is_stationary_at", "speed", "does", "ends_at"),
     [
         ("r1", "stopped", 2.0, 0.5, "stands", 2.0),
         ("", "stopped", 0.0, 0.5, "stands", 0.5),
@@ -136,7 +136,7 @@ def test_an_order_is_answered_within_seconds_or_fails():
     ],
 )
 def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
-    clock, robot, status, stands_at, speed, does, ends_at, monkeypatch, capsys
+    clock, robot, status, is_stationary_at, speed, does, ends_at, monkeypatch, capsys
 ):
     broker, asked = MemoryBroker(), []
     loop = Bus(MemoryTransport(broker), "f")
@@ -147,7 +147,7 @@ def test_a_stopped_robot_or_fleet_is_waited_for_six_seconds(
 
     class Overview(FleetOverview):
         def listen(self, wait):
-            tick, now = round(20.0 * clock.now), 0.0 if clock.now >= stands_at else speed
+            tick, now = round(20.0 * clock.now), 0.0 if clock.now >= is_stationary_at else speed
             loop.publish(STATE, "r1", state_of(0.0, 0.0, 0.0, now, tick=tick))
             loop.publish(VERDICT, "r1", verdict_of(status, tick=tick))
             super().listen(wait)
@@ -201,8 +201,8 @@ def test_a_router_beats_several_times_a_second(clock, waits):
     """After 1.5 s of silence it counts as gone."""
     beats: list[float] = []
     refusals: Any = SimpleNamespace(newest="", total=0)
-    pulse: Any = SimpleNamespace(beat=lambda: beats.append(clock.now), end=lambda: beats.append(inf))
-    Router(Bus(MemoryTransport(MemoryBroker()), "f"), refusals).run(lambda: clock.now > 5.0, pulse)
+    watchdog: Any = SimpleNamespace(beat=lambda: beats.append(clock.now), end=lambda: beats.append(inf))
+    Router(Bus(MemoryTransport(MemoryBroker()), "f"), refusals).run(lambda: clock.now > 5.0, watchdog)
     assert beats.pop() == inf, "the pulse ends with the router"
     assert all(0.1 <= later - earlier <= 0.5 for earlier, later in pairwise(beats))
 

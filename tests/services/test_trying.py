@@ -21,7 +21,7 @@ WORK = ("adaptation", argparse.Namespace(model="car", orders=""), "r1", OFFER, S
 
 
 @pytest.fixture
-def told(monkeypatch):
+def reported(monkeypatch):
     """Ticks and messages that the service saw, in their order; a message as its step and from which tick on."""
     seen: list[Any] = []
     step, hear = AdaptationNode.step, AdaptationNode.hear
@@ -49,13 +49,15 @@ def told(monkeypatch):
         ([1.0] * 4 + [20.0] * 6, "20.0"),
     ],
 )
-def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(told, milliseconds, usual, monkeypatch):
+def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(
+    reported, milliseconds, usual, monkeypatch
+):
     """The median of ten ticks at 20 Hz, of the processor's time. It is offered at one tick and taken at the next."""
     now, costs, step = [0.0], list(milliseconds), AdaptationNode.step
     monkeypatch.setattr(time, "process_time", lambda: now[0])
 
     def costly(self, robot, state, inputs):
-        if self.model_of(robot) == NEW or ("take", 72) in told:
+        if self.model_of(robot) == NEW or ("take", 72) in reported:
             now[0] += 1e-3 * costs.pop(0)
         return step(self, robot, state, inputs)
 
@@ -65,16 +67,16 @@ def test_a_tick_with_an_offered_model_may_usually_take_a_quarter_of_the_period(t
     else:
         with pytest.raises(InputError, match=rf"takes {usual} ms of the processor, wanted at most 12\.5 ms, 25%"):
             tried(WORK)
-    assert told == [70, ("offer", 0), 71, ("take", 72), *range(72, 82)]
+    assert reported == [70, ("offer", 0), 71, ("take", 72), *range(72, 82)]
     assert costs == []
 
 
-@pytest.mark.parametrize(("answer", "said"), [(None, "it gave no answer"), ("refused", "it does not fit")])
-def test_a_service_that_refuses_or_does_not_answer_is_asked_no_further(told, answer, said, monkeypatch):
+@pytest.mark.parametrize(("answer", "notice"), [(None, "it gave no answer"), ("refused", "it does not fit")])
+def test_a_service_that_refuses_or_does_not_answer_is_asked_no_further(reported, answer, notice, monkeypatch):
     message = TakeoverMessage(
         **STAMP, service="adaptation", change=4, fingerprint=NEW, state=answer or "", reason="it does not fit"
     )
     monkeypatch.setattr(AdaptationNode, "afterwards", lambda *_: {} if answer is None else {TAKEOVER: message})
-    with pytest.raises(InputError, match=rf"^{said}$"):
+    with pytest.raises(InputError, match=rf"^{notice}$"):
         tried(WORK)
-    assert told == [70, ("offer", 0), 71]
+    assert reported == [70, ("offer", 0), 71]

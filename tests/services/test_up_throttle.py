@@ -77,8 +77,8 @@ def test_the_real_cars_story_is_driven(data_folder, tmp_path, monkeypatch):
         before.step, found.proposal, "turning_drag", runs, 1.0, quiet
     )  # what all four logs name
     assert version.error < 0.8 * before.error
-    said = save_model_files(version.step, runs, given, tmp_path / "out", quiet)
-    command = shlex.split(said[said.index("safedpa up") :])
+    notice = save_model_files(version.step, runs, given, tmp_path / "out", quiet)
+    command = shlex.split(notice[notice.index("safedpa up") :])
     assert command[1:4] == ["up", "--model", str(tmp_path / "out" / "model.toml")]
     driven = drive(tmp_path, *command[2:], "--seconds", SECONDS)
     assert driven["collisions"] == 0

@@ -157,36 +157,38 @@ def test_a_wrong_input_is_answered_by_one_line_with_its_cure(
 ) -> None:
     before = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
     assert safedpa.run(line.split()) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("safedpa: ")
-    assert said.err.count("\n") == 1
-    assert cure in said.err
+    notice = capsys.readouterr()
+    assert notice.out == ""
+    assert notice.err.startswith("safedpa: ")
+    assert notice.err.count("\n") == 1
+    assert cure in notice.err
     left = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
     assert left == before
 
 
 def test_without_arguments_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run([]) == 0
-    said = capsys.readouterr().out
-    assert said.strip() == START.strip()
-    assert said.index("safedpa up") < said.index("safedpa diagnose")
-    assert max(map(len, said.splitlines())) <= 120
+    notice = capsys.readouterr().out
+    assert notice.strip() == START.strip()
+    assert notice.index("safedpa up") < notice.index("safedpa diagnose")
+    assert max(map(len, notice.splitlines())) <= 120
 
 
 def test_the_options_of_up_stand_under_headings_and_none_is_lost(capsys: pytest.CaptureFixture[str]) -> None:
     from safedpa_services.command_line.up import GROUPS, command
 
     assert safedpa.run(["up", "--help"]) == 0
-    said = capsys.readouterr().out
-    assert [said.index(f"{heading}:") for heading in GROUPS] == sorted(said.index(f"{heading}:") for heading in GROUPS)
+    notice = capsys.readouterr().out
+    assert [notice.index(f"{heading}:") for heading in GROUPS] == sorted(
+        notice.index(f"{heading}:") for heading in GROUPS
+    )
     for item in command.params:
-        assert item.opts[0] in said
+        assert item.opts[0] in notice
     assert {name for names in GROUPS.values() for name in names} == {item.name for item in command.params}
 
 
 @pytest.mark.parametrize(
-    ("words", "begun", "wanted"),
+    ("phrase", "begun", "wanted"),
     [
         (["comp"], "", {"compare"}),
         (["compare"], "dart", {"dart_car"}),
@@ -195,9 +197,9 @@ def test_the_options_of_up_stand_under_headings_and_none_is_lost(capsys: pytest.
         (["up", "--model"], "car_l", {"car_learned"}),
     ],
 )
-def test_the_tab_key_knows_commands_models_effects_and_robots(words: list[str], begun: str, wanted: set[str]) -> None:
+def test_the_tab_key_knows_commands_models_effects_and_robots(phrase: list[str], begun: str, wanted: set[str]) -> None:
     from click.shell_completion import ShellComplete
 
-    given, last = (words[:-1], words[-1]) if not begun else (words, begun)
+    given, last = (phrase[:-1], phrase[-1]) if not begun else (phrase, begun)
     found = ShellComplete(safedpa, {}, "safedpa", "_SAFEDPA_COMPLETE").get_completions(given, last)
     assert wanted <= {item.value for item in found}

@@ -44,9 +44,9 @@ def changed(root: Path, since: str) -> list[str]:
     return files or listed(root, "diff", "--name-only", "HEAD~1", "HEAD")
 
 
-def listed(root: Path, *words: str) -> list[str]:
+def listed(root: Path, *phrase: str) -> list[str]:
     """Lines that git prints."""
-    return subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True).stdout.splitlines()
+    return subprocess.run(["git", *phrase], cwd=root, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
 def main() -> int:
@@ -65,8 +65,8 @@ def main() -> int:
     if not chosen:
         return 0
     left = given.seconds - LAST_TEST_SECONDS - (time.monotonic() - began)
-    words = ["-q", "-m", "not long and not slow and not processes", "--no-header", *chosen]
-    code = pytest.main(words, plugins=[Budget(left)])
+    phrase = ["-q", "-m", "not long and not slow and not processes", "--no-header", *chosen]
+    code = pytest.main(phrase, plugins=[Budget(left)])
     return 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code)
 
 

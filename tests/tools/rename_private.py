@@ -59,9 +59,9 @@ def copied(root: Path, folder: Path) -> Path:
 def failing(root: Path, tests: list[str]) -> list[str]:
     """Test files, or single tests, that fail or cannot be collected."""
     paths = os.pathsep.join(str(root / folder) for folder in ("shared", "services", "sim"))
-    words = ["-q", "--tb=no", "-p", "no:cacheprovider", "-m", "not long", "-n", "2", "--dist", "loadfile", *tests]
+    phrase = ["-q", "--tb=no", "-p", "no:cacheprovider", "-m", "not long", "-n", "2", "--dist", "loadfile", *tests]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *words],
+        [sys.executable, "-m", "pytest", *phrase],
         cwd=root,
         env=os.environ | {"PYTHONPATH": paths},
         capture_output=True,

@@ -132,13 +132,13 @@ def test_training_is_sheltered_by_the_filter_itself(configuration, weights, monk
         before, nominal, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
         driving.advance(nominal)
     scene, asked = driving.scene, weights["action_middle"] + weights["action_scale"] * nominal
-    kept = asked_of[-1][-1]
-    assert (kept.min() > 0.05, kept.max() < 0.19, kept.std() > 0.02) == (True, True, True)
+    retained = asked_of[-1][-1]
+    assert (retained.min() > 0.05, retained.max() < 0.19, retained.std() > 0.02) == (True, True, True)
     for car in range(CARS):
         rear, front, radius = scene.footprint[car].astype(float)
         body = (rear + 0.15 * (radius > 0.13), front, radius)
         around = car_barriers(chosen, body, scene.obstacles[car], scene.field[car].tolist())
-        margin = chosen.eta * float(kept[car])
+        margin = chosen.eta * float(retained[car])
         margins = {"obstacle": margin, "field": margin, "speed": 0.0}
         verdict = alone.decide(before[car], asked[car], environment[car], barriers=around, epsilon=margins)
         np.testing.assert_allclose(driving.applied[car], verdict.action, atol=2e-5)

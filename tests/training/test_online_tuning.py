@@ -20,7 +20,7 @@ from safedpa_sim.training.online_tuning import OnlineTuning, add_to_heads, head_
 from safedpa_sim.training.paper_tuning import PaperTuning, lived_of, tune_as_written
 from safedpa_sim.training.prediction import ALONG
 from safedpa_sim.training.predictors import NetworkPredictor, one_step_errors, open_loop_errors
-from safedpa_sim.training.reference_point import ReferencePoint, weights_told_of_axle
+from safedpa_sim.training.reference_point import ReferencePoint, weights_reported_of_axle
 from safedpa_sim.training.residual_networks import (
     ResidualTuning,
     judged_error,
@@ -41,7 +41,7 @@ def circles():
 
 
 def predictor():
-    return NetworkPredictor(weights_told_of_axle(WEIGHTS, 0.15))
+    return NetworkPredictor(weights_reported_of_axle(WEIGHTS, 0.15))
 
 
 def one_step(model, drives):
@@ -182,8 +182,8 @@ def test_the_bicycle_tracked_at_the_point_is_the_bicycle_tracked_at_the_axle(yaw
     point, state, action = ReferencePoint(AHEAD, WHEELBASE), tensor(0.0, 0.0, yaw, speed), tensor(target, steer)
     stretch = np.hypot(1.0, AHEAD / WHEELBASE * np.tan(steer))
     axle, _ = bicycle(0.0).advance(state.numpy(), action.numpy(), ())
-    told, _ = bicycle(AHEAD).advance(point.of_axle(state, action).numpy(), np.array([target * stretch, steer]), ())
-    np.testing.assert_allclose(point.of_axle(torch.from_numpy(axle), action).numpy(), told, atol=2e-6)
+    reported, _ = bicycle(AHEAD).advance(point.of_axle(state, action).numpy(), np.array([target * stretch, steer]), ())
+    np.testing.assert_allclose(point.of_axle(torch.from_numpy(axle), action).numpy(), reported, atol=2e-6)
 
 
 def test_the_simulated_cars_centre_of_mass_is_the_point_ahead_of_its_axle():
@@ -192,14 +192,17 @@ def test_the_simulated_cars_centre_of_mass_is_the_point_ahead_of_its_axle():
     for speed, steer in ((1.5, 0.3), (1.8, -0.34), (-0.5, 0.2)):
         for _ in range(15):
             world.advance(speed, steer, 0.05)
-            told = point.of_axle(torch.tensor(world.state, dtype=torch.float64), tensor(speed, steer))
-            np.testing.assert_allclose(told[:2].numpy(), tuple(world.body.position), atol=1e-9)
+            reported = point.of_axle(torch.tensor(world.state, dtype=torch.float64), tensor(speed, steer))
+            np.testing.assert_allclose(reported[:2].numpy(), tuple(world.body.position), atol=1e-9)
 
 
 def test_weights_moved_to_the_axle_differ_from_the_exact_change_by_what_is_left_out():
     """Along by d (1 - cos u), across by d (u - sin u), u the turn in one period; nothing else."""
     weights = load_model("car_simulated").base.weights
-    exact, linear = NetworkPredictor(weights).networks, NetworkPredictor(weights_told_of_axle(weights, AHEAD)).networks
+    exact, linear = (
+        NetworkPredictor(weights).networks,
+        NetworkPredictor(weights_reported_of_axle(weights, AHEAD)).networks,
+    )
     generator = torch.Generator().manual_seed(3)
     draw = torch.rand(200, 10, generator=generator)
     state = torch.stack((draw[:, 0], draw[:, 1], 6.0 * draw[:, 2] - 3.0, 2.6 * draw[:, 3] - 0.6), 1)
@@ -207,15 +210,15 @@ def test_weights_moved_to_the_axle_differ_from_the_exact_change_by_what_is_left_
     latent = 2.0 * draw[:, 6:] - 1.0
     point = ReferencePoint(AHEAD)
     after = point.to_axle(exact.step(point.of_axle(state, action), action, latent), action)
-    own, told = (
+    own, reported = (
         exact.frame.own_increment(state, following).double()
         for following in (after, linear.step(state, action, latent))
     )
     turn = own[:, 2]
     left_out = torch.stack((AHEAD * (1.0 - torch.cos(turn)), AHEAD * (turn - torch.sin(turn))), 1)
     assert left_out.abs().amax(0)[0] > 1e-4
-    torch.testing.assert_close(own[:, :2] - told[:, :2], left_out, rtol=0.0, atol=2e-6)
-    torch.testing.assert_close(own[:, 2:], told[:, 2:], rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(own[:, :2] - reported[:, :2], left_out, rtol=0.0, atol=2e-6)
+    torch.testing.assert_close(own[:, 2:], reported[:, 2:], rtol=0.0, atol=1e-6)
 
 
 def test_phi_moved_to_the_axle_gives_the_latent_of_the_point():
@@ -223,7 +226,7 @@ def test_phi_moved_to_the_axle_gives_the_latent_of_the_point():
     weights = load_model("car_simulated").base.weights
     asked, moved = (
         NetworkPredictor(weights, ReferencePoint(AHEAD)),
-        NetworkPredictor(weights_told_of_axle(weights, AHEAD)),
+        NetworkPredictor(weights_reported_of_axle(weights, AHEAD)),
     )
     generator = torch.Generator().manual_seed(5)
     yaw = torch.cumsum(0.02 * torch.randn(53, generator=generator), 0)
@@ -236,8 +239,8 @@ def test_phi_moved_to_the_axle_gives_the_latent_of_the_point():
         model.latent(model.seen(lived_of(model.networks, [drive])).lived.rows[None])
         for model in (asked, moved, NetworkPredictor(weights))
     ]
-    right, told, wrong = latents
-    assert (right - told).abs().max() < 0.05 * (right - wrong).abs().max()
+    right, reported, wrong = latents
+    assert (right - reported).abs().max() < 0.05 * (right - wrong).abs().max()
 
 
 def test_what_is_no_wheelbase_is_refused():
@@ -248,7 +251,7 @@ def test_what_is_no_wheelbase_is_refused():
 def test_weights_of_another_robot_are_refused():
     weights = load_model("pendulum_learned").base.weights
     with pytest.raises(InputError, match="wanted x, y, yaw, speed"):
-        weights_told_of_axle(weights, AHEAD)
+        weights_reported_of_axle(weights, AHEAD)
 
 
 CAR = load_configuration("car_small")

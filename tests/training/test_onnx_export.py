@@ -109,8 +109,8 @@ def test_one_robot_or_many(run):
 
 
 def test_only_what_the_weights_hold_is_written(weights, tmp_path: Path):
-    kept = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(("phi.", "policy."))}
-    written = export_onnx(Weights(kept, weights.description), tmp_path)
+    retained = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(("phi.", "policy."))}
+    written = export_onnx(Weights(retained, weights.description), tmp_path)
     assert [path.name for path in written] == ["mu.onnx", "f.onnx", "g.onnx"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.onnx", "g.onnx", "mu.onnx"]
 

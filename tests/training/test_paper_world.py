@@ -57,10 +57,16 @@ def test_a_force_is_all_that_is_randomised_and_nothing_of_loads_or_the_filter_is
     configuration = load_configuration(name)
     assert configuration.environment.keys() == {"constant_force.ax", "constant_force.ay"}
     assert {entry.path for entry in BatchedCars(configuration).entries} == set(configuration.environment)
-    told = configuration.practice
-    assert (told.shelter, told.loads, told.footprint, told.near, told.contact) == (False, False, False, 0.0, 0.0)
-    assert told.cost > 0.0
-    assert len(told.penalties) > 1
+    reported = configuration.practice
+    assert (reported.shelter, reported.loads, reported.footprint, reported.near, reported.contact) == (
+        False,
+        False,
+        False,
+        0.0,
+        0.0,
+    )
+    assert reported.cost > 0.0
+    assert len(reported.penalties) > 1
 
 
 def test_both_configurations_are_the_same_but_for_their_sizes() -> None:
@@ -100,8 +106,8 @@ def test_what_a_policy_practises_with_shows_no_footprint(small: Configuration, w
     driving.scene.footprint[:, 0] += 0.3
     driving.scene.footprint[:, 2] = 0.45
     np.testing.assert_array_equal(driving.observation(), before)
-    told = replace(small, practice=replace(small.practice, footprint=True))
-    other = DrivingTask(told, weights, 8, 3)
+    reported = replace(small, practice=replace(small.practice, footprint=True))
+    other = DrivingTask(reported, weights, 8, 3)
     before = other.observation()
     other.scene.footprint[:, 2] = 0.45
     assert not np.array_equal(other.observation(), before)
@@ -138,14 +144,14 @@ def test_a_body_of_another_length_is_refused(weights: Weights, small: Configurat
 
 def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(small, weights, brief, tmp_path, monkeypatch):
     """Three evaluations: the second is the best though the third has more goals, and training is broken off between."""
-    told = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
+    reported = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
     seen: list[Weights] = []
 
     def figures(_: Any, made: Weights, *, cars: int, **_named: Any) -> dict[str, Any]:
         if cars > small.phase_1b.evaluation_cars:
             return {"success": 0.0, "reward": 0.0, "contacts": 0.0}
         seen.append(made)
-        success, reward, contacts = next(told)
+        success, reward, contacts = next(reported)
         return {"success": success, "reward": reward, "contacts": contacts}
 
     def interrupt(_name: str, done: int, _all: int, _note: str) -> None:
@@ -195,8 +201,8 @@ def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(tmp_path, monke
     monkeypatch.setattr(stages, "load_weights", lambda path: path)
     monkeypatch.setattr(stages, "phase_function", lambda *_: lambda _configuration, given, *_rest: (given, {}))
     best = stages_of("car", (1.0, 10.0))["ablations"][-1]
-    made, told = best.train(None, None, tmp_path, None, "cpu")  # type: ignore[arg-type]
-    assert (made, told) == (tmp_path / "car_rma_p_10.safetensors", {"chosen": "rma_p_10", "scores": scores})
+    made, reported = best.train(None, None, tmp_path, None, "cpu")  # type: ignore[arg-type]
+    assert (made, reported) == (tmp_path / "car_rma_p_10.safetensors", {"chosen": "rma_p_10", "scores": scores})
     assert "phi." in best.drops
 
 
@@ -208,20 +214,20 @@ def test_what_was_trained_before_there_was_a_choice_is_still_of_today() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "message"),
+    ("name", "phrase", "message"),
     [
         ("car_paper", "penalties = [0.0]", "practice.penalties: got 0.0, wanted positive numbers"),
         ("car_paper", "shelter = 1", "practice.shelter: got 1, wanted a value of type bool"),
         ("pendulum", "[practice]\nshelter = false", "practice: got settings of a car for robot 'pendulum'"),
     ],
 )
-def test_a_mistake_in_it_is_named(name: str, words: str, message: str) -> None:
+def test_a_mistake_in_it_is_named(name: str, phrase: str, message: str) -> None:
     path = shipped()[name]
     text = path.read_text(encoding="utf-8")
-    key = words.split(" ", maxsplit=1)[0]
-    changed = [words if line.startswith(f"{key} ") else line for line in text.splitlines()]
+    key = phrase.split(" ", maxsplit=1)[0]
+    changed = [phrase if line.startswith(f"{key} ") else line for line in text.splitlines()]
     with pytest.raises(InputError) as caught:
-        parse_configuration("\n".join(changed if words in changed else [text, words]), path.parent)
+        parse_configuration("\n".join(changed if phrase in changed else [text, phrase]), path.parent)
     assert str(caught.value).startswith(message)
 
 
@@ -244,6 +250,6 @@ def test_it_is_trained_into_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch,
     folder = shipped()["car"].parent
     text = shipped()["car_paper"].read_text(encoding="utf-8")
     mine.write_text(text.replace("published_car.toml", str(folder / "published_car.toml")), encoding="utf-8")
-    for words in ([], ["--configuration", "car_paper"], ["--configuration", str(mine)], ["--small"]):
-        assert safedpa.run(["train", "car", *words]) == 0
+    for phrase in ([], ["--configuration", "car_paper"], ["--configuration", str(mine)], ["--small"]):
+        assert safedpa.run(["train", "car", *phrase]) == 0
     assert asked == [Path("learned") / name for name in ("car", "car_paper", "car", "car")]

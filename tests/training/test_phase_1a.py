@@ -139,11 +139,11 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(tmp_path: Path, monk
 def test_it_reports_progress_up_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a clock that goes on by a second with each step; without one the end alone is reported at once."""
     monkeypatch.setattr(phase_1a, "monotonic", count().__next__)
-    told: list[tuple[str, int, int, str]] = []
-    train_affine(with_pairs(5 * 256), tmp_path, lambda *words: told.append(words))
-    assert [(phase, done, everything) for phase, done, everything, _ in told[-2:]] == [("1a", 5 * 256, 5 * 256)] * 2
-    assert [done for _, done, _, _ in told[:5]] == [256 * step for step in range(1, 6)]
-    assert all(note.startswith("loss ") for *_, note in told)
+    reported: list[tuple[str, int, int, str]] = []
+    train_affine(with_pairs(5 * 256), tmp_path, lambda *phrase: reported.append(phrase))
+    assert [(phase, done, everything) for phase, done, everything, _ in reported[-2:]] == [("1a", 5 * 256, 5 * 256)] * 2
+    assert [done for _, done, _, _ in reported[:5]] == [256 * step for step in range(1, 6)]
+    assert all(note.startswith("loss ") for *_, note in reported)
 
 
 def test_a_checkpoint_of_another_configuration_is_not_gone_on_from(tmp_path: Path) -> None:

@@ -52,9 +52,11 @@ it."""
 def trained(
     configuration: Configuration, weights: Weights, out: Path, **options: Any
 ) -> tuple[Weights, dict[str, Any]]:
-    told: list[tuple[str, int, int, str]] = []
-    made, summary = train_policy(configuration, weights, out, lambda *told_now: told.append(told_now), **options)
-    return made, {**summary, "told": told}
+    reported: list[tuple[str, int, int, str]] = []
+    made, summary = train_policy(
+        configuration, weights, out, lambda *reported_now: reported.append(reported_now), **options
+    )
+    return made, {**summary, "reported": reported}
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +69,10 @@ def short(weights: Weights, tmp_path_factory: pytest.TempPathFactory) -> tuple[W
 
 def test_it_reports_progress_and_leaves_everything_else_as_it_was(weights: Weights, short: Any) -> None:
     made, summary = short
-    assert [step for _, step, _, _ in summary["told"]] == [512, 1024]
+    assert [step for _, step, _, _ in summary["reported"]] == [512, 1024]
     assert summary["left"] == [], "the checkpoint goes when the training is done"
     assert LearnedPolicy(made).act(np.zeros((3, made["policy.0.weight"].shape[1]))).shape == (3, 2)
-    assert all(name == "1b" and most == 1024 and "reached" in note for name, _, most, note in summary["told"])
+    assert all(name == "1b" and most == 1024 and "reached" in note for name, _, most, note in summary["reported"])
     for name, tensor in weights.tensors.items():
         np.testing.assert_array_equal(made[name], tensor)
     assert set(made.tensors) - set(weights.tensors) == {
@@ -100,7 +102,7 @@ def test_interrupted_it_goes_on_from_the_last_evaluation(weights: Weights, tmp_p
     with pytest.raises(KeyboardInterrupt):
         train_policy(SHORT, weights, tmp_path, interrupt)
     _, summary = trained(SHORT, weights, tmp_path)
-    assert [step for _, step, _, _ in summary["told"]] == [1024]
+    assert [step for _, step, _, _ in summary["reported"]] == [1024]
     assert [entry["steps"] for entry in summary["learning_curve"]] == [512, 1024]
 
 
@@ -111,7 +113,7 @@ def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_r
     with pytest.raises(KeyboardInterrupt):
         train_policy(SHORT, weights, tmp_path, interrupt, **ALONE)
     _, summary = trained(replace(SHORT, seed=1), weights, tmp_path, **ALONE)
-    assert summary["told"][0][1] == 512
+    assert summary["reported"][0][1] == 512
     (tmp_path / "checkpoint_1b.pt").write_bytes(b"nothing of use")
     with pytest.raises(InputError, match="remove it to train from the beginning"):
         train_policy(SHORT, weights, tmp_path, **ALONE)
@@ -119,7 +121,7 @@ def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_r
 
 def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(weights, short, tmp_path) -> None:
     made, summary = trained(SHORT, weights, tmp_path, name="rma_p", penalty=10.0, sheltered=False)
-    assert summary["told"][0][0] == "rma_p"
+    assert summary["reported"][0][0] == "rma_p"
     assert made.digest != short[0].digest
 
 

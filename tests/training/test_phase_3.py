@@ -90,13 +90,13 @@ def test_the_tuned_weights_make_a_model_whose_latent_rests_within_its_range(tune
 
 
 @pytest.mark.parametrize(
-    ("what", "kept", "changed"),
+    ("what", "retained", "changed"),
     [("phi", "f.2.weight", "phi.dense.0.weight"), ("heads", "phi.dense.0.weight", "phi.out.weight")],
 )
-def test_only_what_is_asked_for_is_tuned(simulated, what, kept, changed):
+def test_only_what_is_asked_for_is_tuned(simulated, what, retained, changed):
     drives = drives_of(record_circles(1500, 5, 500), simulated)
     weights, _ = tune_on_drives(with_phase_3(updates=25, learning_rate=3e-3), simulated, drives, what)
-    np.testing.assert_array_equal(weights[kept], simulated[kept])
+    np.testing.assert_array_equal(weights[retained], simulated[retained])
     assert np.abs(weights[changed] - simulated[changed]).max() > 1e-4
     np.testing.assert_array_equal(weights["mu.0.weight"], simulated["mu.0.weight"])
 
@@ -117,8 +117,8 @@ def test_recorded_files_are_tuned_on(simulated, tmp_path):
 
 
 def test_weights_without_a_history_encoder_are_refused(simulated):
-    kept = {name: tensor for name, tensor in simulated.tensors.items() if not name.startswith("phi.")}
-    bare = replace(simulated, tensors=kept)
+    retained = {name: tensor for name, tensor in simulated.tensors.items() if not name.startswith("phi.")}
+    bare = replace(simulated, tensors=retained)
     with pytest.raises(InputError, match="no history encoder"):
         tune_on_drives(SMALL, bare, drives_of(record_circles(600, 5, 300), bare))
 
@@ -184,16 +184,16 @@ def trained(tmp_path_factory) -> Path:
 
 
 def test_every_phase_reaches_its_figure(trained: Path) -> None:
-    told = json.loads((trained / "progress.json").read_text())
-    assert min(told["1a"]["explained"]) > 0.93  # share of each increment's variance
-    curve = told["1b"]["learning_curve"]
+    reported = json.loads((trained / "progress.json").read_text())
+    assert min(reported["1a"]["explained"]) > 0.93  # share of each increment's variance
+    curve = reported["1b"]["learning_curve"]
     assert curve[-1]["reward"] > curve[0]["reward"] + 1.0
-    assert curve[0]["steps"] < 0.5 * told["1b"]["steps"]
-    assert told["1b"]["nearest"] < 0.8 * curve[0]["nearest"]
-    assert told["1b"]["success"] > 0.15
-    assert max(told["2"]["explained"]) > 0.15  # phi sees what a history can show of z; some of it no history shows
-    assert told["3"]["times_better"]["one_step"] > 2.0
-    assert told["3"]["times_better"]["20_steps"] > 1.5
+    assert curve[0]["steps"] < 0.5 * reported["1b"]["steps"]
+    assert reported["1b"]["nearest"] < 0.8 * curve[0]["nearest"]
+    assert reported["1b"]["success"] > 0.15
+    assert max(reported["2"]["explained"]) > 0.15  # phi sees what a history can show of z; some of it no history shows
+    assert reported["3"]["times_better"]["one_step"] > 2.0
+    assert reported["3"]["times_better"]["20_steps"] > 1.5
     assert list(trained.glob("checkpoint_*.pt")) == [], "checkpoints go when the training is done"
 
 

@@ -38,10 +38,10 @@ def test_it_leaves_a_model_that_every_command_takes(capsys: pytest.CaptureFixtur
     assert (record["file"], record["pairs"], len(record["explained"])) == ("car_simulated.safetensors", 4096, 4)
     model = load_model(tmp_path / "new" / "car" / "car_simulated.toml")
     assert model.latent_names == ("base.latent_0", "base.latent_1", "base.latent_2", "base.latent_3")
-    kept = json.loads((tmp_path / "new" / "car" / "progress.json").read_text())["1a"]
-    assert kept == record
-    assert kept["seconds"] > 0.0
-    assert kept["seed"] == 0
+    retained = json.loads((tmp_path / "new" / "car" / "progress.json").read_text())["1a"]
+    assert retained == record
+    assert retained["seconds"] > 0.0
+    assert retained["seed"] == 0
 
 
 def test_what_is_there_is_not_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -97,8 +97,10 @@ def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path:
 def adding(name: str, calls: list[str]) -> Any:
     """A phase that adds one number under its network's name, and tells what it was given."""
 
-    def train(configuration: Any, weights: Weights, out: Path, tell: Any, device: str, **options: Any) -> Any:
-        del configuration, out, tell, device
+    def train(
+        configuration: Any, weights: Weights, out: Path, report_progress: Any, device: str, **options: Any
+    ) -> Any:
+        del configuration, out, report_progress, device
         calls.append(
             " ".join([name, *sorted(n for n in ("mu", "phi", "policy") if weights.has(n)), *map(str, options)])
         )
@@ -171,7 +173,7 @@ def test_an_own_robot_learns_what_it_is_and_in_what_it_drives(capsys, tmp_path) 
 
 
 def test_what_is_missing_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for arguments, told in (
+    for arguments, reported in (
         ([*OWN, "--phases", "1b"], "1b"),
         (["train", "cleane", *OWN[2:4]], "did you mean 'cleaner'"),
         (["train", "cleaner", *OWN[2:4]], "wanted a configuration"),
@@ -180,5 +182,5 @@ def test_what_is_missing_is_reported_in_one_line(capsys: pytest.CaptureFixture[s
         code = safedpa.run([*arguments, "--out", str(tmp_path)])
         error = capsys.readouterr().err
         assert code == 2
-        assert told in error
+        assert reported in error
         assert len(error.strip().splitlines()) == 1

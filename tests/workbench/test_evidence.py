@@ -59,5 +59,5 @@ def test_a_parameter_is_well_known_or_roughly(std, known, rough):
     """Of 0.5: 0.05 are a tenth, 0.2 two fifths; one without a deviation is not known at all."""
     card = card_of("car", candidate(4.0, 0.2, std), 0.5, None, {})
     assert [line.partition("known to ")[2] for line in card.speaks_for if "known to" in line] == [known] * bool(known)
-    said = [line.partition("only to ")[2] for line in card.speaks_against if "known only" in line]
-    assert said == [rough] * bool(rough)
+    notice = [line.partition("only to ")[2] for line in card.speaks_against if "known only" in line]
+    assert notice == [rough] * bool(rough)

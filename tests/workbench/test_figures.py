@@ -58,17 +58,17 @@ def test_error_evidence_and_marks_are_those_of_the_last_two_minutes(book):
 def test_a_drive_of_less_than_two_minutes_is_shown_whole(book):
     while book.path[-1][0] > 110.0:
         book.path.pop()
-    for kept in (book.errors, book.marks):
-        while len(kept) > 2:
-            kept.pop()
+    for retained in (book.errors, book.marks):
+        while len(retained) > 2:
+            retained.pop()
     figure, evidence = error_figure(book, LIGHT), evidence_figure(book, LIGHT)
     assert [shape["x0"] for shape in figure["layout"]["shapes"]] == [0.0, 100.0]
     assert figure["layout"]["xaxis"]["range"] == evidence["layout"]["xaxis"]["range"] == [0.0, 110.0]
 
 
 def test_the_field_shows_the_path_of_the_last_twenty_seconds(book):
-    (trail,) = field_figure(book, LIGHT)["data"]
-    assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
+    (history,) = field_figure(book, LIGHT)["data"]
+    assert history["x"] == [285.0, 290.0, 295.0, 300.0]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_the_bars_of_versions_are_as_long_as_their_errors(errors, widths, finish
             ErrorReductionPanel(lambda _: None, lambda: None, lambda: None).show(session)
             return " ".join(tab.lines)
 
-    said = finished(story())
-    assert [float(width) for width in re.findall(r"width:([\d.]+)%", said)] == pytest.approx(widths)
-    assert re.findall(r'class="value">([\d.e-]+)<', said) == [f"{error:.3g}" for error in errors]
-    assert "better in 2 of 3 recordings" in said
+    notice = finished(story())
+    assert [float(width) for width in re.findall(r"width:([\d.]+)%", notice)] == pytest.approx(widths)
+    assert re.findall(r'class="value">([\d.e-]+)<', notice) == [f"{error:.3g}" for error in errors]
+    assert "better in 2 of 3 recordings" in notice

@@ -131,7 +131,7 @@ def test_a_waiting_robot_that_repeats_itself_draws_one_point(book):
 
 
 @pytest.mark.parametrize(
-    ("seen", "found", "told"),
+    ("seen", "found", "reported"),
     [
         (1.0, 1.0, ""),
         (2.9, 2.9, ""),
@@ -141,14 +141,14 @@ def test_a_waiting_robot_that_repeats_itself_draws_one_point(book):
         (1.0, None, "No diagnosis is heard"),
     ],
 )
-def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen, found, told):
+def test_the_robots_silence_is_reported_first_and_then_the_diagnosis(book, seen, found, reported):
     """Both speak at least once a second; a few lost messages are no silence."""
     book.take(state(200), 100.0 - seen)
     if found is not None:
         book.take(finding(200), 100.0 - found)
-    said = book.silence(100.0)
-    assert said.startswith(told)
-    assert bool(said) is bool(told)
+    notice = book.silence(100.0)
+    assert notice.startswith(reported)
+    assert bool(notice) is bool(reported)
 
 
 def test_a_standstill_is_reported_with_reason_and_cure_and_its_mark_stays(book):
@@ -190,12 +190,12 @@ def test_services_with_different_models_are_named(book):
     refusal = TakeoverMessage(**stamp(3), service="policy", change=2, fingerprint="cccc", state="refused", reason="bad")
     book.take(refusal, 1.0)
     assert "policy refuses change 2: bad" in change_lines(book)
-    words = "the margin of obstacle goes from 0.03 to 0.115 where h is 0.08"
+    phrase = "the margin of obstacle goes from 0.03 to 0.115 where h is 0.08"
     ready = TakeoverMessage(
-        **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", expected_effect=words
+        **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", expected_effect=phrase
     )
     book.take(ready, 1.0)
-    assert f"change 3: {words}" in change_lines(book)
+    assert f"change 3: {phrase}" in change_lines(book)
 
 
 @pytest.mark.parametrize("report", ["no json", "[]", '{"candidates": 3}'])
@@ -227,12 +227,12 @@ def test_the_link_reports_answers_missing_ones_and_nonsense(finished):
     broker = MemoryBroker()
     link = LiveLink(Bus(MemoryTransport(broker), "fleet"))
     other = MemoryTransport(broker)
-    told = finished(link.ask("r1", Request(do="status")))
-    assert not told.ok
-    assert "No diagnosis answers" in told.sentence
+    reported = finished(link.ask("r1", Request(do="status")))
+    assert not reported.ok
+    assert "No diagnosis answers" in reported.sentence
     other.answer("safedpa/fleet/r1/request", lambda _key, _payload: b"\xc1 nonsense")
-    told = finished(link.ask("r1", Request(do="status")))
-    assert "an answer that is none" in told.sentence
+    reported = finished(link.ask("r1", Request(do="status")))
+    assert "an answer that is none" in reported.sentence
     sender = Bus(other, "fleet")
     sender.answer_requests(lambda robot, request: Answer(ok=True, sentence=f"{robot} {request.do}"), "r2")
     assert finished(link.ask("r2", Request(do="status"))).sentence == "r2 status"
@@ -286,9 +286,9 @@ def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path, finished):
     now[0] += 10.0
     link.listen()
     assert finished(link.ask("r1", Request(do="status"))).answer.candidates == ("towed_load",)
-    told = finished(link.ask("r1", Request(do="accept", effect="towed_load")))
-    assert not told.ok
-    assert "a recording" in told.sentence
+    reported = finished(link.ask("r1", Request(do="accept", effect="towed_load")))
+    assert not reported.ok
+    assert "a recording" in reported.sentence
 
 
 def test_a_recording_without_messages_is_refused(tmp_path):

@@ -12,7 +12,7 @@ from tests.services.messages import finding_of, state_of, verdict_of
 from tests.workbench.tab import Tab
 
 from safedpa.bus import Answer
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench import page
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.live_book import RobotHistory
@@ -48,7 +48,7 @@ class Link:
         return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
 
 
-def told(answer):
+def reported(answer):
     return QueryResult(answer, answer.sentence)
 
 
@@ -77,17 +77,17 @@ def can_be_read(notice):
 
 
 @pytest.mark.parametrize(
-    ("button", "do", "answer", "words", "kind"),
+    ("button", "do", "answer", "phrase", "kind"),
     [
-        ("accept drag", "accept", told(STATUS), "Accepted: change 1 begins.", "positive"),
-        ("reject drag", "reject", told(STATUS), "Rejected: change 1 begins.", "positive"),
-        (BACK, "roll_back", told(STATUS), "Rolled back: change 1 begins.", "positive"),
-        ("accept drag", "accept", told(REFUSED), "Refused because nobody is there.", "negative"),
+        ("accept drag", "accept", reported(STATUS), "Accepted: change 1 begins.", "positive"),
+        ("reject drag", "reject", reported(STATUS), "Rejected: change 1 begins.", "positive"),
+        (BACK, "roll_back", reported(STATUS), "Rolled back: change 1 begins.", "positive"),
+        ("accept drag", "accept", reported(REFUSED), "Refused because nobody is there.", "negative"),
         ("accept drag", "accept", QueryResult(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
     ],
 )
-def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(shown, button, do, answer, words, kind):
-    link = Link(told(STATUS), answer, told(STATUS))
+def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(shown, button, do, answer, phrase, kind):
+    link = Link(reported(STATUS), answer, reported(STATUS))
 
     async def decide(_, tab):
         tab.all(ui.input)[0].value = "ann"
@@ -98,7 +98,7 @@ def test_a_decision_is_asked_for_with_what_was_seen_and_its_answer_pops_up(shown
     robot, request = link.asked[1]
     assert (robot, request.do, request.model, request.finding, request.who) == ("r1", do, "a" * 8, 7, "ann")
     assert request.effect == ("" if do == "roll_back" else "drag")
-    assert (notice["message"], notice["type"]) == (words, kind)
+    assert (notice["message"], notice["type"]) == (phrase, kind)
     assert can_be_read(notice)
     assert [request.do for _, request in link.asked] == ["status", do, "status"]
 
@@ -111,7 +111,7 @@ def test_each_candidate_shows_the_consequence_of_accepting_it_with_h_and_margin_
         await tab.trigger(wind.parent_slot.parent, "click")
         return first + [line for line in tab.lines if line.startswith("If you accept: ")]
 
-    drag, wind = shown(Link(told(STATUS)), look)
+    drag, wind = shown(Link(reported(STATUS)), look)
     assert drag.startswith("If you accept: the margin goes from 1 to 2. Now h is 0.40, the margin 0.030.")
     assert "is being computed" in wind
 
@@ -126,7 +126,7 @@ def test_the_end_of_a_change_pops_up_once(shown):
             await page.ask_status()
         return tab.popped_up
 
-    (notice,) = shown(Link(told(pending), told(over)), wait)
+    (notice,) = shown(Link(reported(pending), reported(over)), wait)
     assert notice["message"] == "Change 1 was refused: the filter cannot have it"
     assert can_be_read(notice)
 
@@ -135,15 +135,15 @@ def test_without_an_earlier_model_there_is_no_way_back(shown):
     async def look(_, tab):
         return bool(tab.button(BACK).visible)
 
-    assert not shown(Link(told(replace(STATUS, earlier=0))), look)
-    assert shown(Link(told(STATUS)), look)
+    assert not shown(Link(reported(replace(STATUS, earlier=0))), look)
+    assert shown(Link(reported(STATUS)), look)
 
 
 def test_the_picture_is_drawn_about_twice_a_second_and_the_answers_come_within_seconds(shown):
     async def look(_, tab):
         return [timer.interval for timer in tab.all(ui.timer)]
 
-    picture, status = shown(Link(told(STATUS)), look)
+    picture, status = shown(Link(reported(STATUS)), look)
     assert 0.2 <= picture <= 1.0
     assert 0.5 <= status <= 3.0
 

@@ -11,7 +11,7 @@ from nicegui.elements.upload_files import SmallFileUpload
 from tests.workbench.tab import Tab
 
 from safedpa.records import McapRecorder
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.file_preview import RawRows
 from safedpa_services.workbench.open_dialog import ColumnsTable, OpenDialog
 from safedpa_services.workbench.recordings import InputSelection
@@ -61,11 +61,11 @@ def test_a_fitting_map_is_chosen_where_the_file_lacks_native_columns_and_no_map_
             sources = [select.value for select in tab.all(ui.select)[1::2]]
             return columns.value, sources, any(BUS in line for line in tab.lines)
 
-    found, sources, told = finished(story())
+    found, sources, reported = finished(story())
     assert found == map_then
     assert sources[: len(read_as)] == read_as
     assert bool(sources) is bool(read_as)
-    assert told is (header is None)
+    assert reported is (header is None)
 
 
 @pytest.mark.parametrize(("model", "named"), [("", True), ("car", False), ("", False)])
@@ -144,7 +144,7 @@ def test_uploads_that_come_together_are_all_kept_and_named_and_replace_no_older_
             await tab.until(lambda: len((paths.value or "").splitlines()) == len(files))
             return " ".join(tab.lines), [Path(line) for line in paths.value.splitlines()], [one.name for one in files]
 
-    said, paths, given = finished(story())
+    notice, paths, given = finished(story())
     texts = {path.name: path.read_text(encoding="utf-8") for path in uploads.iterdir()}
     assert texts.pop(older, "older") == "older"
     assert sorted(texts) == sorted(path.name for path in paths)
@@ -152,5 +152,5 @@ def test_uploads_that_come_together_are_all_kept_and_named_and_replace_no_older_
     if older is None:
         assert sorted(texts) == names
         assert [texts[name] for name in names] == ["first", "second"]
-    assert all(f"Uploaded: {name}" in said for name in given)
-    assert all(path.name in said for path in paths)
+    assert all(f"Uploaded: {name}" in notice for name in given)
+    assert all(path.name in notice for path in paths)

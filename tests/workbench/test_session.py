@@ -209,8 +209,8 @@ def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_p
     from safedpa.dynamics import load_model
 
     version = searched.settled("quadratic_drag")
-    said = save_model_files(version.step, runs, plain, tmp_path / "out", quiet)
-    assert f"safedpa up --model {tmp_path / 'out' / 'model.toml'} --margin" in said
+    notice = save_model_files(version.step, runs, plain, tmp_path / "out", quiet)
+    assert f"safedpa up --model {tmp_path / 'out' / 'model.toml'} --margin" in notice
     model = load_model(tmp_path / "out" / "model.toml")
     assert model.settings["quadratic_drag.coefficient"].value == pytest.approx(0.3, abs=0.01)
     assert model.latent_names == ()

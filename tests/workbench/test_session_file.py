@@ -25,7 +25,7 @@ from safedpa_services.workbench.session_files import (
 )
 
 BALL = Path(__file__).parents[2] / "docs" / "examples" / "falling_ball.py"
-KEPT = SavedSession(
+RETAINED = SavedSession(
     InputSelection(
         "car", ("/a/one.csv", "/a/two.csv"), EditedColumnMap('format = 1\nrobot = "car"\n', "dart_car_columns"), 0.8
     ),
@@ -33,15 +33,15 @@ KEPT = SavedSession(
 )
 
 
-@pytest.mark.parametrize("columns", [None, "dart_car_columns", KEPT.choice.columns])
+@pytest.mark.parametrize("columns", [None, "dart_car_columns", RETAINED.choice.columns])
 def test_what_is_written_is_read(tmp_path, columns):
-    kept = SavedSession(InputSelection("car", KEPT.choice.runs, columns, 0.8), KEPT.decisions)
-    write_session(kept, tmp_path)
-    assert read_session(tmp_path / SESSION_FILE) == kept
+    retained = SavedSession(InputSelection("car", RETAINED.choice.runs, columns, 0.8), RETAINED.decisions)
+    write_session(retained, tmp_path)
+    assert read_session(tmp_path / SESSION_FILE) == retained
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "phrase"),
     [
         ({"format": 7}, "format = 1"),
         ({"runs": 3}, "TypeError"),
@@ -50,20 +50,20 @@ def test_what_is_written_is_read(tmp_path, columns):
         ({"columns": {"text": "x"}}, "KeyError"),
     ],
 )
-def test_what_is_no_session_is_refused_in_a_line(tmp_path, change, words):
-    write_session(KEPT, tmp_path)
+def test_what_is_no_session_is_refused_in_a_line(tmp_path, change, phrase):
+    write_session(RETAINED, tmp_path)
     document = json.loads((tmp_path / SESSION_FILE).read_text(encoding="utf-8")) | change
     (tmp_path / SESSION_FILE).write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=phrase):
         read_session(tmp_path / SESSION_FILE)
 
 
 def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_path):
     base = tmp_path / "workbench"
-    assert session_folder_for(base, KEPT.choice) == (base, ())
+    assert session_folder_for(base, RETAINED.choice) == (base, ())
     assert newest_session(base) is None
-    write_session(KEPT, base)
-    assert session_folder_for(base, KEPT.choice) == (base, KEPT.decisions)
+    write_session(RETAINED, base)
+    assert session_folder_for(base, RETAINED.choice) == (base, RETAINED.decisions)
     other = InputSelection("pendulum", ("/a/three.csv",))
     assert session_folder_for(base, other) == (tmp_path / "workbench-2", ())
     write_session(SavedSession(other), tmp_path / "workbench-2")
@@ -74,8 +74,8 @@ def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_pa
 def test_a_model_that_no_session_tells_of_is_not_replaced(tmp_path):
     base = tmp_path / "workbench"
     base.mkdir()
-    (base / "model.toml").write_text("kept", encoding="utf-8")
-    assert session_folder_for(base, KEPT.choice) == (tmp_path / "workbench-2", ())
+    (base / "model.toml").write_text("retained", encoding="utf-8")
+    assert session_folder_for(base, RETAINED.choice) == (tmp_path / "workbench-2", ())
 
 
 def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatch):
@@ -86,9 +86,9 @@ def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatc
 
 def test_a_refusal_of_up_names_the_system_and_what_was_wanted():
     thruster = replace(CAR_THROTTLE, action=(Variable("thrust", "N", -1.0, 1.0), CAR_THROTTLE.action[1]))
-    said = why_not_driven(thruster, "car")
-    assert "a car with thrust, steer" in said
-    assert "wanted a car with target_speed, steer or throttle, steer" in said
+    notice = why_not_driven(thruster, "car")
+    assert "a car with thrust, steer" in notice
+    assert "wanted a car with target_speed, steer or throttle, steer" in notice
 
 
 def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path):

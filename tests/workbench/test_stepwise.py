@@ -15,14 +15,14 @@ def first(plain, runs):
 
 
 @pytest.fixture(scope="module")
-def told():
+def reported():
     """What the one search of this file tells of its progress."""
     return []
 
 
 @pytest.fixture(scope="module")
-def proposed(first, told):
-    return proposal(first, lambda done, every: told.append(done / every))
+def proposed(first, reported):
+    return proposal(first, lambda done, every: reported.append(done / every))
 
 
 @pytest.fixture(scope="module")
@@ -78,9 +78,9 @@ def test_unknown_candidates_are_refused(first, proposed):
 
 
 @pytest.mark.usefixtures("proposed")
-def test_progress_grows_and_steps_travel_to_another_process(first, told):
-    assert told == sorted(told)
-    assert 0.0 <= told[0] < told[-1] < 1.0
+def test_progress_grows_and_steps_travel_to_another_process(first, reported):
+    assert reported == sorted(reported)
+    assert 0.0 <= reported[0] < reported[-1] < 1.0
     again = pickle.loads(pickle.dumps(first))
     assert again.error.value == first.error.value
 

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("nicegui")
 from nicegui import Client, ui
 
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench import live_page, page
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import InputSelection

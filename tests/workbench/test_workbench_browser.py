@@ -79,10 +79,10 @@ def brushed(watched):
     page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.7 * box["height"], steps=5)
     page.mouse.up()
     page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
-    said = page.locator(".panel:nth-of-type(2) [aria-live]").inner_text()
+    notice = page.locator(".panel:nth-of-type(2) [aria-live]").inner_text()
     last = "document.querySelectorAll('.panel')[1].querySelectorAll('.js-plotly-plot')[1].data.at(-1)"
     page.wait_for_function(f"{last}.mode === 'markers'", polling=POLLING, timeout=PATIENCE)
-    return said, page.evaluate(f"{last}.x.length")
+    return notice, page.evaluate(f"{last}.x.length")
 
 
 def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
@@ -91,8 +91,8 @@ def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
     page = watched.page
     page.wait_for_selector(f"{MAP} >> .heatmaplayer", state="attached", timeout=PATIENCE)
     assert page.evaluate("document.documentElement.scrollWidth") <= 1280
-    said, dots = brushed(watched)
-    assert int(re.match(r"\d+", said).group()) == dots > 0
+    notice, dots = brushed(watched)
+    assert int(re.match(r"\d+", notice).group()) == dots > 0
     page.keyboard.press("c")
     page.wait_for_selector("text=Quadratic drag is missing", timeout=PATIENCE)
     before, cells = watched.wait_for_bars(1)[0], watched.mean_of_map()
@@ -184,8 +184,8 @@ def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path)
     for path in runs:  # they travel side by side, so any may come first
         page.wait_for_selector(f"text=/Uploaded: {path.name}, .* MB/", timeout=PATIENCE)
     page.wait_for_selector("text=/drive_..csv .first of 2 files.: 800 rows in 1 stretch/", timeout=PATIENCE)
-    kept = {path.name[4:]: path.read_text(encoding="utf-8") for path in (tmp_path / "out" / "uploads").iterdir()}
-    assert kept == {path.name: path.read_text(encoding="utf-8") for path in runs}
+    retained = {path.name[4:]: path.read_text(encoding="utf-8") for path in (tmp_path / "out" / "uploads").iterdir()}
+    assert retained == {path.name: path.read_text(encoding="utf-8") for path in runs}
     page.locator(".q-dialog").get_by_role("button", name="Open", exact=True).click()  # a path may say 'open' too
     page.wait_for_function(ONE_BAR, polling=POLLING, timeout=PATIENCE)
     assert "2 recordings, 80 s" in page.locator(".what").inner_text()

@@ -49,14 +49,14 @@ class Bench:
             self.server = None
 
     @property
-    def said(self) -> str:
+    def notice(self) -> str:
         self.terminal.seek(0)
         return self.terminal.read()
 
     @property
     def decisions(self) -> list[tuple[str, str]]:
-        kept = json.loads((self.folder / "out" / "session.json").read_text(encoding="utf-8"))
-        return [(item["do"], item["effect"]) for item in kept["decisions"]]
+        retained = json.loads((self.folder / "out" / "session.json").read_text(encoding="utf-8"))
+        return [(item["do"], item["effect"]) for item in retained["decisions"]]
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_nothing_is_lost(browser, bench, begun):
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     page.click(".candidate.open >> text=Add")
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
-    kept = errors(page)
+    retained = errors(page)
     assert bench.decisions == [("added", "quadratic_drag")]
 
     page.evaluate(NOTE_SAVING)
@@ -130,7 +130,7 @@ def test_nothing_is_lost(browser, bench, begun):
     assert page.evaluate("window.saving"), "while it saves, the page says so"
     page.reload()  # F5
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
-    assert errors(page) == kept
+    assert errors(page) == retained
     page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
 
     other = opened(browser, address.replace("127.0.0.1", "localhost"), 2)  # a second tab
@@ -144,12 +144,12 @@ def test_nothing_is_lost(browser, bench, begun):
     bench.end(signal.SIGKILL)
 
     page = opened(browser, bench.start(), 2)  # without arguments the last session goes on
-    assert errors(page) == kept
+    assert errors(page) == retained
     page.close()
     bench.end()
     page = opened(browser, bench.start("--session", bench.folder / "out" / "session.json"), 2)
-    assert errors(page) == kept
+    assert errors(page) == retained
     page.close()
     bench.end()
-    assert "Traceback" not in bench.said
-    assert "page goes on after an error" not in bench.said
+    assert "Traceback" not in bench.notice
+    assert "page goes on after an error" not in bench.notice

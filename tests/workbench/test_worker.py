@@ -52,10 +52,10 @@ def worker():
 
 @pytest.mark.processes
 def test_results_progress_errors_and_restarts(worker, jobs, finished):
-    told = []
+    reported = []
 
     async def story():
-        assert await worker.ask(jobs.doubled, 21, tell=told.append) == 42
+        assert await worker.ask(jobs.doubled, 21, report_progress=reported.append) == 42
         with pytest.raises(InputError, match="wanted something"):
             await worker.ask(jobs.refused)
         with pytest.raises(SafedpaError, match="ZeroDivisionError"):
@@ -64,10 +64,10 @@ def test_results_progress_errors_and_restarts(worker, jobs, finished):
             await worker.ask(jobs.no_room)
         assert await worker.ask(jobs.niceness) > os.nice(0)
         with pytest.raises(StoppedError):
-            await worker.ask(jobs.endless, tell=lambda _share: worker.stop())
+            await worker.ask(jobs.endless, report_progress=lambda _share: worker.stop())
         assert await worker.ask(jobs.doubled, 4) == 8
         both = await asyncio.gather(worker.ask(jobs.doubled, 1), worker.ask(jobs.doubled, 2))
         assert both == [2, 4]
 
     finished(story())
-    assert told == [0.5]
+    assert reported == [0.5]

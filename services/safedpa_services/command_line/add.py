@@ -69,9 +69,9 @@ def command(
     before, after = found.before.value, found.after.value
     if as_json:
         values = {path: vars(value) for path, value in found.values.items()}
-        told = {"sentence": found.sentence} if law is not None else {}
+        reported = {"sentence": found.sentence} if law is not None else {}
         errors = {key: value if math.isfinite(value) else None for key, value in (("before", before), ("after", after))}
-        document = {"format": 1, "effect": effect, **errors, "parameters": values, **told}
+        document = {"format": 1, "effect": effect, **errors, "parameters": values, **reported}
         click.echo(json.dumps(document, allow_nan=False))
         return
     if found.sentence:

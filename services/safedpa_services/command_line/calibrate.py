@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.json_answer import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, report_progress
 from safedpa_services.command_line.names import complete_models
 
 if TYPE_CHECKING:
@@ -49,25 +49,25 @@ def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: f
         load_model(model), settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d")
     )
     calibration.save(out)
-    _tell(calibration, out)
+    _report(calibration, out)
 
 
-def _tell(calibration: MarginCalibration, out: Path) -> None:
+def _report(calibration: MarginCalibration, out: Path) -> None:
     drives = (
         f" of {calibration.drives} drives" if calibration.drives else ", too few drives to say anything about drives"
     )
-    tell(f"{calibration.transitions} transitions{drives}")
-    tell(f"coverage {calibration.coverage:g}; epsilon, and share of what is fresh")
+    report_progress(f"{calibration.transitions} transitions{drives}")
+    report_progress(f"coverage {calibration.coverage:g}; epsilon, and share of what is fresh")
     for kind, epsilon in calibration.epsilon.items():
         line = f"  {kind:<10} conformal {epsilon:.4f}{_share(calibration, 'conformal', kind)}"
         if kind in calibration.drive:
             line += f"   drive {calibration.drive[kind]:.4f}{_share(calibration, 'drive', kind)}"
         if kind in calibration.theorem:
             line += f"   theorem {calibration.theorem[kind]:.4f}{_share(calibration, 'theorem', kind)}"
-        tell(line)
-    told = {name: dict(getattr(calibration, name)) for name in ("epsilon", "drive", "theorem", "covered")}
-    told |= {name: getattr(calibration, name) for name in ("transitions", "drives", "coverage")}
-    tell(f"margin: {out}", facts={"margin": str(out), **told})
+        report_progress(line)
+    reported = {name: dict(getattr(calibration, name)) for name in ("epsilon", "drive", "theorem", "covered")}
+    reported |= {name: getattr(calibration, name) for name in ("transitions", "drives", "coverage")}
+    report_progress(f"margin: {out}", facts={"margin": str(out), **reported})
 
 
 def _share(calibration: MarginCalibration, name: str, kind: str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from safedpa_services.command_line.json_answer import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, report_progress
 
 
 @click.command()
@@ -39,16 +39,16 @@ def command(
     check_days(days)  # before the authority is made
     authority = Authority(folder, fleet)
     made = "made" if authority.is_new else "there already"
-    tell(
+    report_progress(
         f"{folder / 'authority.pem'}: {made}, for fleet '{fleet}'",
-        facts={"folder": str(folder), "fleet": fleet, "made": [], "kept": []},
+        facts={"folder": str(folder), "fleet": fleet, "made": [], "retained": []},
     )
     further = tuple(f"{ROUTER}.{name}" for name in routers)
     for role in (*roles_of(robots), *further):
         if (folder / f"{role}.pem").exists() and not renew:
-            tell(f"{role}: there already", facts={"kept": [role]})
+            report_progress(f"{role}: there already", facts={"retained": [role]})
             continue
         names = (*HOSTS, *hosts) if role.split(".")[0] == ROUTER and role != role_of_robot(ROUTER) else ()
         authority.issue(role, days, names)
         where = f", accepts connections as {', '.join(dict.fromkeys(names))}" if names else ""
-        tell(f"{role}: made, good for {days:g} days{where}", facts={"made": [role], "days": days})
+        report_progress(f"{role}: made, good for {days:g} days{where}", facts={"made": [role], "days": days})

@@ -51,7 +51,7 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
         if not answer.ok:
             raise InputError(answer.sentence)
         end = answer if do == "reject" else _end_of(bus, robot, answer)
-    _tell(robot, end, as_json=options["as_json"])
+    _report(robot, end, as_json=options["as_json"])
     if do != "reject" and end.fingerprint == seen.fingerprint:
         raise SafedpaError(end.sentence)
 
@@ -59,11 +59,11 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
 def _asked(bus: Bus, robot: str, request: Request) -> Answer:
     answer = bus.request(robot, request, _TIMEOUT_SECONDS)
     if answer is None:
-        raise _nobody(bus, robot)
+        raise _no_one(bus, robot)
     return answer
 
 
-def _nobody(bus: Bus, robot: str) -> SafedpaError:
+def _no_one(bus: Bus, robot: str) -> SafedpaError:
     return SafedpaError(
         f"robot '{robot}' of fleet '{bus.fleet}': no diagnosis answers; wanted a running 'safedpa up', whose "
         "endpoint is named with --connect"
@@ -83,14 +83,14 @@ def _end_of(bus: Bus, robot: str, begun: Answer) -> Answer:
             if not status.pending or status.change != begun.change:
                 return status
         elif time.monotonic() - heard > _SILENCE_SECONDS:
-            raise _nobody(bus, robot)
+            raise _no_one(bus, robot)
         time.sleep(_LOOK_SECONDS)
     raise SafedpaError(
         f"change {begun.change} is not over after {_LONGEST_CHANGE_SECONDS:.0f} s; does the robot drive?"
     )
 
 
-def _tell(robot: str, end: Answer, *, as_json: bool) -> None:
+def _report(robot: str, end: Answer, *, as_json: bool) -> None:
     if as_json:
         table = {"robot": robot, "change": end.change, "model": end.fingerprint, "sentence": end.sentence}
         click.echo(json.dumps(table))

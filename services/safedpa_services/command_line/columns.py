@@ -76,5 +76,5 @@ def _of_table(log: Path, systems: Sequence[System]) -> str:
     forms = [(system, guess_columns(system, names)) for system in systems]
     system, lines = max(forms, key=lambda form: sum(bool(line.source) for line in form[1]))
     missing = [f'# {line.target} = "..."   # {line.si}: no column looks like it' for line in lines if not line.source]
-    said = ", ".join(map(printable, names))
-    return f"# Columns of the log: {said}\n{map_text(system, lines)}" + "".join(f"{line}\n" for line in missing)
+    notice = ", ".join(map(printable, names))
+    return f"# Columns of the log: {notice}\n{map_text(system, lines)}" + "".join(f"{line}\n" for line in missing)

@@ -66,10 +66,10 @@ def command(
     names, read = ("compare.html", "compare.json"), inputs_of(model, runs, columns, effects, before)
     with results_folder(out, "compare", model, names, read, force) as folder:
         recorded = load_runs(loaded, runs, columns)
-        with progress("comparing") as tell:
-            tell(0, 2)
+        with progress("comparing") as report_progress:
+            report_progress(0, 2)
             comparison = compare_model(loaded, recorded, horizon)
-            tell(1, 2)
+            report_progress(1, 2)
             change = "" if earlier is None else worse_sentence(compare_model(earlier, recorded, horizon), comparison)
             page, _ = write_comparison(comparison, folder, Path(model).stem)
     if as_json:

@@ -61,7 +61,7 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _print_result(result)
     if result["failure"]:
         raise SafedpaError(result["failure"])
 
@@ -103,26 +103,28 @@ class _DemoRun:
         from safedpa_services.supervisor.story import DemoNarrator
         from safedpa_services.supervisor.warnings import Warnings
 
-        def tell(line: str) -> None:
+        def report_progress(line: str) -> None:
             if not self._options["as_json"]:
                 print_plain(f"{0.0 if watch.state is None else watch.state.robot_time:5.0f} s  {line}")
 
         warnings = Warnings((robot, *services), self.plan.folder)
-        self.story = story = DemoNarrator(watch.bus, watch.robot, tell, self._options["yes"])
-        tell(f"a car drives behind its filter; after {_AFTER:.0f} s its steering is bent, and no model is told")
+        self.story = story = DemoNarrator(watch.bus, watch.robot, report_progress, self._options["yes"])
+        report_progress(
+            f"a car drives behind its filter; after {_AFTER:.0f} s its steering is bent, and no model is told"
+        )
 
         def turn() -> None:
             warnings.look()
             story.look(watch)
-            self._open(tell)
+            self._open(report_progress)
             if story.done and self._photographed():
                 self._stop.set("the story is told")
-            elif self._options["yes"] and story.told.taken is None and _clock(watch) > _LONGEST_UNASKED:
+            elif self._options["yes"] and story.reported.taken is None and _clock(watch) > _LONGEST_UNASKED:
                 self._stop.set("the model was not mended")
 
         yield turn
 
-    def _open(self, tell: Callable[[str], None]) -> None:
+    def _open(self, report_progress: Callable[[str], None]) -> None:
         from safedpa_services.supervisor.screen import answers
         from safedpa_services.web.browser import show
 
@@ -130,7 +132,7 @@ class _DemoRun:
         if not address or self._opened or not answers(address):
             return
         self._opened = True
-        tell(f"live page: {address}")
+        report_progress(f"live page: {address}")
         if not (self._options["no_browser"] or self._options["as_json"]):
             show(address)
 
@@ -157,12 +159,12 @@ class _DemoRun:
         story = self.story
         if story is None:
             raise SafedpaError("ended before the robot was started; nothing was driven")
-        told = story.document()
-        report = _report(story, summary, self.plan.folder) if story.told.taken is not None and story.report else ""
+        reported = story.document()
+        report = _report(story, summary, self.plan.folder) if story.reported.taken is not None and story.report else ""
         return {
             "seed": self._options["seed"],
             "changed": summary.get("changed"),
-            **told,
+            **reported,
             **{
                 name: summary[name]
                 for name in ("robot_seconds", "goals_reached", "collisions", "standstills", "recording")
@@ -181,13 +183,13 @@ def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
     """Why the story did not end well, in a line; empty where it did."""
     from safedpa_services.supervisor.story import WANTED_FALL
 
-    if story.told.taken is None:
+    if story.reported.taken is None:
         drove = f"drove for {summary['robot_seconds']:.0f} s"
         return f"demo: {drove}, and the model was not changed; say it once more, perhaps with another --seed"
-    if story.told.fall is None:
+    if story.reported.fall is None:
         return "demo: ended before the error with the mended model could be told; leave it 20 s after Accept"
-    if story.told.fall < WANTED_FALL:
-        return f"demo: the error fell by {100 * story.told.fall:.0f} %, wanted {100 * WANTED_FALL:.0f} %"
+    if story.reported.fall < WANTED_FALL:
+        return f"demo: the error fell by {100 * story.reported.fall:.0f} %, wanted {100 * WANTED_FALL:.0f} %"
     return ""
 
 
@@ -201,12 +203,12 @@ def _report(story: DemoNarrator, summary: dict[str, Any], folder: Path) -> str:
     from safedpa.records.run import Stretch
     from safedpa.report.diagnosis_page import write_report
 
-    if len(story.models) < 2 or summary.get("changed") is None or story.told.taken is None:
+    if len(story.models) < 2 or summary.get("changed") is None or story.reported.taken is None:
         return ""
     models = [parse_model(text) for text in story.models[:2]]
     (folder / "model.toml").write_text(story.models[1], encoding="utf-8")
     run = load_run(summary["recording"], models[0].system)
-    rows = [k for k, t in enumerate(run.t) if summary["changed"] <= t <= story.told.taken]
+    rows = [k for k, t in enumerate(run.t) if summary["changed"] <= t <= story.reported.taken]
     parts = [
         Stretch(max(part.start, rows[0]), min(part.stop, rows[-1] + 1))
         for part in run.stretches
@@ -216,7 +218,7 @@ def _report(story: DemoNarrator, summary: dict[str, Any], folder: Path) -> str:
     return str(write_report(parse_json(story.report), [changed], models, folder, "the demonstration"))
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _print_result(result: dict[str, Any]) -> None:
     if result["fall"] is not None:
         before, after = result["error_before"], result["error_after"]
         click.echo("Error over one second of driving:")

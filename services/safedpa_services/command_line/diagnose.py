@@ -75,7 +75,7 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
         return 0
     if wants_fleet(options["fleet"], options["by"]):
         return run_fleet_diagnosis(model, runs, **options)
-    unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["anew"] * options["anew"]
+    unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["again"] * options["again"]
     if unused:
         raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or what a robot is with --by")
     if not runs:
@@ -115,14 +115,14 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
         with progress_with_notes("diagnosing") as narrate:
             report = diagnose(loaded, recorded, options["horizon"], narrate)
         document = as_document(report)
-        with progress("writing") as tell:
-            tell(0, 2)
+        with progress("writing") as report_progress:
+            report_progress(0, 2)
             _write(document, report, recorded, out, Path(model).stem)
-            tell(1, 2)
+            report_progress(1, 2)
             margin = _margin(report, recorded, out)
     if options["as_json"]:
-        told = _margin_document(report, out, margin, options["effects"])
-        click.echo(json.dumps({**document, "margin": told}, allow_nan=False))
+        reported = _margin_document(report, out, margin, options["effects"])
+        click.echo(json.dumps({**document, "margin": reported}, allow_nan=False))
     else:
         _show(report, out, margin, options["effects"])
 
@@ -144,11 +144,11 @@ def _margin_document(report: Report, out: Path, margin: CalibratedMargin, own: P
     """Where the margin lies and of which steps [s] it is, None: none; what is said of it; how to drive."""
     from safedpa_services.driving import drive_command
 
-    told: dict[str, Any] = {"file": None, "period": None, "said": margin.said, "drive": None}
+    reported: dict[str, Any] = {"file": None, "period": None, "notice": margin.notice, "drive": None}
     if margin.path is not None:
         drive = drive_command(report.models[-1], out / "model.toml", margin.path, own, margin.period)
-        told |= {"file": str(margin.path), "period": margin.period, "drive": drive}
-    return told
+        reported |= {"file": str(margin.path), "period": margin.period, "drive": drive}
+    return reported
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
@@ -177,11 +177,11 @@ def _show(report: Report, out: Path, margin: CalibratedMargin, own: Path | None)
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
-    told = _margin_document(report, out, margin, own)
-    if told["said"]:
-        console.print(told["said"], markup=False)
-    if told["drive"] is not None:
-        console.print(f"Drive with it: {told['drive']}", markup=False)
+    reported = _margin_document(report, out, margin, own)
+    if reported["notice"]:
+        console.print(reported["notice"], markup=False)
+    if reported["drive"] is not None:
+        console.print(f"Drive with it: {reported['drive']}", markup=False)
 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:
@@ -251,5 +251,5 @@ def _bars(report: Report) -> list[tuple[str, str]]:
 
 
 def _groups(report: Report) -> list[tuple[str, tuple[str, ...]]]:
-    kept = [item for item in report.candidates if item.decision == "accepted" and item.indistinguishable_from]
-    return [(item.effect, item.indistinguishable_from) for item in kept]
+    retained = [item for item in report.candidates if item.decision == "accepted" and item.indistinguishable_from]
+    return [(item.effect, item.indistinguishable_from) for item in retained]

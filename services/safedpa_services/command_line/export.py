@@ -8,7 +8,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import need
-from safedpa_services.command_line.json_answer import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, report_progress
 from safedpa_services.command_line.names import SuggestingChoice
 
 __all__ = ["command"]
@@ -65,9 +65,11 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
     exported = export_recording(source, out, kind, robot)
     for finding in exported.findings:
-        tell(f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]})
-    told = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
-    tell(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=told)
+        report_progress(
+            f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]}
+        )
+    reported = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
+    report_progress(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=reported)
 
 
 def _export_model(source: Path, out: Path) -> None:
@@ -83,10 +85,12 @@ def _export_model(source: Path, out: Path) -> None:
     refuse_inputs([out / name for name in texts], [source])
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
-        tell(str(out / name), facts={"written": [str(out / name)]})
+        report_progress(str(out / name), facts={"written": [str(out / name)]})
     for name, cannot in found.unexpressed.items():
         for effect, why in cannot.items():
-            tell(f"{name}: {effect} is not in it: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]})
+            report_progress(
+                f"{name}: {effect} is not in it: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]}
+            )
 
 
 def _export_bag(source: Path, out: Path, robot: str | None) -> None:
@@ -95,9 +99,11 @@ def _export_bag(source: Path, out: Path, robot: str | None) -> None:
 
     exported = export_bag(source, out, robot)
     for line in exported.findings:
-        tell(line, err=True, facts={"findings": [line]})
-    told = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
-    tell(f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=told)
+        report_progress(line, err=True, facts={"findings": [line]})
+    reported = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
+    report_progress(
+        f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=reported
+    )
 
 
 def _export_networks(source: Path, folder: Path) -> None:
@@ -106,4 +112,4 @@ def _export_networks(source: Path, folder: Path) -> None:
     from safedpa_sim.training.onnx_export import export_onnx
 
     for path in export_onnx(load_weights(source), folder):
-        tell(f"{path}: {path.stat().st_size} bytes", facts={"written": [str(path)]})
+        report_progress(f"{path}: {path.stat().st_size} bytes", facts={"written": [str(path)]})

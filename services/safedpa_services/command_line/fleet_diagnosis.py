@@ -87,9 +87,11 @@ def run_fleet_diagnosis(model: str, runs: Sequence[str], **options: Any) -> int:
     written = "fleet.html", "fleet.json"
     with (
         results_folder(given, "fleet", model, written, read, options["force"]) as out,
-        progress(f"diagnosing {len(found.robots)} robots") as tell,
+        progress(f"diagnosing {len(found.robots)} robots") as report_progress,
     ):
-        document = diagnose_fleet(Fleet(found, known, out.resolve()), _workers(options), tell, anew=options["anew"])
+        document = diagnose_fleet(
+            Fleet(found, known, out.resolve()), _workers(options), report_progress, again=options["again"]
+        )
     if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
     else:
@@ -165,10 +167,10 @@ def _show(document: dict[str, Any], out: Path) -> None:
         if robot["kind"] in ("unreadable", "failed", "no_verdict"):
             console.print(f"  {robot['robot']}: {robot['reason']}", style="dim", markup=False, soft_wrap=True)
         elif robot["unreadable_files"]:
-            told = (
+            reported = (
                 f"  {robot['robot']}: {robot['unreadable_files']} of its files could not be read (result.json says why)"
             )
-            console.print(told, style="dim", markup=False, soft_wrap=True)
+            console.print(reported, style="dim", markup=False, soft_wrap=True)
     for item in document["left_out"]:
         console.print(f"  left out: {item['path']} ({item['reason']})", style="dim", markup=False, soft_wrap=True)
     console.print(discovery_sentence(document), style="dim", markup=False, soft_wrap=True)

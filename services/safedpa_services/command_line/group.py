@@ -123,7 +123,7 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-def _told(context: click.Context, option: click.Parameter, asked: bool) -> None:
+def _reported(context: click.Context, option: click.Parameter, asked: bool) -> None:
     """The version, and what the filter's innermost modules are; they are imported only for this."""
     del option
     if asked and not context.resilient_parsing:
@@ -136,7 +136,7 @@ def _told(context: click.Context, option: click.Parameter, asked: bool) -> None:
 
 @click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
-    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_told, help="Show the version and exit."
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_reported, help="Show the version and exit."
 )
 def safedpa() -> None:
     """Safe deep policy adaptation: drive safely, compare the model with measurements, find what it lacks."""

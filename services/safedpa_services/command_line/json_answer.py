@@ -11,7 +11,7 @@ import click
 
 from safedpa_services.lines import print_plain
 
-__all__ = ["answers_json", "finish", "tell"]
+__all__ = ["answers_json", "finish", "report_progress"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _KEY = "safedpa.facts"
@@ -42,7 +42,7 @@ def finish() -> None:
         context.meta[_KEY] = {}
 
 
-def tell(line: str = "", *, err: bool = False, facts: Mapping[str, Any] | None = None) -> None:
+def report_progress(line: str = "", *, err: bool = False, facts: Mapping[str, Any] | None = None) -> None:
     """Prints a line, or with ``--json`` takes the facts down; the entries of lists that are told twice follow one
     another. ``err``: the line belongs on standard error. Without a line only the facts are told."""
     context = click.get_current_context(silent=True)

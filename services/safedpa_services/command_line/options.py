@@ -93,11 +93,11 @@ def load_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) ->
 
     mapping = load_column_map(columns) if columns else None
     found = []
-    with progress("reading") as tell:
+    with progress("reading") as report_progress:
         for number, path in enumerate(paths):
-            tell(number, len(paths))
+            report_progress(number, len(paths))
             found.append(load_run(path, model.system, mapping))
-        tell(len(paths), len(paths))
+        report_progress(len(paths), len(paths))
     return with_distinct_names(found, paths)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from safedpa.extras import needs
-from safedpa_services.command_line.json_answer import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, report_progress
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     columns_option,
@@ -51,5 +51,7 @@ def command(
     table = predict_run(loaded, recorded, horizon)
     write_columns(table, out, "csv")
     starts = len(set(table["start_t"].tolist()))
-    told = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
-    tell(f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=told)
+    reported = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
+    report_progress(
+        f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=reported
+    )

@@ -58,16 +58,16 @@ def command(
         raise InputError("--size: wanted more than 0; --seed: wanted 0 or more")
     loaded = load_given_model(model, effects)
     recorded = load_runs(loaded, runs, columns)
-    with progress("rehearsing") as tell:
-        found = rehearse_diagnosis(loaded, recorded, sizes, names, seed, tell)
+    with progress("rehearsing") as report_progress:
+        found = rehearse_diagnosis(loaded, recorded, sizes, names, seed, report_progress)
     if as_json:
         trials = [asdict(trial) for trial in found.trials]
         click.echo(json.dumps({"format": 1, "trials": trials, "agreeing": found.agreeing}, allow_nan=False))
         return
     for trial in found.trials:
         unit = "" if trial.unit == "1" else f" {trial.unit}"
-        said = ", ".join(trial.named) or trial.verdict.replace("_", " ")
+        notice = ", ".join(trial.named) or trial.verdict.replace("_", " ")
         verdict = "found" if trial.found else "not found"
         expected = "as expected" if trial.found == trial.predicted else "against what the sensitivities say"
-        click.echo(f"{trial.effect} {trial.parameter} {trial.size:.3g}{unit}: {verdict} ({said}), {expected}")
+        click.echo(f"{trial.effect} {trial.parameter} {trial.size:.3g}{unit}: {verdict} ({notice}), {expected}")
     click.echo(f"{found.agreeing} of {len(found.trials)} as the check of these runs foretells (diagnose --check)")

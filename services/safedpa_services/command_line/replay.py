@@ -120,8 +120,8 @@ def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> i
 
     saved = ReplayOutputs()
     wanted = options["out"] is not None
-    tell = saved.take if wanted else saved.leave
-    found = replay(tape, _window(options), 0.0 if options["exact"] else TOLERANCE, _folders(options), tell)
+    report_progress = saved.take if wanted else saved.leave
+    found = replay(tape, _window(options), 0.0 if options["exact"] else TOLERANCE, _folders(options), report_progress)
     gaps = gaps_of(tape)
     if wanted:
         saved.write(tape, options["out"])
@@ -141,7 +141,7 @@ def _changed(tape: RobotTape, change: WhatIfChange, assumed: list[str], options:
     from safedpa.replay.what_if import summary_of, what_if
 
     decisions = what_if(tape, change, _window(options), _folders(options))
-    summary, changed = summary_of(decisions), _words(options)
+    summary, changed = summary_of(decisions), _text(options)
     if options["out"] is not None:
         write_decisions(decisions, options["out"])
     driven = _driven(tape, change, options) if options["closed_loop"] else None
@@ -157,7 +157,7 @@ def _changed(tape: RobotTape, change: WhatIfChange, assumed: list[str], options:
     return 0
 
 
-def _words(options: dict[str, Any]) -> str:
+def _text(options: dict[str, Any]) -> str:
     given = [f"{name} {options[name]}" for name in ("model", "eta", "margin") if options[name] is not None]
     given += ["the filter on"] if options["filtered"] else []
     return ", ".join(given) or "nothing changed"

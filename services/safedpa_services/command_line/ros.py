@@ -42,8 +42,8 @@ def _discover(endpoint: str, domain: int, as_json: bool) -> None:
     if not topics:
         click.echo(f"{endpoint}: no node of domain {domain} shows itself; is it another --domain, or a bridge to DDS?")
     for name, entry in topics.items():
-        who = ", ".join(entry["publishers"]) or "nobody"
-        heard = ", ".join(entry["subscribers"]) or "nobody"
+        who = ", ".join(entry["publishers"]) or "no_one"
+        heard = ", ".join(entry["subscribers"]) or "no_one"
         click.echo(f"{name}   {entry['type']}\n    from {who}; to {heard}; {entry['hash'][:15]}")
 
 
@@ -62,10 +62,10 @@ def _run(file: Path, fleet: str, connect: tuple[str, ...], mode: str | None, cer
     from safedpa.bus.service.process import StopSignal
     from safedpa_services.ros_gateway.__main__ import parser, work
 
-    words = [part for endpoint in connect for part in ("--connect", endpoint)]
-    words += ["--mode", mode] if mode else []
-    words += ["--certificates", str(certificates)] if certificates is not None else []
-    options = parser().parse_args([str(file), "--fleet", fleet, *words])
+    phrase = [part for endpoint in connect for part in ("--connect", endpoint)]
+    phrase += ["--mode", mode] if mode else []
+    phrase += ["--certificates", str(certificates)] if certificates is not None else []
+    options = parser().parse_args([str(file), "--fleet", fleet, *phrase])
     stop = StopSignal()
     stop.listen_to_signals()
     sys.exit(work(options, stop))

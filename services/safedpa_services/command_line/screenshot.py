@@ -11,7 +11,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
-from safedpa_services.command_line.json_answer import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, report_progress
 
 if TYPE_CHECKING:
     import subprocess
@@ -48,7 +48,7 @@ def command(recording: Path, out: Path, size: str, at: float | None) -> None:
     if not out.parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
     _render(recording, out, size, at)
-    tell(str(out), facts={"written": str(out)})
+    report_progress(str(out), facts={"written": str(out)})
 
 
 def _render(recording: Path, out: Path, size: str, at: float | None) -> None:

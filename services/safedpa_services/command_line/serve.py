@@ -11,7 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
-from safedpa_services.command_line.json_answer import answers_json, finish, tell
+from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
 from safedpa_services.command_line.up import default_options, planned
 
 if TYPE_CHECKING:
@@ -73,13 +73,15 @@ def command(file: Path, **options: Any) -> None:
     stop, own = StopSignal(), _own_certificates(options, speaks_ros=speaks_ros)
     with planned(_as_asked(asked, options), own) as made:
         stop.listen_to_signals()
-        plan = replace(made, senses=isinstance(asked, RobotFile) and bool(asked.scans))
+        plan = replace(made, sensor_inputs=isinstance(asked, RobotFile) and bool(asked.scans))
         gateway = plan.gateway(file, with_policy=with_policy) if speaks_ros else None
         services = _services(plan, policy=not with_policy)
         if gateway is None:
             role = "" if plan.wallet is None else f" with the certificate of role {role_of_robot(plan.name)}"
             where = plan.door or plan.endpoint
-            tell(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; it joins there by itself{role}")
+            report_progress(
+                f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; it joins there by itself{role}"
+            )
         _serve(plan, gateway, services, stop)
 
 
@@ -124,12 +126,12 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
     from safedpa_services.supervisor.watch import RunMonitor
 
     where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.door or plan.endpoint}
-    tell(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
+    report_progress(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
     if plan.workbench_address:
-        tell(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
+        report_progress(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
     if plan.wallet is not None:
-        words = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.wallet.folder}"
-        tell(f"how it is: safedpa status --watch {words}", facts={"certificates": str(plan.wallet.folder)})
+        phrase = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.wallet.folder}"
+        report_progress(f"how it is: safedpa status --watch {phrase}", facts={"certificates": str(plan.wallet.folder)})
     finish()  # where it is found is said at once
     if plan.wallet is not None:
         services[0].start()  # the router, through which the supervisor itself hears
@@ -137,14 +139,14 @@ def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: A
         watch = RunMonitor(bus, plan.name)
         code = Supervisor(list(services), gateway, watch, stop, _DriveReporter(watch), lambda: stop.hurried).run()
     if code != 0 and gateway is not None:
-        raise SafedpaError(f"robot: {gateway.last_words()}")
+        raise SafedpaError(f"robot: {gateway.last_text()}")
 
 
 class _DriveReporter:
     """Says when the robot begins to drive, and when it brakes by itself: once each time."""
 
     def __init__(self, watch: Any) -> None:
-        self._watch, self._said = watch, ""
+        self._watch, self._message = watch, ""
 
     def __call__(self) -> None:
         """Looks whether something changed."""
@@ -152,6 +154,6 @@ class _DriveReporter:
         detail = known[0].detail if known is not None else ""
         state = self._watch.state
         now = "" if known is None and state is None else (detail[:40] or "drives")
-        if now != self._said:
-            self._said = now
-            tell(f"robot {self._watch.robot}: {detail or 'the filter drives'}")
+        if now != self._message:
+            self._message = now
+            report_progress(f"robot {self._watch.robot}: {detail or 'the filter drives'}")

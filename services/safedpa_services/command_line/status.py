@@ -47,24 +47,24 @@ def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
         raise InputError("--watch, --json: got both, wanted one; a script calls --json as often as it likes")
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot)
-        healthy = _watched(fleet) if watch else _told(fleet, seconds, options)
+        healthy = _watched(fleet) if watch else _reported(fleet, seconds, options)
     return 0 if healthy else 1
 
 
-def _told(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool:
+def _reported(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool:
 
     fleet.listen(seconds)
     document = document_of(fleet)
     if options["as_json"]:
         click.echo(json.dumps(document))
-    elif fleet.nobody:
-        raise SafedpaError(_nobody(fleet, seconds, options))
+    elif fleet.no_one:
+        raise SafedpaError(_no_one(fleet, seconds, options))
     else:
         _draw(document, options["picture"])
     return bool(document["healthy"])
 
 
-def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> str:
+def _no_one(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> str:
     where = ", ".join(options["connect"]) or "this machine"
     return (
         f"fleet '{fleet.bus.fleet}': nobody was heard on the bus within {seconds:g} s ({where}); wanted a running "
@@ -113,7 +113,7 @@ def _watched(fleet: FleetOverview) -> bool:
             fleet.listen(_REDRAW_SECONDS)
             document = document_of(fleet)
             healthy = document["healthy"]
-            if fleet.nobody:
+            if fleet.no_one:
                 heard = time.monotonic() - fleet.since
                 live.update(Text(f"fleet '{fleet.bus.fleet}': nobody was heard for {heard:.0f} s"), refresh=True)
             else:
@@ -138,7 +138,7 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
     return {
         "fleet": fleet.bus.fleet,
-        "healthy": not fleet.nobody and all(concern.level != "trouble" for concern in concerns),
+        "healthy": not fleet.no_one and all(concern.level != "trouble" for concern in concerns),
         "listened": round(now - fleet.since, 3),
         "robots": robots,
         "services": services,

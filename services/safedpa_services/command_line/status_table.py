@@ -52,17 +52,17 @@ def _model(row: Row) -> str:
 
 
 def _sources(row: Row) -> str:
-    told = [f"{name} {'-' if age is None else f'{age:.2f}'}" for name, age in row["sources"].items()]
-    return " ".join(told)
+    reported = [f"{name} {'-' if age is None else f'{age:.2f}'}" for name, age in row["sources"].items()]
+    return " ".join(reported)
 
 
 def _more(row: Row) -> str:
     if row["service"] != "recorder":
         return str(row["detail"])
-    told = [f"{row['steps']} messages written"]
-    told += [f"{row['acknowledged']} acknowledged"] if row["acknowledged"] else []
-    told += [f"{row['free_bytes'] / 1e9:.1f} GB of disk left"] if row["free_bytes"] else []
-    return ", ".join([*told, *([row["detail"]] if row["detail"] else [])])
+    reported = [f"{row['steps']} messages written"]
+    reported += [f"{row['acknowledged']} acknowledged"] if row["acknowledged"] else []
+    reported += [f"{row['free_bytes'] / 1e9:.1f} GB of disk left"] if row["free_bytes"] else []
+    return ", ".join([*reported, *([row["detail"]] if row["detail"] else [])])
 
 
 _ROBOTS = (
@@ -107,7 +107,7 @@ def render_status_table(document: dict[str, Any], width: int, height: int = 0) -
     robots, services, concerns = document["robots"], document["services"], document["concerns"]
     rows = _rows(height, len(robots), len(services), len(_grouped(concerns)))
     parts: list[Any] = [_headline(document)]
-    parts += _told(concerns, rows[2], width)
+    parts += _reported(concerns, rows[2], width)
     if robots:
         parts += [Text(""), _table(_ROBOTS, robots[: rows[0]], width), *_folded(robots[rows[0] :])]
     if services:
@@ -123,9 +123,9 @@ def _rows(height: int, robots: int, services: int, concerns: int) -> tuple[int, 
     rest = height - 9  # headline, titles, empty lines, folded lines, the recorder's line
     if robots + services + concerns <= rest:
         return robots, services, concerns
-    told = min(concerns, max(2, rest // 4))
-    processes = min(services, max(3, (rest - told) // 2))
-    return max(_FEWEST_ROWS, min(robots, rest - told - processes)), processes, told
+    reported = min(concerns, max(2, rest // 4))
+    processes = min(services, max(3, (rest - reported) // 2))
+    return max(_FEWEST_ROWS, min(robots, rest - reported - processes)), processes, reported
 
 
 def _headline(document: dict[str, Any]) -> Text:
@@ -140,7 +140,7 @@ def _headline(document: dict[str, Any]) -> Text:
     return Text.assemble(*parts, f"  {len(services)} processes", no_wrap=True, overflow="ellipsis")
 
 
-def _told(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
+def _reported(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
     lines = []
     for concern in _grouped(concerns)[:most]:
         about = f"{concern['robot']}: " if concern["robot"] else ""
@@ -193,13 +193,13 @@ def _folded(rest: Sequence[Row]) -> list[Text]:
     if not rest:
         return []
     worst = {level: sum(row["health"] == level for row in rest) for level in ("trouble", "attention", "well")}
-    told = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
+    reported = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
     late = max(row["late"] for row in rest)
     slowest = max((row["sense_to_act_p99"] or 0.0) for row in rest)
-    told_slowest = f", p99 at most {1e3 * slowest:.1f} ms" if slowest else ""
+    reported_slowest = f", p99 at most {1e3 * slowest:.1f} ms" if slowest else ""
     least = min((row["h"] for row in rest if row["h"] is not None), default=0.0)
-    numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %{told_slowest}"
-    return [Text(f"{len(rest)} further robots ({told}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
+    numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %{reported_slowest}"
+    return [Text(f"{len(rest)} further robots ({reported}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
 
 
 def _more_processes(rest: Sequence[Row]) -> list[Text]:

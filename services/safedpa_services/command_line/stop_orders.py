@@ -20,7 +20,7 @@ __all__ = ["give_order"]
 
 _LONGEST_BRAKING_SECONDS = 6.0
 _LOOK_SECONDS = 0.1
-_STANDS = 0.02
+_IS_STATIONARY = 0.02
 
 
 def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -> None:
@@ -37,12 +37,12 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")
         request = Request(do=do, who=options["who"] or getpass.getuser())
-        nobody = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
-        nobody += ". Robots without a filter brake by themselves"
-        answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, nobody)
-        told = _obeyed(fleet, do)
-    _tell(answer, told, as_json=options["as_json"])
-    slow = [name for name, sentence in told.items() if sentence.startswith("still ")]
+        no_one = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
+        no_one += ". Robots without a filter brake by themselves"
+        answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, no_one)
+        reported = _obeyed(fleet, do)
+    _report(answer, reported, as_json=options["as_json"])
+    slow = [name for name, sentence in reported.items() if sentence.startswith("still ")]
     if slow:
         raise SafedpaError(f"the order is in force, but {', '.join(slow)} did not obey within the time")
 
@@ -52,11 +52,11 @@ def _obeyed(fleet: FleetOverview, do: str) -> dict[str, str]:
     end = fleet.clock() + _LONGEST_BRAKING_SECONDS
     while fleet.clock() < end:
         fleet.listen(_LOOK_SECONDS)
-        told = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
+        reported = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
         heard_long = fleet.clock() - fleet.since > 5.0 * _LOOK_SECONDS
-        if heard_long and not any(sentence.startswith("still ") for sentence in told.values()):
+        if heard_long and not any(sentence.startswith("still ") for sentence in reported.values()):
             break
-    return told
+    return reported
 
 
 def _does(robot: RobotOverview, do: str) -> str:
@@ -68,15 +68,15 @@ def _does(robot: RobotOverview, do: str) -> str:
     if state.corridor:
         return "keeps its corridor without the policy; it has no stand" if stopped else "still obeys the policy"
     speed = state.values[3] if len(state.values) == 4 else 0.0
-    if not stopped and abs(speed) > _STANDS:
+    if not stopped and abs(speed) > _IS_STATIONARY:
         return f"still drives, {speed:+.2f} m/s"
-    return "stands" if abs(speed) <= _STANDS else f"still brakes, {speed:+.2f} m/s"
+    return "stands" if abs(speed) <= _IS_STATIONARY else f"still brakes, {speed:+.2f} m/s"
 
 
-def _tell(answer: Answer, told: dict[str, str], *, as_json: bool) -> None:
+def _report(answer: Answer, reported: dict[str, str], *, as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps({"sentence": answer.sentence, "robots": told}))
+        click.echo(json.dumps({"sentence": answer.sentence, "robots": reported}))
         return
     print_plain(answer.sentence)
-    for name, sentence in told.items():
+    for name, sentence in reported.items():
         print_plain(f"{name}: {sentence}")

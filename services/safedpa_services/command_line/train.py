@@ -56,14 +56,14 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
     out = Path("learned") / _folder(robot, options["source"]) if out is None else out
     _check(runs, options)
     configuration = _configuration(robot, options)
-    with _progress() as tell:
-        result = _result(configuration, runs, out, options, tell)
+    with _progress() as report_progress:
+        result = _result(configuration, runs, out, options, report_progress)
     for warning in _warnings(result):
         click.echo(f"warning: {warning}", err=True)
     if as_json:
         click.echo(json.dumps(result))
     elif not options["tune"]:
-        _tell(result, out)
+        _report(result, out)
     else:
         times = ", ".join(f"{name} {value:.1f} times" for name, value in result.get("times_better", {}).items())
         click.echo(f"{out}: tuned on {len(runs)} runs; held-out error lower: {times}")
@@ -79,8 +79,8 @@ def _folder(robot: str, source: str | None) -> str:
 def _warnings(result: dict[str, Any]) -> list[str]:
     """What a phase could not do although it ended well: of a tuning, or of any phase of a pipeline."""
     records = [result, *(record for record in result.values() if isinstance(record, dict))]
-    mended = [record["mended_simulator"] for record in records if isinstance(record.get("mended_simulator"), dict)]
-    return [item["warning"] for item in mended if "warning" in item]
+    corrected = [record["mended_simulator"] for record in records if isinstance(record.get("mended_simulator"), dict)]
+    return [item["warning"] for item in corrected if "warning" in item]
 
 
 def _check(runs: tuple[Path, ...], options: dict[str, Any]) -> None:
@@ -124,19 +124,19 @@ def _result(
     runs: tuple[Path, ...],
     out: Path,
     options: dict[str, Any],
-    tell: Callable[[str, int, int, str], None],
+    report_progress: Callable[[str, int, int, str], None],
 ) -> dict[str, Any]:
     from safedpa_sim.training.pipeline import run_pipeline, tune_on_runs
     from safedpa_sim.training.stages import stages_of
 
     if options["tune"]:
         chosen = (options["weights"], list(runs), options["columns"], out, options["what"])
-        return tune_on_runs(configuration, *chosen, tell)
+        return tune_on_runs(configuration, *chosen, report_progress)
     given = options["phases"]
     phases = [] if given is None else [name.strip() for name in given.split(",") if name.strip()]
     if given is not None and not phases:
         raise InputError(f"--phases: got none, wanted one or more of {', '.join(stages_of(configuration.robot))}")
-    return run_pipeline(configuration, out, phases, tell, options["device"])
+    return run_pipeline(configuration, out, phases, report_progress, options["device"])
 
 
 @contextmanager
@@ -153,15 +153,15 @@ def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
     with Progress(title, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), note, console=console) as bar:
         tasks: dict[str, TaskID] = {}
 
-        def tell(phase: str, done: int, everything: int, words: str) -> None:
+        def report_progress(phase: str, done: int, everything: int, phrase: str) -> None:
             if phase not in tasks:
                 tasks[phase] = bar.add_task(phase, note="")
-            bar.update(tasks[phase], completed=done, total=everything, note=words)
+            bar.update(tasks[phase], completed=done, total=everything, note=phrase)
 
-        yield tell
+        yield report_progress
 
 
-def _tell(records: dict[str, Any], out: Path) -> None:
+def _report(records: dict[str, Any], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -144,7 +144,7 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(summary))
     else:
-        _tell(summary)
+        _report(summary)
 
 
 def default_options() -> dict[str, Any]:
@@ -260,7 +260,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         lockstep=options["lockstep"],
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
-        senses=bool(options["laser"]),
+        sensor_inputs=bool(options["laser"]),
         diagnosis=_is_diagnosed(options),
         workbench_port=_workbench_port(options),
         surroundings=(*driven.stand_in_options, *_surroundings(options, driven)),
@@ -401,7 +401,7 @@ def driven(plan: Plan, stop: StopSignal, shown_by: ShownBy) -> dict[str, Any]:
         with shown_by(watch, shown, robot) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
-        raise SafedpaError(f"robot: {robot.last_words()}")
+        raise SafedpaError(f"robot: {robot.last_text()}")
     if stop.hurried:
         click.echo(f"safedpa: ended at once at the second signal; what was recorded: {plan.recording}", err=True)
         raise click.exceptions.Exit(_ENDED_AT_ONCE)
@@ -426,7 +426,7 @@ def _screen_of(plan: Plan, *, quiet: bool) -> ShownBy:
     )
 
 
-def _tell(summary: dict[str, Any]) -> None:
+def _report(summary: dict[str, Any]) -> None:
     verdicts = ", ".join(f"{count} {status}" for status, count in summary["verdicts"].items())
     latency = summary["latency_us"]
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")

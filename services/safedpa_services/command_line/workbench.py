@@ -11,7 +11,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_services.command_line.bus_options import bus_of
-from safedpa_services.command_line.json_answer import answers_json, finish, tell
+from safedpa_services.command_line.json_answer import answers_json, finish, report_progress
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import columns_option, effects_option
 
@@ -125,7 +125,7 @@ def _serve(options: dict[str, Any]) -> None:
 
 
 def _announce(where: str) -> None:
-    tell(f"Workbench: {where}  (Ctrl-C ends it)", facts={"address": where})
+    report_progress(f"Workbench: {where}  (Ctrl-C ends it)", facts={"address": where})
     finish()
 
 
@@ -148,9 +148,11 @@ def _bench(options: dict[str, Any]) -> Bench:
     file = options["session"] or (None if named.model or live else newest_session(out))
     if file is None:
         return Bench(named, out)
-    kept = read_session(file)
-    tell(f"Workbench: goes on with {file} ({len(kept.decisions)} decisions)", err=True, facts={"session": str(file)})
-    return Bench(kept.choice, out, kept.decisions, file.parent)
+    retained = read_session(file)
+    report_progress(
+        f"Workbench: goes on with {file} ({len(retained.decisions)} decisions)", err=True, facts={"session": str(file)}
+    )
+    return Bench(retained.choice, out, retained.decisions, file.parent)
 
 
 def _look_at(named: InputSelection) -> None:
@@ -174,4 +176,4 @@ def _take_pictures(options: dict[str, Any]) -> None:
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
     for path in take_pictures(arguments, options["pictures"], live=live):
-        tell(str(path), facts={"written": [str(path)]})
+        report_progress(str(path), facts={"written": [str(path)]})

@@ -16,7 +16,8 @@ from safedpa.extras import need
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.defaults import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
-from safedpa_services.dashboard.doors import (
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.http_proxy import (
     FIRST_OF_ITS_OWN,
     DataProxy,
     ViewerServer,
@@ -24,7 +25,6 @@ from safedpa_services.dashboard.doors import (
     open_server,
     private_loopback,
 )
-from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import display_settings
 from safedpa_services.serving import service_parser
 

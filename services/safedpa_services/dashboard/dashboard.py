@@ -77,9 +77,9 @@ class Dashboard:
         self._steps += bool(frames)
         if started >= self._next_heartbeat:
             self._next_heartbeat = started + _HEARTBEAT_SECONDS
-            self._tell_health(time.monotonic() - started)
+            self._report_health(time.monotonic() - started)
 
-    def _tell_health(self, seconds: float) -> None:
+    def _report_health(self, seconds: float) -> None:
         message = HealthMessage(
             epoch=0,
             tick=0,

@@ -108,7 +108,7 @@ class TimeLine:
 MOST_ROBOTS = 32
 """Robots that are drawn; a flood of names must not fill the memory."""
 
-_TOLD_REFUSALS = 20
+_REPORTED_REFUSALS = 20
 """Lines in the log about refused messages per robot; the rest is counted."""
 
 KEYFRAME_SECONDS = 1.0
@@ -237,9 +237,9 @@ class FleetView:
         if robot is None:
             return TimelineFrame(0.0, ())
         robot.refused += 1
-        if robot.refused > _TOLD_REFUSALS:
+        if robot.refused > _REPORTED_REFUSALS:
             return TimelineFrame(0.0, ())
-        last = " (further ones are not told)" if robot.refused == _TOLD_REFUSALS else ""
+        last = " (further ones are not told)" if robot.refused == _REPORTED_REFUSALS else ""
         note = Note(f"refused {item.reason[:200]}{last}", ORANGE, "WARN")
         return self._frame(item.robot, None, self._time.now(now), [TimelineEntry(("log",), note)])
 

@@ -63,8 +63,8 @@ class NowPage:
         parts = [f"**{_plain(self._ended)}**"] if self._ended else [*self._verdict_lines(), *self._waiting_lines(now)]
         parts.append(self._numbers())
         if self._lines:
-            told = "\n".join(f"- {at:.1f} s: {_plain(text)}" for at, text in reversed(self._lines))
-            parts.append(f"Said last:\n\n{told}")
+            reported = "\n".join(f"- {at:.1f} s: {_plain(text)}" for at, text in reversed(self._lines))
+            parts.append(f"Said last:\n\n{reported}")
         return MarkdownPage("\n\n".join(part for part in parts if part))
 
     def _verdict_lines(self) -> list[str]:
@@ -123,7 +123,7 @@ def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
     ]
     zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
     ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
-    return [told[:_LONGEST] for told in (*ages, *seen.problems, *zones, *ordered)]
+    return [reported[:_LONGEST] for reported in (*ages, *seen.problems, *zones, *ordered)]
 
 
 def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> MarkdownPage:

@@ -211,14 +211,14 @@ def _blueprint_of(fields: dict[str, Scene], look: DisplaySettings) -> rrb.Bluepr
 
 def _tab(name: str, scene: Scene, look: DisplaySettings) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
-    words = rrb.Tabs(
+    phrase = rrb.Tabs(
         rrb.TextDocumentView(origin=f"{origin}/now", name="now, and said last"),
         rrb.TextLogView(origin=f"{origin}/log", name="all that changed", columns=_LOG_COLUMNS),
         rrb.TextDocumentView(origin="/meaning", name="what the panes mean"),
         active_tab=0,
     )
     planes = _planes(origin, scene, look)
-    left = rrb.Vertical(*planes, words, row_shares=[2.0, 1.7, 1.3] if look.is_pendulum else [3.4, 1.5])
+    left = rrb.Vertical(*planes, phrase, row_shares=[2.0, 1.7, 1.3] if look.is_pendulum else [3.4, 1.5])
     middle = rrb.Vertical(
         _curves(f"{origin}/barrier", f"room left h{_bracketed(look.h_unit)}: keep above the margin", 11),
         *[_action(origin, variable) for variable in look.system.action],
@@ -261,7 +261,7 @@ def _planes(origin: str, scene: Scene, look: DisplaySettings) -> list[Any]:
 def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
     low_x, high_x, low_y, high_y = scene
     edge = 0.04 * max(high_x - low_x, high_y - low_y)
-    trail = rrb.VisibleTimeRanges([_last_seconds()])
+    history = rrb.VisibleTimeRanges([_last_seconds()])
     return rrb.Spatial2DView(
         origin=origin,
         contents=[f"{origin}/{part}/**"],
@@ -270,7 +270,7 @@ def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
         visual_bounds=rrb.VisualBounds2D(
             x_range=[low_x - edge, high_x + edge], y_range=[-high_y - edge, -low_y + edge]
         ),
-        overrides={f"{origin}/{part}/trail": [trail]},
+        overrides={f"{origin}/{part}/trail": [history]},
     )
 
 

@@ -22,7 +22,7 @@ from safedpa_services.dashboard.palette import (
 )
 from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, TimelineEntry
 
-__all__ = ["phase_bounds", "phase_prediction", "phase_state", "phase_trail", "sector_entries", "wind_entry"]
+__all__ = ["phase_bounds", "phase_history", "phase_prediction", "phase_state", "sector_entries", "wind_entry"]
 
 _ARC_STEP = math.radians(4.0)
 _COMPASS, _COMPASS_RADIUS, _COMPASS_SPEED = (-1.12, 1.12), 0.26, 5.0
@@ -104,13 +104,13 @@ def phase_state(state: StateMessage, look: DisplaySettings) -> list[TimelineEntr
     return [] if place is None else [TimelineEntry(("phase", "now"), Discs((place,), (0.03,), SKY))]
 
 
-def phase_trail(before: StateMessage, now: StateMessage, status: str, look: DisplaySettings) -> TimelineEntry | None:
+def phase_history(before: StateMessage, now: StateMessage, status: str, look: DisplaySettings) -> TimelineEntry | None:
     """The stretch between two drawn states in the colour of the verdict over it; None without one."""
     ends = [_in_phase(state.values, look) for state in (before, now)]
     if ends[0] is None or ends[1] is None or abs(ends[1][0] - ends[0][0]) > _LARGEST_STEP:
         return None
     colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return TimelineEntry(("phase", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.012))
+    return TimelineEntry(("phase", "history"), Lines(((ends[0], ends[1]),), (colour,), 0.012))
 
 
 def phase_prediction(verdict: VerdictMessage, look: DisplaySettings) -> TimelineEntry:

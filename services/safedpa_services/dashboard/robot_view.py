@@ -16,7 +16,6 @@ from safedpa.bus import (
     SurroundingsMessage,
     VerdictMessage,
 )
-from safedpa_services.dashboard.books import FindingHistory, HealthHistory, ResidualHistory
 from safedpa_services.dashboard.curves import (
     action_entries,
     barrier_entries,
@@ -24,24 +23,25 @@ from safedpa_services.dashboard.curves import (
     residual_entry,
     style_entries,
 )
+from safedpa_services.dashboard.histories import FindingHistory, HealthHistory, ResidualHistory
 from safedpa_services.dashboard.look import DisplaySettings
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.pendulum import (
+    phase_history,
     phase_prediction,
     phase_state,
-    phase_trail,
     sector_entries,
     wind_entry,
 )
 from safedpa_services.dashboard.shapes import Note, States, StateSet, TimelineEntry
 from safedpa_services.dashboard.world import (
     body_entries,
+    history_entry,
     holding_entry,
     prediction_entry,
     scene_entries,
     seen_entries,
-    trail_entry,
 )
 
 __all__ = ["RobotView"]
@@ -102,9 +102,9 @@ class RobotView:
             return self._take_state(message, draw)
         if isinstance(message, VerdictMessage):
             return self._take_verdict(message, draw)
-        return self._beside(message) if draw else []
+        return self._alongside(message) if draw else []
 
-    def _beside(self, message: Message) -> list[TimelineEntry]:
+    def _alongside(self, message: Message) -> list[TimelineEntry]:
         """What is drawn of a message that changes nothing else."""
         if isinstance(message, SurroundingsMessage):
             return seen_entries(message)
@@ -135,22 +135,22 @@ class RobotView:
         entries += body_entries(state, self._look)
         if self._look.is_pendulum:
             entries += phase_state(state, self._look)
-        entries += self._trail(state)
+        entries += self._history(state)
         if residual is not None:
             entries.append(residual_entry(residual))
         self._drawn = state
         return entries
 
-    def _trail(self, state: StateMessage) -> list[TimelineEntry]:
+    def _history(self, state: StateMessage) -> list[TimelineEntry]:
         before = self._drawn
         if before is None or not (self._look.is_planar or self._look.is_pendulum):
             return []
         known = self._verdict is not None and state.tick - self._verdict.tick <= _LONGEST_GAP_TICKS
         status = self._verdict.status if self._verdict and known else ""
         if self._look.is_pendulum:
-            entry = phase_trail(before, state, status, self._look)
+            entry = phase_history(before, state, status, self._look)
         else:
-            entry = trail_entry(before, state, status)
+            entry = history_entry(before, state, status)
         return [] if entry is None else [entry]
 
     def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[TimelineEntry]:

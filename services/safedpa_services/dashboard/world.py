@@ -29,11 +29,11 @@ from safedpa_services.dashboard.shapes import Discs, Lines, Point, Rings, Timeli
 __all__ = [
     "body_entries",
     "field_of",
+    "history_entry",
     "holding_entry",
     "prediction_entry",
     "scene_entries",
     "seen_entries",
-    "trail_entry",
 ]
 
 _MOST_OBSTACLES = 256
@@ -146,13 +146,13 @@ def _pendulum(state: StateMessage) -> list[TimelineEntry]:
     return [TimelineEntry(("world", "rod"), rod), TimelineEntry(("world", "tip"), Discs((tip,), (0.08,), SKY))]
 
 
-def trail_entry(before: StateMessage, now: StateMessage, status: str) -> TimelineEntry | None:
+def history_entry(before: StateMessage, now: StateMessage, status: str) -> TimelineEntry | None:
     """The stretch driven between two ticks in the colour of the verdict over it; None without a stretch."""
     ends = [(state.values[0], state.values[1]) for state in (before, now) if len(state.values) >= 2]
     if len(ends) != 2 or not all(drawable(*end) for end in ends):
         return None
     colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
-    return TimelineEntry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
+    return TimelineEntry(("world", "history"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
 
 
 def prediction_entry(verdict: VerdictMessage, position: Point | None) -> TimelineEntry:

@@ -10,8 +10,8 @@ from pathlib import Path
 from safedpa.bus import ASKED, NO_ROBOT, Answer, Bus, Request, ServiceLoop
 from safedpa.bus.messages.requests import STATUS, asked_message
 from safedpa.bus.messages.service_info import setup_message
-from safedpa.bus.service.journal import ServiceLog
 from safedpa.bus.service.process import StopSignal, bus_from_options, log_lifetime, run_process
+from safedpa.bus.service.service_log import ServiceLog
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
@@ -33,17 +33,17 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     node = _node(options, worker)
     try:
         with bus_from_options(options) as bus:
-            bus.answer_requests(node.answer, options.robot, lambda *asked: _tell(bus, *asked))
+            bus.answer_requests(node.answer, options.robot, lambda *asked: _report(bus, *asked))
             setup = model_setup(setup_message(node.name, vars(options)), load_model(options.model))
             bus.announce(NO_ROBOT, node.name, setup.instance)
             with log_lifetime(node.name, stop):
-                ServiceLoop(node, bus, options.robot, setup=setup, journal=ServiceLog(node.name)).run(stop)
+                ServiceLoop(node, bus, options.robot, setup=setup, service_log=ServiceLog(node.name)).run(stop)
     finally:
         worker.close()
     return 0
 
 
-def _tell(bus: Bus, robot: str, request: Request | None, answer: Answer) -> None:
+def _report(bus: Bus, robot: str, request: Request | None, answer: Answer) -> None:
     """What was asked and what came of it, for the recording; who only looks is left out."""
     if request is None or request.do != STATUS:
         with contextlib.suppress(BusError):  # closed meanwhile: then nobody waits for the answer either
@@ -69,8 +69,8 @@ def _folder(model: PhysicsModel) -> Path | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-diagnosis")
-    told = "settings of the filter: file or name"
-    parser.add_argument("--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help=told)
+    reported = "settings of the filter: file or name"
+    parser.add_argument("--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help=reported)
     parser.add_argument("--margin", default="", metavar="FILE.toml", help="of the model, as the filter has it")
     parser.add_argument("--versions", default="", metavar="FOLDER", help="keep the models that were agreed on there")
     return parser

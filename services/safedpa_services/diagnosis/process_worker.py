@@ -59,9 +59,9 @@ class ProcessWorker(AbstractWorker):
             _ended(job.process)
             job.process, job.starts = self._start(job.folder), job.starts + 1
             return None
-        words = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
+        phrase = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
         self.cancel(robot)
-        return WorkOutcome(failure=f"its process {words}") if found is None else found
+        return WorkOutcome(failure=f"its process {phrase}") if found is None else found
 
     def cancel(self, robot: str) -> None:  # noqa: D102
         job = self._jobs.pop(robot, None)

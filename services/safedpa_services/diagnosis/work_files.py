@@ -15,7 +15,7 @@ from safedpa.records.writers.tables import atomic_path
 
 __all__ = ["read_outcome", "read_work", "write_outcome", "write_work"]
 
-_ROWS, _WORDS, _OUTCOME = "rows.npz", "work.json", "outcome.json"
+_ROWS, _TEXT, _OUTCOME = "rows.npz", "work.json", "outcome.json"
 _TEXTS = ("task", "model", "horizon", "effect", "document", "footprint")
 
 
@@ -24,22 +24,22 @@ def write_work(work: SearchJob, folder: Path) -> None:
     run = work.run
     stretches = np.array([(part.start, part.stop) for part in run.stretches], dtype=np.int64).reshape(-1, 2)
     np.savez(folder / _ROWS, t=run.t, states=run.states, actions=run.actions, stretches=stretches)
-    words = {**{name: getattr(work, name) for name in _TEXTS}, "name": run.name}
-    words["folder"] = None if work.folder is None else str(work.folder.absolute())
-    (folder / _WORDS).write_text(json.dumps(words), encoding="utf-8")
+    phrase = {**{name: getattr(work, name) for name in _TEXTS}, "name": run.name}
+    phrase["folder"] = None if work.folder is None else str(work.folder.absolute())
+    (folder / _TEXT).write_text(json.dumps(phrase), encoding="utf-8")
 
 
 def read_work(folder: Path) -> SearchJob:
     """The work that ``write_work`` wrote."""
-    words = json.loads((folder / _WORDS).read_text(encoding="utf-8"))
-    name, footprint, place = words.pop("name"), tuple(words.pop("footprint")), words.pop("folder")
+    phrase = json.loads((folder / _TEXT).read_text(encoding="utf-8"))
+    name, footprint, place = phrase.pop("name"), tuple(phrase.pop("footprint")), phrase.pop("folder")
     weights = None if place is None else Path(place)
     with np.load(folder / _ROWS) as rows:
         stretches = tuple(Stretch(int(start), int(stop)) for start, stop in rows["stretches"])
         run = Run(
-            name, parse_model(words["model"], weights).system, rows["t"], rows["states"], rows["actions"], stretches
+            name, parse_model(phrase["model"], weights).system, rows["t"], rows["states"], rows["actions"], stretches
         )
-    return SearchJob(run=run, footprint=footprint, folder=weights, **words)
+    return SearchJob(run=run, footprint=footprint, folder=weights, **phrase)
 
 
 def write_outcome(outcome: WorkOutcome, folder: Path) -> None:
@@ -53,5 +53,5 @@ def read_outcome(folder: Path) -> WorkOutcome | None:
     path = folder / _OUTCOME
     if not path.exists():
         return None
-    words = json.loads(path.read_text(encoding="utf-8"))
-    return WorkOutcome(**{**words, "effects": tuple(words["effects"])})
+    phrase = json.loads(path.read_text(encoding="utf-8"))
+    return WorkOutcome(**{**phrase, "effects": tuple(phrase["effects"])})

@@ -199,8 +199,8 @@ class FleetCollector:
 
     def _fill_histograms(self) -> None:
         for robot in self._fleet.robots.values():
-            told, robot.new_latencies = robot.new_latencies, []
-            for latency in told:
+            reported, robot.new_latencies = robot.new_latencies, []
+            for latency in reported:
                 self._latencies.setdefault(robot.name, Histogram(LATENCY_BUCKETS)).add(latency)
         for which, service in self._fleet.services.items():
             if self._seen.get(which) != service.at:
@@ -209,14 +209,14 @@ class FleetCollector:
                 if seconds > 0.0:  # 0 tells that nothing was measured
                     self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
         self._seen = {which: at for which, at in self._seen.items() if which in self._fleet.services}
-        self._latencies = {name: kept for name, kept in self._latencies.items() if name in self._fleet.robots}
+        self._latencies = {name: retained for name, retained in self._latencies.items() if name in self._fleet.robots}
 
     def _histograms(self) -> dict[str, list[tuple[str, list[tuple[str, float]], float]]]:
         """By family: (label, buckets, sum)."""
-        kept = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
+        retained = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
         return {
-            name: [(label, told.buckets(), told.sum) for label, told in sorted(table.items())]
-            for name, table in kept.items()
+            name: [(label, reported.buckets(), reported.sum) for label, reported in sorted(table.items())]
+            for name, table in retained.items()
         }
 
     def _samples(self) -> Iterator[Sample]:

@@ -48,7 +48,7 @@ class Recorder:
         """The newest setup of every process, which is written once and at the begin of every file."""
         self._error = ""
         self._is_full = False
-        self._kept = 0
+        self._retained = 0
         """Messages that are on the disk, in files before this one."""
         self._written = self._refused = self._lost = self._dropped = 0
         self._next_retry = self._next_setup = 0.0
@@ -57,7 +57,7 @@ class Recorder:
     @property
     def acknowledged(self) -> int:
         """Messages that are on the disk, of those that were received."""
-        return self._kept + (0 if self._file is None else self._file.acknowledged)
+        return self._retained + (0 if self._file is None else self._file.acknowledged)
 
     def run(self, stopped: Callable[[], bool]) -> int:
         """Records until ``stopped``; returns 0, or 1 when writing failed on the way."""
@@ -69,7 +69,7 @@ class Recorder:
                 self.sync()
         self.turn(0.0)
         self._guarded(McapRecorder.close)
-        self._tell_health(is_last=True)
+        self._report_health(is_last=True)
         return 1 if self._error else 0
 
     def turn(self, wait: float) -> None:
@@ -95,7 +95,7 @@ class Recorder:
         if self._file is None and self._is_full and time.monotonic() >= self._next_retry:
             self._next_retry = time.monotonic() + _RETRY_SECONDS
             self._go_on()
-        self._tell_health()
+        self._report_health()
         if time.monotonic() >= self._next_setup:
             self._next_setup = time.monotonic() + _SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, "recorder")
@@ -119,7 +119,7 @@ class Recorder:
             work(self._file)
         except RecordingError as error:
             self._is_full = getattr(error.__cause__, "errno", None) in _FULL
-            self._kept += self._file.acknowledged
+            self._retained += self._file.acknowledged
             self._error, self._file = str(error), None
             log_event("recorder.failed", self._error, level="error", service="recorder", written=self._written)
 
@@ -136,9 +136,9 @@ class Recorder:
         for key, payload in self._setups.items():
             self._guarded(partial(McapRecorder.write, key=key, payload=payload, log_time_ns=now, publish_time_ns=now))
         self._guarded(McapRecorder.sync)
-        self._kept -= 0 if self._file is None else self._file.acknowledged  # written before, so not counted again
+        self._retained -= 0 if self._file is None else self._file.acknowledged  # written before, so not counted again
 
-    def _tell_health(self, *, is_last: bool = False) -> None:
+    def _report_health(self, *, is_last: bool = False) -> None:
         """The last word tells of every failure on the way, also of one that was overcome."""
         failing = self._file is None or (is_last and bool(self._error))
         message = HealthMessage(
@@ -160,11 +160,11 @@ class Recorder:
 
     def _detail(self) -> str:
         lost = self._lost + self._inbox.dropped
-        told = f"{lost} messages lost" if lost else ""
+        reported = f"{lost} messages lost" if lost else ""
         if self._error and self._file is not None:
-            told = f"{told}; goes on in {self._file.path.name}; {self._error}"
+            reported = f"{reported}; goes on in {self._file.path.name}; {self._error}"
         if self._file is not None:
-            return told
+            return reported
         waits = f"; goes on when {_ROOM_BYTES >> 20} MiB are free" if self._is_full else ""
         return f"{self._error}{waits}"
 

@@ -32,13 +32,13 @@ from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
 from safedpa.ros.link import RosLink
 from safedpa.safety.defaults import settings_named
 from safedpa.systems.driven import why_not_driven
+from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.gateway import Gateway, Limits
+from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 from safedpa_services.ros_gateway.localisation import TRANSFORMS, TransformListener
-from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
 from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
 from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
-from safedpa_services.ros_gateway.senses import LatestMessage, SensorInputs, goal_paths, pose_paths
-from safedpa_services.ros_gateway.voice import HealthPublisher
+from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, SensorInputs, goal_paths, pose_paths
 
 __all__ = ["checked_face", "make_gateway", "parser", "work"]
 
@@ -122,21 +122,23 @@ def make_gateway(asked: RobotFile, bus: Bus, policy_bus: Bus | None = None) -> I
         command_type = asked.command.type or face.commands[0]
         type_hash = asked.command.hash or _hash_wanted(link, asked, command_type)
         bus.claim(asked.name, "robot", f"{time.time_ns():016x}-{secrets.token_hex(4)}")
-        told = [
+        reported = [
             link.publisher(topic, kind) if topic else None
             for topic, kind in (
                 (wire.diagnostics, "diagnostic_msgs/msg/DiagnosticArray"),
                 (wire.markers, "visualization_msgs/msg/MarkerArray"),
             )
         ]
-        voice = HealthPublisher(asked.name, asked.frame, face, told[0], told[1])
-        senses = _senses(link, asked, face, asked.nominal.type or command_type)
+        health_publisher = HealthPublisher(asked.name, asked.frame, face, reported[0], reported[1])
+        sensor_inputs = _sensor_inputs(link, asked, face, asked.nominal.type or command_type)
         command = link.publisher(asked.command.topic, command_type, type_hash)
         link.watched(asked.command.topic, PUBLISHER)  # from now on it is told
-        yield Gateway(bus, link, asked, face, limits, senses, command, voice, period, policy_bus=policy_bus)
+        yield Gateway(
+            bus, link, asked, face, limits, sensor_inputs, command, health_publisher, period, policy_bus=policy_bus
+        )
 
 
-def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
+def _sensor_inputs(link: RosLink, asked: RobotFile, face: AbstractFace, nominal_type: str) -> SensorInputs:
     """Everything that the file names, heard from now on."""
     odometry = LatestMessage(asked.odometry.type, pose_paths(), asked.wire.frame)
     driver = CommandEchoMonitor(asked.command.topic)

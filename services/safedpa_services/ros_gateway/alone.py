@@ -25,9 +25,9 @@ class PublisherMonitor:
         self._speaker: tuple[bytes | None, float] = (None, -math.inf)
         self._doubled = -math.inf
 
-    def heard(self, beside: Attachment | None, at: float) -> bool:
+    def heard(self, alongside: Attachment | None, at: float) -> bool:
         """Takes note of a message that came at ``at`` [s]; whether it may be believed."""
-        sender = b"" if beside is None else beside.sender
+        sender = b"" if alongside is None else alongside.sender
         before, last = self._speaker
         self._speaker = sender, at
         if before is not None and sender != before and at - last < _ALONE_SECONDS:

@@ -28,9 +28,9 @@ from safedpa.bus.messages.service_info import software_version
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.graph import PUBLISHER
 from safedpa.ros.link import RosLink, RosPublisher
+from safedpa_services.ros_gateway.health_publisher import HealthPublisher
 from safedpa_services.ros_gateway.robot_file import RobotFile
-from safedpa_services.ros_gateway.senses import PoseAndTwist, SensorInputs
-from safedpa_services.ros_gateway.voice import HealthPublisher
+from safedpa_services.ros_gateway.sensor_inputs import PoseAndTwist, SensorInputs
 
 __all__ = ["Gateway", "Limits"]
 
@@ -57,9 +57,9 @@ class Gateway:
         asked: RobotFile,
         face: AbstractFace,
         limits: Limits,
-        senses: SensorInputs,
+        sensor_inputs: SensorInputs,
         command: RosPublisher,
-        voice: HealthPublisher,
+        health_publisher: HealthPublisher,
         period: float,
         clock: Callable[[], float] = time.monotonic,
         policy_bus: Bus | None = None,
@@ -67,7 +67,7 @@ class Gateway:
         self._policy_bus = policy_bus or bus
         self._bus, self._link, self._asked, self._face, self._clock = bus, link, asked, face, clock
         self._low, self._high, self._brake = limits
-        self._senses, self._command, self._voice = senses, command, voice
+        self._sensor_inputs, self._command, self._health_publisher = sensor_inputs, command, health_publisher
         self._nominal_type = asked.nominal.type or command.type
         self._name, self.period = asked.name, period
         self._inbox = bus.inbox((ACTION,), asked.name, alone=True)
@@ -84,7 +84,7 @@ class Gateway:
         """Why it brakes by itself now; empty while it does not."""
         self._intruder = ""
         self._next_heartbeat = clock()
-        senses.driver.answer = self._answer
+        sensor_inputs.driver.answer = self._answer
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Drives until ``stopped``; then brakes, and falls silent."""
@@ -97,14 +97,14 @@ class Gateway:
             for _ in range(math.ceil(_LAST_BRAKES_SECONDS / pause)):
                 self._send(None)
                 time.sleep(pause)
-        self._tell_health("braked")
+        self._report_health("braked")
 
     def _turn(self, begin: float) -> float:
         """One period from ``begin``; returns when the next one begins."""
         self._listen(begin)
         self._look()
         published = self._clock()
-        numbers, age, stamp = self._senses.odometry.read()
+        numbers, age, stamp = self._sensor_inputs.odometry.read()
         why = self._refusal(age)
         action = None
         if not why:
@@ -116,7 +116,7 @@ class Gateway:
             else:
                 why = "the odometry's orientation is no rotation, or its position beyond all numbers"
         sent = self._drive(action, why)
-        self._tell_gateway(sent, age, stamp, self._clock() - published)
+        self._report_gateway(sent, age, stamp, self._clock() - published)
         self._listen(begin + _DEADLINE_SHARE * self.period)
         self.tick += 1
         following = begin + self.period
@@ -126,20 +126,20 @@ class Gateway:
         if self._intruder:
             return self._intruder
         if age > self._asked.odometry.largest_age:
-            told = f"{age:.2f} s old" if math.isfinite(age) else "never there"
-            because = f"; {self._senses.odometry.why}" if self._senses.odometry.why else ""
-            return f"the odometry is {told}{because}"
-        if self._senses.localised is not None:
-            asked, old = self._asked.localisation, self._senses.localised.read()[1]
+            reported = f"{age:.2f} s old" if math.isfinite(age) else "never there"
+            because = f"; {self._sensor_inputs.odometry.why}" if self._sensor_inputs.odometry.why else ""
+            return f"the odometry is {reported}{because}"
+        if self._sensor_inputs.localised is not None:
+            asked, old = self._asked.localisation, self._sensor_inputs.localised.read()[1]
             if old > asked.largest_age:
-                told = f"{old:.2f} s old" if math.isfinite(old) else "never there"
-                because = f"; {self._senses.localised.why}" if self._senses.localised.why else ""
-                return f"the transform from {asked.frame} to {self._asked.wire.frame} is {told}{because}"
+                reported = f"{old:.2f} s old" if math.isfinite(old) else "never there"
+                because = f"; {self._sensor_inputs.localised.why}" if self._sensor_inputs.localised.why else ""
+                return f"the transform from {asked.frame} to {self._asked.wire.frame} is {reported}{because}"
         return ""
 
     def _placed(self, pose: PoseAndTwist) -> PoseAndTwist:
         """The pose in the frame of the surroundings."""
-        localised = self._senses.localised
+        localised = self._sensor_inputs.localised
         return pose if localised is None else pose.seen_from(localised.read()[0])
 
     def _publish(self, pose: PoseAndTwist, age: float) -> None:
@@ -151,7 +151,7 @@ class Gateway:
             "robot_time": self.tick * self.period,
             "publish_time": time.time(),
         }
-        goal = self._senses.goal.read()[0] if self._senses.goal is not None else ()
+        goal = self._sensor_inputs.goal.read()[0] if self._sensor_inputs.goal is not None else ()
         state = StateMessage(
             **stamp,
             values=self._values,
@@ -168,9 +168,9 @@ class Gateway:
         )
         self._publish_scans(age)
         self._bus.publish(STATE, self._name, state)
-        if self._senses.nominal is None:
+        if self._sensor_inputs.nominal is None:
             return
-        numbers, nominal_age, _ = self._senses.nominal.read()
+        numbers, nominal_age, _ = self._sensor_inputs.nominal.read()
         if nominal_age <= asked.nominal.largest_age:
             nominal = self._face.action(self._nominal_type, numbers, self._values)
             self._policy_bus.publish(NOMINAL, self._name, NominalMessage(**stamp, values=nominal, controller="ros"))
@@ -178,7 +178,7 @@ class Gateway:
     def _publish_scans(self, age: float) -> None:
         """What the scanners told since the last state, on the same clock as the states: when each was measured."""
         now = self._clock()
-        for asked, scanner in zip(self._asked.scans, self._senses.scanners, strict=True):
+        for asked, scanner in zip(self._asked.scans, self._sensor_inputs.scanners, strict=True):
             for turn in scanner.taken():
                 measured = self.tick * self.period + min(0.0, turn.arrived - asked.delay - (now - age))
                 if measured < 0.0:
@@ -248,7 +248,7 @@ class Gateway:
         values = dict(fields)
         now = time.time_ns()
         if self._command.type.endswith("Stamped"):
-            values["header"] = self._voice.head(now)
+            values["header"] = self._health_publisher.head(now)
         self._command.put(values)
         return now
 
@@ -256,7 +256,7 @@ class Gateway:
         """A brake at once for each command of somebody else, so that it is in force for a moment only."""
         self._send(None)
 
-    def _tell_gateway(self, sent: int, age: float, stamp: int, seconds: float) -> None:
+    def _report_gateway(self, sent: int, age: float, stamp: int, seconds: float) -> None:
         facts = {
             "tick": str(self.tick),
             "odometry_stamp": str(stamp),
@@ -264,16 +264,16 @@ class Gateway:
             "sense_to_act": f"{age + seconds:.6f}",
             "command_stamp": str(sent),
             "periods_braked": str(self.watchdog_ticks),
-            **self._senses.not_believed([scan.name for scan in self._asked.scans]),
+            **self._sensor_inputs.not_believed([scan.name for scan in self._asked.scans]),
         }
-        self._voice.gateway(self.why, facts)
+        self._health_publisher.gateway(self.why, facts)
 
     def _look(self) -> None:
         """Whether somebody else speaks on the driver's topic, as far as is known without asking anybody now."""
         topic = self._asked.command.topic
         others = self._link.watched(topic, PUBLISHER) if self._link.form == "rmw_zenoh" else []
         named = f"{others[0].node} publishes on {topic} too; remap it to another topic" if others else ""
-        self._intruder = named or self._senses.driver.why
+        self._intruder = named or self._sensor_inputs.driver.why
 
     def _listen(self, until: float) -> None:
         """Verdicts to the robot's people, a heartbeat to the bus, until then."""
@@ -281,15 +281,15 @@ class Gateway:
             left = until - self._clock()
             for item in self._verdicts.take(max(0.0, left)):
                 if isinstance(item, ReceivedMessage) and isinstance(item.message, VerdictMessage):
-                    self._voice.verdict(item.message)
+                    self._health_publisher.verdict(item.message)
             if self._clock() >= self._next_heartbeat:
                 self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
-                self._tell_health("running")
+                self._report_health("running")
             if self._clock() >= until:
                 return
 
-    def _tell_health(self, state: str) -> None:
-        told, self.latencies = tuple(self.latencies[-100:]), []
+    def _report_health(self, state: str) -> None:
+        reported, self.latencies = tuple(self.latencies[-100:]), []
         message = HealthMessage(
             epoch=self.epoch,
             tick=self.tick,
@@ -301,8 +301,8 @@ class Gateway:
             detail=self.why,
             steps=self.tick,
             stale=self.watchdog_ticks,
-            refused=self.refused + self._senses.refused,
+            refused=self.refused + self._sensor_inputs.refused,
             software=software_version(),
-            latencies=told,
+            latencies=reported,
         )
         self._bus.publish(HEALTH, self._name, message, "robot")

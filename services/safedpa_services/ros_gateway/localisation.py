@@ -34,7 +34,7 @@ class TransformListener:
         self.refused = 0
         self.why = ""
 
-    def take(self, data: bytes, beside: Attachment | None = None) -> None:
+    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
         """One message, on the network's thread; many nodes speak there, of other frames too, but of these two one."""
         try:
             transforms = decode(TRANSFORMS, data).transforms
@@ -44,11 +44,11 @@ class TransformListener:
         for one in transforms:
             if (one.header.frame_id.strip("/"), one.child_frame_id.strip("/")) != self._wanted:
                 continue
-            self._take(one, beside)
+            self._take(one, alongside)
 
-    def _take(self, one: Any, beside: Attachment | None) -> None:
+    def _take(self, one: Any, alongside: Attachment | None) -> None:
         at, place, turn = self._clock(), one.transform.translation, one.transform.rotation
-        if not self._alone.heard(beside, at):
+        if not self._alone.heard(alongside, at):
             self._refuse(TWO_SPEAK)
             return
         found = (float(place.x), float(place.y), yaw_of(turn.x, turn.y, turn.z, turn.w))

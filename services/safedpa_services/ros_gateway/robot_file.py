@@ -321,12 +321,12 @@ def _check_topics(found: RobotFile) -> None:
         "goal": found.goal.topic,
         "localisation": found.localisation.topic,
     }
-    said = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
+    notice = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
     heard = [*topics.items(), *(("scans", scan.topic) for scan in found.scans)]
-    for key, topic in [*((f"{key}.topic", topic) for key, topic in heard), *said.items()]:
+    for key, topic in [*((f"{key}.topic", topic) for key, topic in heard), *notice.items()]:
         if not _TOPIC.fullmatch(topic) and (topic or key in ("odometry.topic", "command.topic", "scans.topic")):
             raise InputError(f"{key}: got '{topic}', wanted a topic such as /odom: letters, digits, '_' and '/'")
-    for key, topic in said.items():  # over a bridge its bytes would be taken for a command
+    for key, topic in notice.items():  # over a bridge its bytes would be taken for a command
         if topic.strip("/") == found.command.topic.strip("/"):
             raise InputError(f"{key}: got the command's own topic, '{topic}': the driver obeys what comes there")
     if found.nominal.topic.strip("/") == found.command.topic.strip("/"):

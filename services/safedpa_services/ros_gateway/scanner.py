@@ -57,7 +57,7 @@ class Scanner:
         self.refused = 0
         self.why = ""
 
-    def take(self, data: bytes, beside: Attachment | None = None) -> None:
+    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
         """One message, on the network's thread."""
         try:
             scan = decode(SCAN_TYPE, data)
@@ -68,7 +68,7 @@ class Scanner:
             self._refuse(f"its frame is '{scan.header.frame_id[:60]}', wanted '{self._frame}'")
             return
         at = self._clock()
-        if not self._alone.heard(beside, at):
+        if not self._alone.heard(alongside, at):
             self._refuse(TWO_SPEAK)
             return
         stamp = (scan.header.stamp.sec, scan.header.stamp.nanosec)
@@ -103,5 +103,5 @@ def _turn(scan: Any, arrived: float) -> ScanReading | None:
         return None
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     nothing = np.isnan(ranges) | (np.isfinite(ranges) & (ranges < nearest))
-    kept = np.where(nothing, -1.0, np.clip(ranges, nearest, farthest))
-    return ScanReading(arrived, first, step, tuple(kept.tolist()), nearest, farthest)
+    retained = np.where(nothing, -1.0, np.clip(ranges, nearest, farthest))
+    return ScanReading(arrived, first, step, tuple(retained.tolist()), nearest, farthest)

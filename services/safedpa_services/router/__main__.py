@@ -16,9 +16,9 @@ from safedpa.bus.service.process import (
     run_process,
 )
 from safedpa.errors import InputError
-from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals, capture_zenoh_log
 from safedpa_services.router.router import Router, read_revocation_list
+from safedpa_services.router.watchdog import LoopWatchdog
 
 REVOKED = "revoked.txt"
 """In the folder of certificates: names of certificates that are good for nothing any more, one a line."""

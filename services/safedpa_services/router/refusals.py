@@ -149,7 +149,7 @@ _MOST_UNREAD = 8 << 20
 """bytes; what is older is passed over."""
 _LONGEST_LINE = 1 << 16
 _PAUSE_SECONDS = 0.02
-_TOLD_SECONDS = 1.0
+_REPORTED_SECONDS = 1.0
 _NICE = 10
 _PUNCH_HOLE, _KEEP_SIZE = 2, 1
 
@@ -208,12 +208,12 @@ def _read(file: LogFile, hear: Callable[[str], None]) -> None:
     with contextlib.suppress(OSError):
         os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))  # --realtime is for the messages
         os.setpriority(os.PRIO_PROCESS, thread, _NICE)
-    pause, told, looks = threading.Event(), 0, 0
+    pause, reported, looks = threading.Event(), 0, 0
     while True:
         for line in file.lines():
             hear(line)
         looks += 1
-        if file.passed_over > told and looks * _PAUSE_SECONDS >= _TOLD_SECONDS:
-            told, looks = file.passed_over, 0
+        if file.passed_over > reported and looks * _PAUSE_SECONDS >= _REPORTED_SECONDS:
+            reported, looks = file.passed_over, 0
             log_event("bus.log_overrun", "more was refused than could be told", level="warning", service="router")
         pause.wait(_PAUSE_SECONDS)

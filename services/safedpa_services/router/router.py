@@ -14,8 +14,8 @@ from safedpa.bus.logging import log_event
 from safedpa.bus.security.access_control import ROLES, ROUTER
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
-from safedpa_services.router.pulse import LoopWatchdog
 from safedpa_services.router.refusals import Refusals
+from safedpa_services.router.watchdog import LoopWatchdog
 
 __all__ = ["DuplicateCertificates", "RevocationList", "Router", "read_revocation_list"]
 
@@ -67,7 +67,7 @@ class DuplicateCertificates:
         known = {name for name in self._looks if sessions[name] & self._copies}
         lasting = sorted(known | {name for name, looks in self._looks.items() if looks >= _LOOKS})
         for name in lasting:
-            self._tell(name, sessions[name])
+            self._report(name, sessions[name])
         return lasting
 
     def _remember(self, alive: set[str]) -> None:
@@ -77,7 +77,7 @@ class DuplicateCertificates:
             self._copies.discard(oldest := next(iter(self._since)))
             del self._since[oldest]
 
-    def _tell(self, name: str, sessions: set[str]) -> None:
+    def _report(self, name: str, sessions: set[str]) -> None:
         first = min(self._since[session] for session in sessions)
         later = {session for session in sessions if self._since[session] > first}
         cut = self._cut_off(later) if later else 0
@@ -143,14 +143,14 @@ class Router:
         self._twice: list[str] = []
         self._beats = 0
 
-    def run(self, stopped: Callable[[], bool], pulse: LoopWatchdog) -> None:
-        """Beats until ``stopped`` says so; each beat is told to ``pulse``."""
+    def run(self, stopped: Callable[[], bool], watchdog: LoopWatchdog) -> None:
+        """Beats until ``stopped`` says so; each beat is told to ``watchdog``."""
         pause = threading.Event()
         while not stopped():
             self.beat()
-            pulse.beat()
+            watchdog.beat()
             pause.wait(_HEARTBEAT_SECONDS)
-        pulse.end()
+        watchdog.end()
 
     def beat(self) -> None:
         """One heartbeat, and now and then a look at who is there."""

@@ -17,7 +17,7 @@ from safedpa_services.nodes import adaptation, add_filter_options, add_policy_op
 from safedpa_services.serving import serve, service_parser
 
 _ALL = "1/1"
-_REMEMBERED = 1024
+_CACHED = 1024
 """Names: every message asks, and names may come from anybody."""
 
 
@@ -30,7 +30,7 @@ def assigned_robots(share: str) -> Callable[[str], bool]:
     if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
         raise InputError(f"--share: got '{share}', wanted a number and how many there are, such as 1/2")
     own, all_of_them = int(number) - 1, int(of)
-    return lru_cache(maxsize=_REMEMBERED)(lambda robot: zlib.crc32(robot.encode()) % all_of_them == own)
+    return lru_cache(maxsize=_CACHED)(lambda robot: zlib.crc32(robot.encode()) % all_of_them == own)
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

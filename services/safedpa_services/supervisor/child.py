@@ -61,7 +61,7 @@ class Child:
         self._died = 0.0
         self._pause = 0.0
         self._asked = False
-        self._told = False
+        self._reported = False
 
     @property
     def pid(self) -> int:
@@ -71,7 +71,7 @@ class Child:
     @property
     def begun(self) -> bool:
         """Whether its work has begun, or at least may have."""
-        return self.pid != 0 and (self._told or not self.waits)
+        return self.pid != 0 and (self._reported or not self.waits)
 
     @property
     def exit_code(self) -> int | None:
@@ -81,7 +81,7 @@ class Child:
     def start(self) -> None:
         """Starts the process; a later call starts it anew."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
-        command += ["--await-word"] if self.waits and not self._told else []
+        command += ["--await-word"] if self.waits and not self._reported else []
         cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()  # of the one that died
@@ -118,7 +118,7 @@ class Child:
 
     def begin(self) -> None:
         """Starts its work: by a word to the process that waits for it, else by starting the process."""
-        self._told = True
+        self._reported = True
         if self._process is None:
             self.start()
         elif self.waits and self._process.stdin is not None:
@@ -142,7 +142,7 @@ class Child:
         self.start()
         return True
 
-    def last_words(self) -> str:
+    def last_text(self) -> str:
         """The last line that it wrote, without its program's name; events and accounts, which are JSON, left out."""
         lines: list[str] = []
         with contextlib.suppress(OSError):

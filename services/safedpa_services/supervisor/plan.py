@@ -55,7 +55,7 @@ class Plan:
     change_after: float = 0.0
     """s until then, by the robot's clock."""
 
-    senses: bool = False
+    sensor_inputs: bool = False
     """Whether the robot has sensors of its own, and perception runs beside the loop."""
     perception: str = ""
     """Its settings, sources and zones: a file; empty: the defaults."""
@@ -114,16 +114,16 @@ class Plan:
             ),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
-        if self.senses:
+        if self.sensor_inputs:
             file = ("--perception", self.perception) if self.perception else ()
-            kept = ("--orders", str(self.folder / "senses.json"))
+            retained = ("--orders", str(self.folder / "senses.json"))
             children.insert(
-                1, self._child("perception", "safedpa_services.perception", *file, *kept, *self._scheduling)
+                1, self._child("perception", "safedpa_services.perception", *file, *retained, *self._scheduling)
             )
         if self.diagnosis:
-            kept = ("--versions", str(self.folder / "models"))
+            retained = ("--versions", str(self.folder / "models"))
             children.append(
-                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *kept, essential=False)
+                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *retained, essential=False)
             )
         if self.dashboard:
             saved = ("--save", str(self.folder / "dashboard.rrd"))

@@ -77,14 +77,14 @@ class _Announcement:
 
     def __init__(self, watch: RunMonitor, page: _Page, console: Console, warnings: Warnings) -> None:
         self._watch, self._page, self._console, self._warnings = watch, page, console, warnings
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def __call__(self) -> None:
         self._warnings.look()
         for line in [*_live_view(self._watch), *self._page.lines()]:
             kind = line.split(" ", maxsplit=1)[0]
-            if kind not in self._told:
-                self._told.add(kind)
+            if kind not in self._reported:
+                self._reported.add(kind)
                 self._console.print(line, soft_wrap=True)
 
 

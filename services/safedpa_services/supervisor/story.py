@@ -46,10 +46,10 @@ class UnreportedStop:
     _place: tuple[float, ...] = ()
     _since: float = 0.0
 
-    def look(self, state: StateMessage, *, said: bool) -> None:
-        """Takes a state; ``said``: whether something tells now that it stands."""
+    def look(self, state: StateMessage, *, notice: bool) -> None:
+        """Takes a state; ``notice``: whether something tells now that it stands."""
         place = state.values[:2]
-        if said or not self._place or hypot(place[0] - self._place[0], place[1] - self._place[1]) > _WAY:
+        if notice or not self._place or hypot(place[0] - self._place[0], place[1] - self._place[1]) > _WAY:
             self._place, self._since = place, state.robot_time
         self.longest = max(self.longest, state.robot_time - self._since)
 
@@ -73,14 +73,14 @@ class DemoSummary:
 
 @dataclass
 class DemoNarrator:
-    """Look at it after each turn of the loop; it speaks by ``tell`` and never waits."""
+    """Look at it after each turn of the loop; it speaks by ``report_progress`` and never waits."""
 
     bus: Bus
     robot: str
-    tell: Callable[[str], None]
+    report_progress: Callable[[str], None]
     accepts: bool
     """Whether it accepts by itself; else a person does."""
-    told: DemoSummary = field(default_factory=DemoSummary)
+    reported: DemoSummary = field(default_factory=DemoSummary)
     unsaid: UnreportedStop = field(default_factory=UnreportedStop)
     report: str = ""
     """report.json of the newest search before the model was changed."""
@@ -97,7 +97,7 @@ class DemoNarrator:
     _nominal: str = ""
     """Effect that is to be accepted."""
     _next: float = 0.0
-    _told_person: str = ""
+    _reported_person: str = ""
     """What the diagnosis answered last, where a person accepts."""
     _asking: threading.Thread | None = None
     _lines: SimpleQueue[str] = field(default_factory=SimpleQueue)
@@ -105,78 +105,78 @@ class DemoNarrator:
     @property
     def done(self) -> bool:
         """Whether the error was seen long enough with the mended model."""
-        since = 0.0 if self.told.taken is None else self._now - self.told.taken
+        since = 0.0 if self.reported.taken is None else self._now - self.reported.taken
         return since >= _ENOUGH and bool(self._after) and len(self.models) > 1
 
     def document(self) -> dict[str, Any]:
         """The story in numbers."""
-        return {**asdict(self.told), "longest_stand_unsaid": round(self.unsaid.longest, 3)}
+        return {**asdict(self.reported), "longest_stand_unsaid": round(self.unsaid.longest, 3)}
 
     def look(self, watch: RunMonitor) -> None:
         """Takes in what the watch heard."""
         if watch.state is not None:
             self._now = watch.state.robot_time
-            self.unsaid.look(watch.state, said=bool(watch.verdict and watch.verdict.stationary_reason))
+            self.unsaid.look(watch.state, notice=bool(watch.verdict and watch.verdict.stationary_reason))
             self._drive(watch.state.values[:2])
         finding = watch.finding
         if finding is not None and finding is not self._seen:
             self._seen = finding
             self._hear(finding)
-        if self._nominal and self.told.taken is None and self._now >= self._next:
+        if self._nominal and self.reported.taken is None and self._now >= self._next:
             self._next, effect = self._now + _AGAIN, self._nominal
-            self._beside(lambda: self._accept(effect))
-        elif not self.accepts and self._told_person and self.told.taken is None and self._now >= self._next:
+            self._alongside(lambda: self._accept(effect))
+        elif not self.accepts and self._reported_person and self.reported.taken is None and self._now >= self._next:
             self._next = self._now + _AGAIN
-            self._beside(self._tell_answer)
+            self._alongside(self._report_answer)
         while not self._lines.empty():
-            self.tell(self._lines.get())
+            self.report_progress(self._lines.get())
 
     def _drive(self, place: tuple[float, ...]) -> None:
-        if self.told.taken is not None and self._place:
-            self.told.way_after += hypot(place[0] - self._place[0], place[1] - self._place[1])
+        if self.reported.taken is not None and self._place:
+            self.reported.way_after += hypot(place[0] - self._place[0], place[1] - self._place[1])
         self._place = place
 
     def _hear(self, finding: FindingMessage) -> None:
         if not self._model:
             self._model = finding.model
-            self._beside(self._keep_model)
-        if self.told.taken is not None:
+            self._alongside(self._keep_model)
+        if self.reported.taken is not None:
             self._measure(finding)
         elif finding.model != self._model:
-            self.told.taken = finding.robot_time
-            self.tell(
+            self.reported.taken = finding.robot_time
+            self.report_progress(
                 f"model {finding.model[:8]} is in force instead of {self._model[:8]}, in all services at one tick"
             )
-            self._beside(self._keep_model)
+            self._alongside(self._keep_model)
         else:
             self._search(finding)
 
     def _search(self, finding: FindingMessage) -> None:
         if finding.stage != self._stage:
             self._stage = finding.stage
-            self.tell(finding.sentence)
+            self.report_progress(finding.sentence)
         if finding.number == 0 or finding.stage in ("learning", "watching"):
             return
-        if self.told.raised is None:
-            self.told.raised = finding.robot_time
-            self.tell(f"where: {finding.where}")
+        if self.reported.raised is None:
+            self.reported.raised = finding.robot_time
+            self.report_progress(f"where: {finding.where}")
         self._before.append(finding.error)
         if finding.report and finding.report != self.report:
             self.report = finding.report
             self._searches += 1
-            self._beside(lambda: self._propose(finding, self.report))
+            self._alongside(lambda: self._propose(finding, self.report))
 
     def _measure(self, finding: FindingMessage) -> None:
-        told = self.told
-        if told.taken is None or finding.robot_time < told.taken + _SETTLED or not self._before:
+        reported = self.reported
+        if reported.taken is None or finding.robot_time < reported.taken + _SETTLED or not self._before:
             return
         self._after.append(finding.error)
-        told.error_before, told.error_after = fmean(self._before), fmean(self._after)
-        told.fall = 1.0 - told.error_after / told.error_before
+        reported.error_before, reported.error_after = fmean(self._before), fmean(self._after)
+        reported.fall = 1.0 - reported.error_after / reported.error_before
 
     # asking, beside the turns of the loop
 
-    def _beside(self, do: Callable[[], None]) -> None:
+    def _alongside(self, do: Callable[[], None]) -> None:
         """Does it on a thread of its own, after what was begun before."""
         before = self._asking
 
@@ -207,11 +207,11 @@ class DemoNarrator:
             return
         effect = seen.candidates[0]
         promised, group = _promise(report, effect)
-        self.told.effect = effect
-        if self.told.candidates is None:
-            self.told.candidates = finding.robot_time
+        self.reported.effect = effect
+        if self.reported.candidates is None:
+            self.reported.candidates = finding.robot_time
         if not self.accepts:
-            self._told_person = seen.sentence
+            self._reported_person = seen.sentence
             self._lines.put(f"your turn: accept {effect} on the page, or another one; it drives on meanwhile")
         elif promised >= WANTED_FALL and (not group or self._searches >= _SEARCHES):
             self._lines.put(f"--yes: {effect} is accepted; it promises {100 * promised:.0f} % less error")
@@ -224,11 +224,11 @@ class DemoNarrator:
             )
             self._lines.put(f"{effect} {why}: one more search, with twice the data, is awaited")
 
-    def _tell_answer(self) -> None:
+    def _report_answer(self) -> None:
         """What came of the person's click, also where a change was dropped and wants another click."""
         seen = self._asked(Request(do="status"))
-        if not seen.pending and seen.sentence != self._told_person and seen.fingerprint == self._model:
-            self._told_person = seen.sentence
+        if not seen.pending and seen.sentence != self._reported_person and seen.fingerprint == self._model:
+            self._reported_person = seen.sentence
             self._lines.put(f"{seen.sentence}; click Accept once more")
 
     def _accept(self, effect: str) -> None:

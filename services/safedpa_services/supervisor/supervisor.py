@@ -80,7 +80,7 @@ class Supervisor:
             waited = time.monotonic() - began
             for child in silent:
                 if waited > (_READY_SECONDS if child.restarts else _STARTING_SECONDS):
-                    raise SafedpaError(f"{child.name}: not ready after {waited:.0f} s: {child.last_words()}")
+                    raise SafedpaError(f"{child.name}: not ready after {waited:.0f} s: {child.last_text()}")
 
     def _silent(self) -> list[Child]:
         """Services that the loop needs and that were not heard yet."""
@@ -118,11 +118,11 @@ class Supervisor:
     def _revive(self, child: Child) -> None:
         """Starts it anew. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
         if child is self.robot and child.exit_code == _BAD_INPUT and "robot" not in self.watch.health:
-            raise InputError(child.last_words())  # it never drove: nobody would hear why
+            raise InputError(child.last_text())  # it never drove: nobody would hear why
         if child.exit_code != _BAD_INPUT or any(robot.begun for robot in self._robots):
             child.restart_if_due()
         elif child.essential:
-            raise InputError(child.last_words())
+            raise InputError(child.last_text())
 
     def _end(self) -> None:
         """The robot stands first, then it ends, then the services, and the recorder last: it hears everything."""

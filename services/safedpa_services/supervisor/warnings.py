@@ -32,11 +32,11 @@ _MOST_LINES = 12
 class Warnings:
     """Reads on in the children's logs; tells their warnings, and what died and was started again.
 
-    ``told`` gets every line that is worth a person's look; the newest ones are also kept.
+    ``reported`` gets every line that is worth a person's look; the newest ones are also kept.
     """
 
-    def __init__(self, children: Sequence[Child], folder: Path, told: Callable[[str], None] | None = None) -> None:
-        self._children, self._told = children, told
+    def __init__(self, children: Sequence[Child], folder: Path, reported: Callable[[str], None] | None = None) -> None:
+        self._children, self._reported = children, reported
         self._read: dict[str, int] = {}
         self._restarts = {child.name: 0 for child in children}
         self._next_look = 0.0
@@ -51,10 +51,10 @@ class Warnings:
         self._next_look = time.monotonic() + _LOOK_SECONDS
         for child in self._children:
             for event in self._new_events(child):
-                self._tell(event)
+                self._report(event)
             if child.restarts > self._restarts[child.name]:
                 self._restarts[child.name] = child.restarts
-                self._tell(self._restarted(child))
+                self._report(self._restarted(child))
 
     def _restarted(self, child: Child) -> dict[str, Any]:
         event = {
@@ -83,7 +83,7 @@ class Warnings:
         events = [_event(line) for line in whole.decode(errors="replace").splitlines()]
         return [event for event in events if event is not None]
 
-    def _tell(self, event: dict[str, Any]) -> None:
+    def _report(self, event: dict[str, Any]) -> None:
         key = (str(event.get("kind")), str(event.get("service", "")), str(event.get("robot", "")))
         now = time.monotonic()
         self._written = {known: at for known, at in self._written.items() if now - at < _LEAST_SECONDS}
@@ -92,8 +92,8 @@ class Warnings:
         self._written[key] = now
         line = readable(event)
         self.newest.append(line)
-        if self._told is not None:
-            self._told(line)
+        if self._reported is not None:
+            self._reported(line)
 
 
 def _event(line: str) -> dict[str, Any] | None:

@@ -37,7 +37,7 @@ __all__ = ["RunMonitor", "summary_of"]
 _WHO = "'safedpa up', which is about to end"
 _ORDER_SECONDS = 2.0
 """A busy machine is late with the answer; where there is no filter, that is known at once."""
-_STANDS = 0.02
+_IS_STATIONARY = 0.02
 """m/s; slower than that a car stands."""
 
 
@@ -83,7 +83,7 @@ class RunMonitor:
         state, verdict = self.state, self.verdict
         if state is None or verdict is None or verdict.status != "stopped":
             return False
-        return len(state.values) != 4 or bool(state.corridor) or abs(state.values[3]) <= _STANDS
+        return len(state.values) != 4 or bool(state.corridor) or abs(state.values[3]) <= _IS_STATIONARY
 
     def silent_for(self, service: str) -> float:
         """Seconds since the last heartbeat; infinite before the first."""
@@ -91,8 +91,8 @@ class RunMonitor:
 
     def has_hung(self, service: str, pid: int, seconds: float) -> bool:
         """Whether this process has told its health before, and has been silent for longer than that since."""
-        told = self.health.get(service)
-        return told is not None and told[0].pid == pid and self.silent_for(service) > seconds
+        reported = self.health.get(service)
+        return reported is not None and reported[0].pid == pid and self.silent_for(service) > seconds
 
     def _take(self, item: ReceivedMessage) -> None:
         message = item.message

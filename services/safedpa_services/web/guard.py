@@ -169,8 +169,8 @@ class Guard:
 
     async def _let_through(self, scope: Scope, receive: Receive, send: Send, headers: dict[str, list[str]]) -> None:
         most = self._most(scope)
-        told = headers.get("content-length", ["0"])[0]
-        if scope["type"] == "http" and (not told.isdecimal() or int(told[:19]) > most):
+        reported = headers.get("content-length", ["0"])[0]
+        if scope["type"] == "http" and (not reported.isdecimal() or int(reported[:19]) > most):
             await self._refuse(scope, send, 413, f"wanted at most {most} bytes")
             return
         host = headers["host"][0]

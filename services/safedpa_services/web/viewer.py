@@ -86,8 +86,8 @@ def _command(port: int) -> list[str]:
     found = find_spec("rerun_cli")
     program = None if found is None or found.origin is None else Path(found.origin).parent / "rerun"
     if program is not None and program.exists():
-        nobody = "rerun+http://127.0.0.1:9/proxy"  # with an address to look at it serves no data itself
-        return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), nobody]
+        no_one = "rerun+http://127.0.0.1:9/proxy"  # with an address to look at it serves no data itself
+        return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_one]
     return [
         sys.executable,
         "-c",

@@ -46,7 +46,7 @@ class Bench:
         self.given: PhysicsModel | None = None
         self.title, self.share = "", 0.0
         """What is computed, and how much of it is done."""
-        self.saving, self.said = "", ""
+        self.saving, self.notice = "", ""
         """What Save does now, and what came of it."""
         self.trouble = ""
         """What went wrong last, in words; empty once something went well."""
@@ -71,7 +71,7 @@ class Bench:
         self._worker.stop()
         self._saver.stop()
 
-    def _tell(self, news: News) -> None:
+    def _report(self, news: News) -> None:
         for heard in list(self._tabs.values()):
             try:
                 heard(news)
@@ -99,9 +99,9 @@ class Bench:
         await asyncio.shield(self._opening)
 
     async def _open(self, choice: InputSelection, decisions: tuple[Decision, ...], resumed: Path | None) -> None:
-        self.choice, self.trouble, self.said = choice, "", ""
+        self.choice, self.trouble, self.notice = choice, "", ""
         self.session = self.given = None
-        self._tell("opening")
+        self._report("opening")
         self._busy("reading the recordings", 0.05)
         try:
             folder = self.out if resumed is None else resumed
@@ -115,7 +115,7 @@ class Bench:
             return
         self.given, self.folder = model, folder
         self.session = Session(Path(choice.model).stem, runs, choice.horizon, versions)
-        self._tell("opened")
+        self._report("opened")
         self._start(self._go_on(decisions))
 
     async def _go_on(self, decisions: tuple[Decision, ...]) -> None:
@@ -154,7 +154,7 @@ class Bench:
             taken = await self._ask(f"{title}: fitting {effect}", jobs.add_candidate, *arguments)
         if session is self.session:
             session.add(taken)
-            self._tell("versions")
+            self._report("versions")
         return session is self.session
 
     # the background process
@@ -162,18 +162,18 @@ class Bench:
     async def _ask(self, title: str, job: Callable[..., Any], *arguments: Any) -> Any:
         self._busy(title, 0.05)
         try:
-            return await self._worker.ask(job, *arguments, tell=lambda share: self._busy(title, share))
+            return await self._worker.ask(job, *arguments, report_progress=lambda share: self._busy(title, share))
         finally:
             self._busy("", 0.0)
 
     def _busy(self, title: str, share: float) -> None:
         self.title, self.share = title, share
-        self._tell("busy")
+        self._report("busy")
 
     def _fail(self, error: SafedpaError) -> None:
         if not isinstance(error, StoppedError):
             self.trouble = str(error)
-            self._tell("trouble")
+            self._report("trouble")
 
     def look_for_more(self) -> None:
         """Searches after the present version, unless that was done or something is computed."""
@@ -189,7 +189,7 @@ class Bench:
             return
         if session is self.session and session.present is version:
             session.propose(number, found)
-            self._tell("candidates")
+            self._report("candidates")
 
     def cancel(self) -> None:
         """Ends what is computed; what was decided stays."""
@@ -235,9 +235,9 @@ class Bench:
             return ""
         self._worker.stop()
         self._busy("", 0.0)
-        said = session.undo()
+        notice = session.undo()
         self._decided("versions")
-        return said
+        return notice
 
     def _ready(self) -> Session | None:
         """The session, unless what was decided before is still being done again."""
@@ -247,9 +247,9 @@ class Bench:
         return self.session
 
     def _decided(self, news: News) -> None:
-        self.trouble, self.said = "", ""
+        self.trouble, self.notice = "", ""
         self._keep()
-        self._tell(news)
+        self._report(news)
         self.look_for_more()
 
     def _keep(self) -> None:
@@ -277,27 +277,27 @@ class Bench:
         session, given = self._ready(), self.given
         if session is None or given is None or self.saving:
             return
-        self._say(STEPS[0][1], "")
+        self._show_saving(STEPS[0][1], "")
         try:
-            said = await self._saver.ask(
+            notice = await self._saver.ask(
                 save_model_files,
                 session.present.step,
                 session.runs,
                 given,
                 self.folder,
-                tell=lambda s: self._say(_step(s), ""),
+                report_progress=lambda s: self._show_saving(_step(s), ""),
             )
         except SafedpaError as error:
-            self._say("", "")
+            self._show_saving("", "")
             self._fail(error)
         else:
-            self._say("", said)
+            self._show_saving("", notice)
 
-    def _say(self, saving: str, said: str) -> None:
-        self.saving, self.said = saving, said
-        self._tell("saving")
+    def _show_saving(self, saving: str, notice: str) -> None:
+        self.saving, self.notice = saving, notice
+        self._report("saving")
 
 
 def _step(share: float) -> str:
     """What is done from this share on."""
-    return [words for begins, words in STEPS if begins <= share][-1]
+    return [phrase for begins, phrase in STEPS if begins <= share][-1]

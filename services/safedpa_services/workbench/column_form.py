@@ -18,7 +18,7 @@ DERIVED = "(slope of another column)"
 
 _WINDOW = 0.1
 """s over which a slope is taken unless a map says otherwise."""
-_WORDS: Mapping[str, tuple[str, ...]] = {
+_TEXT: Mapping[str, tuple[str, ...]] = {
     "t": ("t", "time", "timestamp", "stamp", "seconds", "secs", "clock"),
     "x": ("x", "pos x", "position x", "px", "vicon x", "pose x"),
     "y": ("y", "pos y", "position y", "py", "vicon y", "pose y"),
@@ -52,7 +52,7 @@ class QuantityForm:
     offset: float = 0.0
     flip: bool = False
     window: float = _WINDOW
-    kept: SourceColumn | DerivedColumn | None = None
+    retained: SourceColumn | DerivedColumn | None = None
     """The map's own column where it says more than a line shows: shifted, joined, the slope of a named state."""
 
     @property
@@ -73,13 +73,15 @@ def lines_of(system: System, columns: ColumnMap) -> list[QuantityForm]:
 
 def _line_of(line: QuantityForm, column: SourceColumn | DerivedColumn | None) -> QuantityForm:
     if isinstance(column, DerivedColumn):
-        return replace(line, source=DERIVED, window=column.window, kept=column if column.of else None)
+        return replace(line, source=DERIVED, window=column.window, retained=column if column.of else None)
     if column is None:
         return line
-    kept = column if column.others or column.shift or column.hold else None
+    retained = column if column.others or column.shift or column.hold else None
     source = f"{column.join} of {', '.join(column.sources)}" if column.others else column.source
     unit, flip = column.unit or "", column.flip
-    return replace(line, source=source, unit=unit, scale=column.scale, offset=column.offset, flip=flip, kept=kept)
+    return replace(
+        line, source=source, unit=unit, scale=column.scale, offset=column.offset, flip=flip, retained=retained
+    )
 
 
 def guess_columns(system: System, names: Sequence[str]) -> list[QuantityForm]:
@@ -115,17 +117,17 @@ def map_text(system: System, lines: Sequence[QuantityForm]) -> str:
 
 
 def _row(line: QuantityForm) -> str:
-    if isinstance(line.kept, DerivedColumn):
-        of, window = _quoted(line.kept.of), line.kept.window
-        return f'{line.target} = {{ derive = "{line.kept.derive}", of = {of}, window = {window!r} }}'
+    if isinstance(line.retained, DerivedColumn):
+        of, window = _quoted(line.retained.of), line.retained.window
+        return f'{line.target} = {{ derive = "{line.retained.derive}", of = {of}, window = {window!r} }}'
     if line.source == DERIVED:
         return f"{line.target} = {{ derive = {_quoted(line.derivation)}, window = {line.window!r} }}"
     parts = [f"from = {_quoted(line.source)}"]
-    if line.kept is not None:
-        names = ", ".join(map(_quoted, line.kept.sources))
-        parts = [f'from = [{names}], join = "{line.kept.join}"' if line.kept.others else f"from = {names}"]
-        parts += [f"shift = {line.kept.shift!r}"] if line.kept.shift else []
-        parts += [f"hold = {line.kept.hold!r}"] if line.kept.hold else []
+    if line.retained is not None:
+        names = ", ".join(map(_quoted, line.retained.sources))
+        parts = [f'from = [{names}], join = "{line.retained.join}"' if line.retained.others else f"from = {names}"]
+        parts += [f"shift = {line.retained.shift!r}"] if line.retained.shift else []
+        parts += [f"hold = {line.retained.hold!r}"] if line.retained.hold else []
     if line.unit and line.unit != line.si:
         parts.append(f"unit = {_quoted(line.unit)}")
     if line.scale != 1.0:
@@ -146,7 +148,7 @@ def _empty(system: System) -> list[QuantityForm]:
 
 def _likeliest(target: str, names: Sequence[str]) -> str:
     plain = {name: _plain(name) for name in names}
-    for word in (_plain(target), *_WORDS.get(target, ())):
+    for word in (_plain(target), *_TEXT.get(target, ())):
         for name, own in plain.items():
             if own == word:
                 return name
@@ -155,15 +157,15 @@ def _likeliest(target: str, names: Sequence[str]) -> str:
 
 def _plain(name: str) -> str:
     """Lower case words without a unit at the end: ``Yaw [deg]`` is ``yaw``."""
-    words = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
-    while len(words) > 1 and (words[-1] in _UNIT_ENDINGS or words[-1] in UNITS):
-        words.pop()
-    return " ".join(words)
+    phrase = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
+    while len(phrase) > 1 and (phrase[-1] in _UNIT_ENDINGS or phrase[-1] in UNITS):
+        phrase.pop()
+    return " ".join(phrase)
 
 
 def _unit_in(name: str, si: str) -> str:
-    words = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
-    for word in reversed(words[1:]):
+    phrase = re.sub(r"[^a-z0-9/]+", " ", name.lower()).split()
+    for word in reversed(phrase[1:]):
         unit = _UNIT_ENDINGS.get(word, word)
         if unit in UNITS and UNITS[unit].si == si:
             return unit

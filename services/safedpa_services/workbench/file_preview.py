@@ -99,9 +99,9 @@ def check_recording(path: str | Path, system: System, columns: ColumnMap | None,
         (float(run.t[row] - run.t[0]), *map(float, run.states[row]), *map(float, run.actions[row]))
         for row in range(min(count, len(run.t)))
     )
-    kept = sum(len(part) for part in run.stretches)
+    retained = sum(len(part) for part in run.stretches)
     stretches = "1 stretch" if len(run.stretches) == 1 else f"{len(run.stretches)} stretches"
-    sentence = f"{kept} rows in {stretches}, {run.duration:.1f} s, one every {run.period:.4g} s"
+    sentence = f"{retained} rows in {stretches}, {run.duration:.1f} s, one every {run.period:.4g} s"
     return RecordingCheck("", sentence, names, rows, tuple(_messages(run.findings)))
 
 

@@ -16,7 +16,7 @@ from safedpa.records.run import Run
 
 __all__ = ["SearchResult", "SessionVersion", "add_candidate", "compare_for_page", "opened", "search"]
 
-Tell = Callable[[float], None]
+ReportProgress = Callable[[float], None]
 """Told how much is done, from 0 to 1."""
 
 _MOST_WINDOWS = 2500
@@ -56,46 +56,50 @@ class SearchResult:
     proposal: bytes = field(repr=False)
 
 
-def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell) -> list[SessionVersion]:
+def opened(
+    model: PhysicsModel, runs: Sequence[Run], horizon: float, report_progress: ReportProgress
+) -> list[SessionVersion]:
     """The given model, and with free parameters the refitted one.
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
     step = first_step(model, runs, horizon)
-    tell(0.4)
+    report_progress(0.4)
     windows = step.shown.windows
     given = compare_for_page(model, runs, horizon)
-    tell(0.8)
+    report_progress(0.8)
     error = rollout_error(model, windows)
-    kept = pickle.dumps(step)
+    retained = pickle.dumps(step)
     free = bool(model.latent_names)
-    first = SessionVersion("given model", model, error.value, _named(error, step), "", {}, given, b"" if free else kept)
+    first = SessionVersion(
+        "given model", model, error.value, _named(error, step), "", {}, given, b"" if free else retained
+    )
     if not free:
         return [first]
     return [first, _version("free numbers refitted", step, runs, horizon)]
 
 
-def search(step: bytes, runs: Sequence[Run], horizon: float, tell: Tell) -> SearchResult:
+def search(step: bytes, runs: Sequence[Run], horizon: float, report_progress: ReportProgress) -> SearchResult:
     """What may be missing after a version, the best candidates fitted to the end."""
     before: StepwiseModel = pickle.loads(step)
-    found = proposal(before, lambda done, every: tell(0.7 * done / every))
-    tell(0.75)
+    found = proposal(before, lambda done, every: report_progress(0.7 * done / every))
+    report_progress(0.75)
     candidates = _ordered(found)
     best = candidates[:_SETTLED]
     settled = {}
     for number, item in enumerate(best):
         settled[item.effect] = _added(before, found, item.effect, runs, horizon)
-        tell(0.75 + 0.25 * (number + 1) / len(best))
+        report_progress(0.75 + 0.25 * (number + 1) / len(best))
     return SearchResult(
         candidates, found.choice, found.unexplained, found.next_experiment, settled, pickle.dumps(found)
     )
 
 
 def add_candidate(
-    step: bytes, proposed: bytes, name: str, runs: Sequence[Run], horizon: float, tell: Tell
+    step: bytes, proposed: bytes, name: str, runs: Sequence[Run], horizon: float, report_progress: ReportProgress
 ) -> SessionVersion:
     """The version with one candidate; raises InputError for a name that is none."""
-    tell(0.1)
+    report_progress(0.1)
     return _added(pickle.loads(step), pickle.loads(proposed), name, runs, horizon)
 
 
@@ -114,8 +118,10 @@ def _added(
 def _version(label: str, step: StepwiseModel, runs: Sequence[Run], horizon: float) -> SessionVersion:
     comparison = compare_for_page(step.model, runs, horizon)
     per_state = _named(step.error, step)
-    kept = pickle.dumps(step)
-    return SessionVersion(label, step.model, step.error.value, per_state, step.improved, step.values, comparison, kept)
+    retained = pickle.dumps(step)
+    return SessionVersion(
+        label, step.model, step.error.value, per_state, step.improved, step.values, comparison, retained
+    )
 
 
 def _named(error: RolloutError | Any, step: StepwiseModel) -> dict[str, float]:

@@ -98,7 +98,7 @@ class RobotHistory:
 
     def _state(self, message: StateMessage, at: float) -> None:
         if message.epoch != self.epoch:
-            self._anew(message.epoch)
+            self._again(message.epoch)
         if not self.path or message.robot_time > self.path[-1][0]:  # in lockstep a waiting robot repeats itself
             self.path.append((message.robot_time, message.values))
         self.state, self.seen = message, at
@@ -111,11 +111,11 @@ class RobotHistory:
                 TimelineMark(float(self.stationary_for[-1]["from"]), "model", f"stands: {verdict.stationary_reason}")
             )
 
-    def _anew(self, epoch: int) -> None:
+    def _again(self, epoch: int) -> None:
         """Forgets what was before the robot's start."""
         self.epoch = epoch
-        for kept in (self.path, self.errors, self.marks, self.stationary_for):
-            kept.clear()
+        for retained in (self.path, self.errors, self.marks, self.stationary_for):
+            retained.clear()
         self.finding, self.report, self.report_of, self.before = None, None, 0, None
 
     def _finding(self, message: FindingMessage, at: float) -> None:
@@ -145,10 +145,10 @@ class RobotHistory:
         if message.step == "take":
             errors = sorted(entry[1] for entry in list(self.errors)[-_SETTLED:])
             self.before = errors[len(errors) // 2] if errors else None
-        words = {"offer": "is offered", "take": "is taken", "drop": "is dropped"}.get(message.step, message.step)
+        phrase = {"offer": "is offered", "take": "is taken", "drop": "is dropped"}.get(message.step, message.step)
         who = f" by {message.who}" if message.who else ""
         why = f": {message.why}" if message.why else ""
-        text = f"change {message.change}, model {message.fingerprint[:8]} {words}{who}{why}"
+        text = f"change {message.change}, model {message.fingerprint[:8]} {phrase}{who}{why}"
         self.marks.append(TimelineMark(message.robot_time, "model", text))
 
     def _takeover(self, message: TakeoverMessage) -> None:
@@ -185,8 +185,8 @@ class RobotHistory:
         verdict = self.verdict
         if verdict is None or not verdict.stationary_reason:
             return ""
-        told = f"{self.name} stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}."
-        return f"{told} {what_to_do(verdict.stationary_reason)}".rstrip()
+        reported = f"{self.name} stands for {verdict.stationary_for:.0f} s, {verdict.stationary_reason}."
+        return f"{reported} {what_to_do(verdict.stationary_reason)}".rstrip()
 
     def account(self) -> str:
         """The drive in a sentence."""

@@ -63,7 +63,7 @@ class LivePage:
         self._robot = ""
         self._look = LIGHT
         self._accepted: tuple[str, ...] = ()
-        self._told = ""
+        self._reported = ""
         self._pending = ""
         self._earlier = 0
         self._ended = False
@@ -93,11 +93,11 @@ class LivePage:
                 action("Keys", show_keys, "?", hint="list of keyboard shortcuts")
             self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
             self._problem = text("", "verdict problem", "div").props("role=alert")
-            self._stands = text("", "verdict problem", "div").props('role=status aria-live=polite id="stands"')
+            self._stationary = text("", "verdict problem", "div").props('role=status aria-live=polite id="stands"')
             with ui.element("div").classes("columns"):
                 self._panels()
         self._problem.set_visibility(False)
-        self._stands.set_visibility(False)
+        self._stationary.set_visibility(False)
         ui.timer(_PICTURE_SECONDS, self.show)
         ui.timer(_STATUS_SECONDS, self.ask_status)
 
@@ -112,14 +112,14 @@ class LivePage:
             self._error = ui.plotly({"data": []}).classes("grow").props('role=img aria-label="error and its band"')
             self._evidence = ui.plotly({"data": []}).classes("still").style("height: 190px")
             self._evidence.props('role=img aria-label="evidence and its threshold"')
-        self._candidates = CandidatesPanel(self._accept, self._reject, lambda: None, words=("Accept", "Reject"))
+        self._candidates = CandidatesPanel(self._accept, self._reject, lambda: None, phrase=("Accept", "Reject"))
         self._candidates.busy("")
         with panel(4, "The error falls"):
             self._bars = ui.html(sanitize=False)
             text("changes of the model", "quiet")
             self._changes = ui.html(sanitize=False).classes("cards")
             with ui.element("div").classes("bottom"):
-                self._said = text("", "note", "div").props("role=status aria-live=polite")
+                self._message = text("", "note", "div").props("role=status aria-live=polite")
                 with ui.element("div").classes("row"):
                     self._back = action(
                         "Roll back", self._roll_back, "u", hint="back to the model before the last change"
@@ -165,15 +165,17 @@ class LivePage:
         self._verdict.set_content(escaped(_capital(finding.sentence) if finding else "No finding was heard yet."))
         self._trouble(book.silence(time.monotonic()) or book.mismatch() or (book.troubles[-1] if book.troubles else ""))
         stationary_for = book.stationary_reason()
-        self._stands.set_visibility(bool(stationary_for))
-        self._stands.set_content(escaped(stationary_for))
+        self._stationary.set_visibility(bool(stationary_for))
+        self._stationary.set_content(escaped(stationary_for))
         self._filter.set_content(escaped(book.verdict.sentence if book.verdict else ""))
         self._where.set_content(escaped(_where(book)))
         self._legend.set_content(field_legend(self._look))
         self._driven.set_content(driven_lines(book))
         self._field.update_figure(field_figure(book, self._look))
         self._show_error(book)
-        self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
+        self._message.set_content(
+            escaped(self._reported or "Accepted models are taken over by all services at one tick.")
+        )
         self._show_candidates(book)
 
     def _show_error(self, book: RobotHistory) -> None:
@@ -191,7 +193,7 @@ class LivePage:
         """The last word, which stays when the server is gone; the browser need not look for it."""
         book = self._book
         self._trouble("")
-        self._stands.set_visibility(False)
+        self._stationary.set_visibility(False)
         account = "" if book is None else f" {book.account()}"
         self._verdict.set_content(escaped(f"The drive has ended.{account} What is shown here is the last of it."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed any more.")
@@ -222,21 +224,21 @@ class LivePage:
             return
         self._asking = True
         try:
-            told = await self._link.ask(robot, Request(do="status"))
+            reported = await self._link.ask(robot, Request(do="status"))
         finally:
             self._asking = False
         if robot != self._robot:
             return
-        if told.answer is None:
-            self._accepted, self._told, self._earlier = (), told.sentence, 0
+        if reported.answer is None:
+            self._accepted, self._reported, self._earlier = (), reported.sentence, 0
         else:
-            if self._pending and not told.answer.pending:
-                ui.notify(_capital(told.sentence), timeout=8000, multi_line=True)
-            self._pending, self._earlier = told.answer.pending, told.answer.earlier
-            self._accepted = told.answer.candidates
-            self._candidates.foretell(_consequences(told.answer, book))
-            pending = f" ({told.answer.pending} …)" if told.answer.pending else ""
-            self._told = told.sentence + pending
+            if self._pending and not reported.answer.pending:
+                ui.notify(_capital(reported.sentence), timeout=8000, multi_line=True)
+            self._pending, self._earlier = reported.answer.pending, reported.answer.earlier
+            self._accepted = reported.answer.candidates
+            self._candidates.foretell(_consequences(reported.answer, book))
+            pending = f" ({reported.answer.pending} …)" if reported.answer.pending else ""
+            self._reported = reported.sentence + pending
         self._back.set_visibility(self._earlier > 0)
 
     async def _ask(self, do: str, effect: str = "") -> None:
@@ -251,9 +253,9 @@ class LivePage:
             finding=seen.number if seen else 0,
             who=str(self._who.value or "workbench"),
         )
-        told = await self._link.ask(self._robot, request)
-        self._told = _answered(do, told)
-        ui.notify(self._told, type="positive" if told.ok else "negative", timeout=6000, multi_line=True)
+        reported = await self._link.ask(self._robot, request)
+        self._reported = _answered(do, reported)
+        ui.notify(self._reported, type="positive" if reported.ok else "negative", timeout=6000, multi_line=True)
         await self.ask_status()
 
     async def _accept(self, effect: str = "") -> None:
@@ -276,7 +278,7 @@ class LivePage:
 
     def _chosen(self) -> None:
         if self._choice.value and self._choice.value != self._robot:
-            self._robot, self._accepted, self._told, self._drawn = str(self._choice.value), (), "", None
+            self._robot, self._accepted, self._reported, self._drawn = str(self._choice.value), (), "", None
 
     def _toggle_dark(self) -> None:
         self._set_dark(self._look is LIGHT)
@@ -308,13 +310,13 @@ class LivePage:
 _DONE = {"accept": "Accepted", "reject": "Rejected", "roll_back": "Rolled back"}
 
 
-def _answered(do: str, told: QueryResult) -> str:
+def _answered(do: str, reported: QueryResult) -> str:
     """The answer to a click, which begins with what became of it."""
-    if told.answer is None:
-        return told.sentence
-    if told.ok:
-        return f"{_DONE[do]}: {told.sentence}."
-    return f"Refused because {told.sentence.removeprefix('refused: ').rstrip('.')}."
+    if reported.answer is None:
+        return reported.sentence
+    if reported.ok:
+        return f"{_DONE[do]}: {reported.sentence}."
+    return f"Refused because {reported.sentence.removeprefix('refused: ').rstrip('.')}."
 
 
 def _consequences(answer: Answer, book: RobotHistory) -> dict[str, str]:
@@ -324,7 +326,7 @@ def _consequences(answer: Answer, book: RobotHistory) -> dict[str, str]:
     waits = "what it does to the margin is being computed; the filter tells it in any case before it is used"
     after = "All services take it over at one tick; the robot drives on meanwhile."
     foreseen = zip_longest(answer.candidates, answer.foreseen[: len(answer.candidates)], fillvalue="")
-    return {effect: f"If you accept: {told or waits}.{now} {after}" for effect, told in foreseen}
+    return {effect: f"If you accept: {reported or waits}.{now} {after}" for effect, reported in foreseen}
 
 
 def _where(book: RobotHistory) -> str:

@@ -150,7 +150,7 @@ def _optional(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) else None
 
 
-_TRAIL = 20.0
+_HISTORY = 20.0
 """s of the path that are drawn."""
 _SPAN = 120.0
 """s of the error that are drawn."""
@@ -159,8 +159,8 @@ _SPAN = 120.0
 def field_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The plane: path, robot, load, obstacles, goal, and what the filter's model predicts."""
     state = book.state
-    trail = [values for t, values in book.path if t > book.now - _TRAIL]
-    data = [_line([v[0] for v in trail], [v[1] for v in trail], look.measured, 2.5, "driven")]
+    history = [values for t, values in book.path if t > book.now - _HISTORY]
+    data = [_line([v[0] for v in history], [v[1] for v in history], look.measured, 2.5, "driven")]
     shapes: list[dict[str, Any]] = []
     ranges: tuple[Any, Any] = (None, None)
     if state is not None:
@@ -185,14 +185,16 @@ def field_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
 
 def error_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The one-second error, the edge of its band, and marks where something happened."""
-    kept = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
-    t = [entry[0] for entry in kept]
-    band = [entry[2] if entry[2] > 0 else None for entry in kept]
+    retained = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
+    t = [entry[0] for entry in retained]
+    band = [entry[2] if entry[2] > 0 else None for entry in retained]
     data = [
         _line(t, band, look.given, 1.5, "end of its band", "dash"),
-        _line(t, [entry[1] or None for entry in kept], look.present, 2.5, "error over 1 s"),
+        _line(t, [entry[1] or None for entry in retained], look.present, 2.5, "error over 1 s"),
     ]
-    known = [entry for entry in kept if entry[2] > 0] or kept  # while it learns what is usual, a start may be wild
+    known = [
+        entry for entry in retained if entry[2] > 0
+    ] or retained  # while it learns what is usual, a start may be wild
     highest = max([entry[1] for entry in known] + [value for value in band if value] + [1e-3])
     layout = frame(
         look,
@@ -207,18 +209,18 @@ def error_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
 
 def evidence_figure(book: RobotHistory, look: ColourTheme) -> dict[str, Any]:
     """The sequential test: log of the e-value and the threshold at which a finding is raised."""
-    kept = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
-    t = [entry[0] for entry in kept]
-    top = max([entry[4] for entry in kept] + [1.0])
+    retained = [entry for entry in book.errors if entry[0] > book.now - _SPAN]
+    t = [entry[0] for entry in retained]
+    top = max([entry[4] for entry in retained] + [1.0])
     data = [
-        _line(t, [entry[4] for entry in kept], look.given, 1.5, "threshold", "dash"),
-        _line(t, [min(entry[3], 1.6 * top) for entry in kept], look.text, 2.0, "evidence"),
+        _line(t, [entry[4] for entry in retained], look.given, 1.5, "threshold", "dash"),
+        _line(t, [min(entry[3], 1.6 * top) for entry in retained], look.text, 2.0, "evidence"),
     ]
     layout = frame(
         look,
         dragmode=False,
         xaxis=axis(look, "robot's time [s]", range=[max(0.0, book.now - _SPAN), max(book.now, 10.0)]),
-        yaxis=axis(look, "evidence", range=[min([0.0, *(entry[3] for entry in kept)]) - 0.2, 1.7 * top], nticks=4),
+        yaxis=axis(look, "evidence", range=[min([0.0, *(entry[3] for entry in retained)]) - 0.2, 1.7 * top], nticks=4),
     )
     return {"data": data, "layout": layout, "config": CONFIG}
 

@@ -19,7 +19,7 @@ from safedpa.records import ColumnMap, load_column_map
 from safedpa.records.column_map.column_map import native_map
 from safedpa.records.column_map.file import shipped_column_maps
 from safedpa.records.writers.tables import atomic_path
-from safedpa_services.web.shelf import RECORDINGS, FileStore
+from safedpa_services.web.upload_store import RECORDINGS, FileStore
 from safedpa_services.workbench.column_form import DERIVED, QuantityForm, guess_columns, lines_of, map_text, units_for
 from safedpa_services.workbench.elements import action, escaped, named, on_change_of, text
 from safedpa_services.workbench.file_preview import RawRows, RecordingCheck, check_recording, raw_rows
@@ -29,7 +29,7 @@ __all__ = ["ColumnsTable", "OpenDialog"]
 
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
-_TOLD = 5
+_REPORTED = 5
 """Uploads that the dialog names, the latest."""
 _NAME_UPLOAD = """(node) => {
   const input = node.el?.querySelector?.('input[type=file]');
@@ -62,12 +62,14 @@ document.addEventListener('drop', (event) => {
 class OpenDialog:
     """Model, files, columns; a preview in SI units and what the quality checks say, before anything is opened."""
 
-    def __init__(self, on_open: Callable[[InputSelection], Awaitable[None]], out: Path, shelf: FileStore) -> None:
-        self._on_open, self._out, self._shelf = on_open, out, shelf
+    def __init__(
+        self, on_open: Callable[[InputSelection], Awaitable[None]], out: Path, upload_store: FileStore
+    ) -> None:
+        self._on_open, self._out, self._upload_store = on_open, out, upload_store
         self._choice = InputSelection()
         self._raw = RawRows((), ())
         self._uploads = out / "uploads"
-        self._kept: list[str] = []
+        self._retained: list[str] = []
         ui.add_head_html(_DROPS)
         ui.on("recordings_dropped", self._dropped)
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
@@ -103,7 +105,7 @@ class OpenDialog:
             options = [_NATIVE, _GUESSED, *shipped_column_maps()]
             self._map = ui.select(options, value=_NATIVE, on_change=self._map_chosen)
             named(self._map.props("dense outlined options-dense").classes("flat"), "column map")
-            self._said = text("", "quiet")
+            self._message = text("", "quiet")
         self._table = ColumnsTable(self._check_now)
 
     @property
@@ -127,7 +129,7 @@ class OpenDialog:
     def _rejected(self) -> None:
         """The browser itself did not send a file."""
         most = f"{limit('upload_bytes') / 1e6:.0f} MB"
-        self._say(
+        self._report(
             f"Not taken: wanted recordings ({' '.join(RECORDINGS)}) of at most {most}, {limit('uploads')} at most"
         )
 
@@ -141,7 +143,7 @@ class OpenDialog:
         ending = Path(event.file.name).suffix.lower()
         there = len(list(self._uploads.glob("*"))) if self._uploads.is_dir() else 0
         if there >= limit("uploads") or ending not in RECORDINGS:
-            self._say(
+            self._report(
                 f"{event.file.name}: not taken; wanted a recording ({' '.join(RECORDINGS)}), and at most "
                 f"{limit('uploads')} files in {self._uploads}"
             )
@@ -155,12 +157,12 @@ class OpenDialog:
                 with suppress(OSError):  # part of it
                     path.unlink()
             why = why_not_written(error)
-            self._say(f"{event.file.name}: cannot be kept in {self._uploads} ({why}), or choose another --out")
+            self._report(f"{event.file.name}: cannot be kept in {self._uploads} ({why}), or choose another --out")
             return
-        self._shelf = self._shelf.with_folder(self._uploads)
+        self._upload_store = self._upload_store.with_folder(self._uploads)
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
-        self._kept.append(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}")
-        self._taken.set_content("<br>".join(map(escaped, self._kept[-_TOLD:])))
+        self._retained.append(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}")
+        self._taken.set_content("<br>".join(map(escaped, self._retained[-_REPORTED:])))
         self._refresh()
 
     def _place(self, number: int, name: str) -> Path:
@@ -178,9 +180,9 @@ class OpenDialog:
     def _files_named(self) -> list[str]:
         """The paths, patterns replaced by what they match; none where one may not be opened, which is said."""
         try:
-            return self._shelf.recordings(str(self._paths.value or "").splitlines())
+            return self._upload_store.recordings(str(self._paths.value or "").splitlines())
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return []
 
     # columns
@@ -188,9 +190,9 @@ class OpenDialog:
     def _loaded_model(self) -> PhysicsModel | None:
         try:
             name = str(self._model.value or "")
-            return load_model(self._shelf.model(name, shipped_models())) if name else None
+            return load_model(self._upload_store.model(name, shipped_models())) if name else None
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return None
 
     def _refresh(self) -> None:
@@ -201,7 +203,7 @@ class OpenDialog:
         try:
             self._raw = raw_rows(paths[0])
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return
         native = set(native_map(model.system).sources) <= set(self._raw.names)
         if self._raw.names and not native and self._map.value == _NATIVE:
@@ -221,7 +223,7 @@ class OpenDialog:
         model = self._loaded_model()
         if model is None:
             return
-        self._said.set_content(escaped("" if self._raw.names else "a recording of the bus needs no column map"))
+        self._message.set_content(escaped("" if self._raw.names else "a recording of the bus needs no column map"))
         self._table.show(self._lines(model), self._raw)
         self._check_now()
 
@@ -230,24 +232,24 @@ class OpenDialog:
             return []
         if self._map.value == _GUESSED:
             return guess_columns(model.system, self._raw.names)
-        beside = self._beside()
-        return lines_of(model.system, native_map(model.system) if beside is None else beside)
+        alongside = self._alongside()
+        return lines_of(model.system, native_map(model.system) if alongside is None else alongside)
 
-    def _beside(self) -> ColumnMap | None:
+    def _alongside(self) -> ColumnMap | None:
         if self._map.value in (_NATIVE, _GUESSED):
             return None
         try:
             return load_column_map(str(self._map.value))
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return None
 
     def _made(self, model: PhysicsModel) -> EditedColumnMap | None:
         """The map as the table stands; None for a recording of the bus. Raises ColumnMapError."""
         if not self._raw.names:
             return None
-        beside = str(self._map.value) if self._beside() is not None else ""
-        made = EditedColumnMap(map_text(model.system, self._table.lines), beside)
+        alongside = str(self._map.value) if self._alongside() is not None else ""
+        made = EditedColumnMap(map_text(model.system, self._table.lines), alongside)
         made.columns  # noqa: B018  raises where the table describes none
         return made
 
@@ -259,19 +261,19 @@ class OpenDialog:
         try:
             made = self._made(model)
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return
         columns = None if made is None else made.columns
         self._show_check(Path(paths[0]).name, len(paths), check_recording(paths[0], model.system, columns), model)
 
-    def _say(self, problem: str) -> None:
+    def _report(self, problem: str) -> None:
         self._check.clear()
         with self._check:
             text(problem, "problem", "div")
 
     def _show_check(self, name: str, files: int, found: RecordingCheck, model: PhysicsModel) -> None:
         if found.problem:
-            self._say(found.problem)
+            self._report(found.problem)
             return
         units = {variable.name: variable.unit for variable in (*model.system.state, *model.system.action)} | {"t": "s"}
         more = f" (first of {files} files)" if files > 1 else ""
@@ -288,14 +290,14 @@ class OpenDialog:
         model, paths = self._loaded_model(), self._files_named()
         if model is None or not paths:
             if not str(self._paths.value or "").strip():
-                self._say("Choose a model and at least one recording.")
+                self._report("Choose a model and at least one recording.")
             elif not self._model.value:
-                self._say("Choose a model.")
+                self._report("Choose a model.")
             return  # else it was said what cannot be opened
         try:
             columns = self._made(model)
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return
         choice = replace(
             self._choice, model=str(self._model.value), columns=columns, horizon=float(self._horizon.value)
@@ -313,7 +315,7 @@ class OpenDialog:
             with atomic_path(path) as temporary:
                 temporary.write_text(map_text(model.system, self._table.lines), encoding="utf-8")
         except SafedpaError as error:
-            self._say(str(error))
+            self._report(str(error))
             return
         ui.notify(f"Written: {path}", type="positive")
 
@@ -379,7 +381,7 @@ class ColumnsTable:
             return
         change: dict[str, Any] = {field: float(value) if field in ("scale", "offset") else value}
         if field == "source":
-            change["kept"] = None
+            change["retained"] = None
         self.lines[index] = replace(self.lines[index], **change)
         if field == "source":
             self.show(self.lines, self._raw)

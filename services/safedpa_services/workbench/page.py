@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa.errors import SafedpaError
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.bench import Bench, News
 from safedpa_services.workbench.browser import answer_of, prefers_dark
 from safedpa_services.workbench.brush import Brush
@@ -31,8 +31,8 @@ __all__ = ["WorkbenchPage"]
 class WorkbenchPage:
     """What one browser tab shows of the bench: its own eye on a session that all tabs share."""
 
-    def __init__(self, bench: Bench, door: RerunViewerServer, shelf: FileStore, *, live: bool = False) -> None:
-        self._bench, self._door, self._live, self._shelf = bench, door, live, shelf
+    def __init__(self, bench: Bench, door: RerunViewerServer, upload_store: FileStore, *, live: bool = False) -> None:
+        self._bench, self._door, self._live, self._upload_store = bench, door, live, upload_store
         self._session: Session | None = None
         """This tab's view."""
         self._gone = False
@@ -62,7 +62,7 @@ class WorkbenchPage:
                 self._where = WherePanel(self._axes, self._select, self._moment, self._cell)
                 self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
                 self._fall = ErrorReductionPanel(self._look_at, self._undo, self._save)
-        self._dialog = OpenDialog(self._bench.open, self._bench.out, self._shelf)
+        self._dialog = OpenDialog(self._bench.open, self._bench.out, self._upload_store)
         self._columns.set_visibility(False)
         self._show_busy()
 
@@ -114,8 +114,8 @@ class WorkbenchPage:
         self._session = session.view()
         seconds = sum(item.duration for item in session.runs)
         recordings = "1 recording" if len(session.runs) == 1 else f"{len(session.runs)} recordings"
-        kept = f"kept in {self._bench.folder / SESSION_FILE}"
-        self._what.set_content(escaped(f"{session.title} · {recordings}, {seconds:.0f} s · {kept}"))
+        retained = f"kept in {self._bench.folder / SESSION_FILE}"
+        self._what.set_content(escaped(f"{session.title} · {recordings}, {seconds:.0f} s · {retained}"))
         self._columns.set_visibility(True)
         self._show()
         self._show_busy()
@@ -134,7 +134,7 @@ class WorkbenchPage:
         self._candidates.busy(f"{title}: {100 * share:.0f} %" if title else "")
 
     def _show_saving(self) -> None:
-        self._fall.say(self._bench.warning, self._bench.saving, self._bench.said)
+        self._fall.send(self._bench.warning, self._bench.saving, self._bench.notice)
 
     def _trouble(self) -> None:
         trouble = self._bench.trouble
@@ -153,9 +153,9 @@ class WorkbenchPage:
         self._bench.reject(effect or self._candidates.effect)
 
     def _undo(self) -> None:
-        said = self._bench.undo()
-        if said:
-            ui.notify(said)
+        notice = self._bench.undo()
+        if notice:
+            ui.notify(notice)
 
     async def _save(self) -> None:
         await self._bench.save()

@@ -32,9 +32,9 @@ class CandidatesPanel:
         on_add: Decide,
         on_reject: Decide,
         on_cancel: Callable[[], None],
-        words: tuple[str, str] = ("Add", "Reject"),
+        phrase: tuple[str, str] = ("Add", "Reject"),
     ) -> None:
-        self._on_add, self._on_reject, self._words = on_add, on_reject, words
+        self._on_add, self._on_reject, self._text = on_add, on_reject, phrase
         self._cards: list[CandidateCard] = []
         self.open = 0
         self._foreseen: dict[str, str] = {}
@@ -59,12 +59,12 @@ class CandidatesPanel:
         proposed = None if session is None else session.proposed
         cards = [] if session is None else session.cards()
         experiment = None if proposed is None else proposed.next_experiment
-        said = ""
+        notice = ""
         if experiment is not None:
             separates = ", ".join(experiment.separates).replace("_", " ")
-            said = f"Next experiment: {experiment.manoeuvre}. It separates {separates}: {experiment.why}."
+            notice = f"Next experiment: {experiment.manoeuvre}. It separates {separates}: {experiment.why}."
         nothing = proposed is not None and proposed.choice is None and bool(cards)
-        self.show_cards(cards, said, _NOT_CONFIRMED if nothing else (_SEARCHING if proposed is None else ""))
+        self.show_cards(cards, notice, _NOT_CONFIRMED if nothing else (_SEARCHING if proposed is None else ""))
 
     def show_cards(self, cards: list[CandidateCard], experiment: str, note: str) -> None:
         """Draws cards, the first one open, with a note above and the proposed experiment below."""
@@ -138,6 +138,6 @@ class CandidatesPanel:
         self._consequence = text(self._foreseen.get(card.effect, ""), "consequence", "div")
         self._consequence.set_visibility(card.effect in self._foreseen)
         with ui.element("div").classes("row"):
-            yes, no = self._words
+            yes, no = self._text
             action(yes, lambda: self._on_add(card.effect), "a", hint=f"{yes.lower()} {card.effect}", main=True)
             action(no, lambda: self._on_reject(card.effect), "x", hint=f"{no.lower()} {card.effect}")

@@ -25,18 +25,18 @@ class ErrorReductionPanel:
             with ui.element("div").classes("bottom"):
                 self._numbers = ui.html(sanitize=False)
                 self._states = ui.html(sanitize=False)
-                self._said = text("", "quiet").props("aria-live=polite")
+                self._message = text("", "quiet").props("aria-live=polite")
                 self._warning = text("", "problem", "div")
                 self._saved = text("", "note", "div").props("role=status aria-live=polite")
                 with ui.element("div").classes("row"):
                     self._undo = action("Undo", on_undo, "u", hint="take the last decision back")
                     self._save = action("Save", on_save, "s", hint="write the model and its margin", main=True)
 
-    def say(self, warning: str, saving: str, said: str) -> None:
+    def send(self, warning: str, saving: str, notice: str) -> None:
         """What is to be known before Save, what Save does now, and what came of it."""
-        for element, words in ((self._warning, warning), (self._saved, saving or said)):
-            element.set_visibility(bool(words))
-            element.set_content(escaped(words))
+        for element, phrase in ((self._warning, warning), (self._saved, saving or notice)):
+            element.set_visibility(bool(phrase))
+            element.set_content(escaped(phrase))
         self._save.set_enabled(not saving)
 
     def show(self, session: Session) -> None:
@@ -58,7 +58,7 @@ class ErrorReductionPanel:
         self._numbers.set_content(f'<div class="quiet">fitted numbers</div>{lines}' if numbers else "")
         self._states.set_content(_states(session))
         improved = session.looked_at.improved
-        self._said.set_content(f"better in {improved.replace('/', ' of ')} recordings" if improved else "")
+        self._message.set_content(f"better in {improved.replace('/', ' of ')} recordings" if improved else "")
 
 
 def _stage(label: str, error: float, width: float, number: int) -> str:

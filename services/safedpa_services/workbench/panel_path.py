@@ -51,8 +51,8 @@ class PathPanel:
     def show(self, session: Session, look: ColourTheme) -> None:
         """Draws everything anew."""
         found = excerpt_of(session)
-        said = f"{session.horizon:g} s ahead from {found.moment:.2f} s of {shortened(found.run, 22)}"
-        self._where.set_content(escaped(said))
+        notice = f"{session.horizon:g} s ahead from {found.moment:.2f} s of {shortened(found.run, 22)}"
+        self._where.set_content(escaped(notice))
         self._where.props(f'title="{escaped(found.run)}"')
         self._legend.set_content(_legend(session, look))
         self._slider.props(f"max={len(session.comparison.windows) - 1}")

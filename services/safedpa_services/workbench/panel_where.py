@@ -51,7 +51,7 @@ class WherePanel:
             self._map.props('role=img aria-label="Error map over two variables; drag a box to select"')
             self._map.on("plotly_selected", self._boxed_map, js_handler=_RANGE)
             self._map.on("plotly_click", lambda e: on_cell(float(e.args["x"]), float(e.args["y"])), js_handler=_POINT)
-            self._said = text("", "quiet").props("aria-live=polite")
+            self._message = text("", "quiet").props("aria-live=polite")
             self._time = ui.plotly({"data": []}).classes("still").style("height: 178px")
             self._time.props('role=img aria-label="Error along time; drag a box to select"')
             self._time.on("plotly_selected", self._boxed_time, js_handler=_RANGE)
@@ -92,7 +92,7 @@ class WherePanel:
         self._map.update_figure(map_figure(session, look))
         inside = session.inside
         hint = "Drag a box in either figure to select; a click on a cell selects it, a click on the line starts there."
-        self._said.set_content(escaped(hint if inside is None else inside.sentence))
+        self._message.set_content(escaped(hint if inside is None else inside.sentence))
         self.show_time(session, look)
 
     def show_time(self, session: Session, look: ColourTheme) -> None:

@@ -20,14 +20,14 @@ class EditedColumnMap:
 
     text: str
     """As a file would have it."""
-    beside: str = ""
+    alongside: str = ""
     """The map (a file, or a name that ships) whose rows to skip and the like are kept; empty: none."""
 
     @property
     def columns(self) -> ColumnMap:
         """The map. Raises ColumnMapError."""
         made = parse_column_map(self.text, "columns")
-        return replace(load_column_map(self.beside), columns=made.columns) if self.beside else made
+        return replace(load_column_map(self.alongside), columns=made.columns) if self.alongside else made
 
 
 @dataclass(frozen=True)

@@ -53,9 +53,9 @@ class ReplayLink:
         report = None if book is None else book.report
         entries = [] if report is None else [item for item in report["candidates"] if isinstance(item, dict)]
         names = [
-            str(item.get("effect")) for item in entries if item.get("stage") == 0 and item.get("decision") in _KEPT
+            str(item.get("effect")) for item in entries if item.get("stage") == 0 and item.get("decision") in _RETAINED
         ]
         return QueryResult(Answer(ok=True, sentence=_RECORDED, candidates=tuple(names)), _RECORDED)
 
 
-_KEPT = ("accepted", "suspected")
+_RETAINED = ("accepted", "suspected")

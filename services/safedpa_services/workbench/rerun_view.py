@@ -81,13 +81,13 @@ def _from_start(session: Session) -> Windows:
     windows = session.comparison.windows
     first = session.start
     begin, run = windows.begin[first], windows.run[first]
-    kept = [first]
+    retained = [first]
     for index in range(first + 1, len(windows)):
         same = windows.begin[index] == begin and windows.run[index] == run
         late = windows.time[windows.start[index]] - windows.time[windows.start[first]] > _SECONDS
-        if same and not late and windows.start[index] >= windows.end[kept[-1]]:
-            kept.append(index)
-    return windows.select(np.array(kept, dtype=np.int64))
+        if same and not late and windows.start[index] >= windows.end[retained[-1]]:
+            retained.append(index)
+    return windows.select(np.array(retained, dtype=np.int64))
 
 
 def _log(stream: Any, name: str, windows: Windows, states: FloatArray, at: Any, colour: tuple[int, int, int]) -> None:

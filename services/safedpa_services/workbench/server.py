@@ -24,7 +24,7 @@ from safedpa.limits import limit, readable
 from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.elements import apply_page_style
 from safedpa_services.workbench.live_link import LiveLink
@@ -67,13 +67,15 @@ def serve(
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
     door, choice = RerunViewerServer(), bench.choice
     _keep_tracebacks_in(bench.out / "workbench.log")
-    shelf = FileStore.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
+    upload_store = FileStore.of(
+        (*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders
+    )
     app.add_middleware(Guard, door=serving.door)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
         apply_page_style(style)
-        page = WorkbenchPage(bench, door, shelf, live=link is not None)
+        page = WorkbenchPage(bench, door, upload_store, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
@@ -84,7 +86,7 @@ def serve(
     where = serving.address("/" if link is None else "/live")
     if not is_loopback(serving.host):
         click.echo(f"Workbench: {_OPEN.format(host=serving.host)}", err=True)
-    app.on_startup(lambda: _told_when_it_answers(serving, where, announce, browser=browser))
+    app.on_startup(lambda: _reported_when_it_answers(serving, where, announce, browser=browser))
     if stop is not None:
         app.on_startup(lambda: stop.listen_to_signals(app.shutdown))  # the web server's own way out leaves no last word
         threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
@@ -104,7 +106,7 @@ def serve(
         )
 
 
-async def _told_when_it_answers(
+async def _reported_when_it_answers(
     serving: PageServerOptions, where: str, announce: Callable[[str], None], *, browser: bool
 ) -> None:
     """The web server listens a moment after it has started up; an address that is told earlier is refused."""
@@ -182,8 +184,8 @@ def _keep_tracebacks_in(path: Path) -> None:
             return record
         record.browser_left = str(error) in _LEFT or isinstance(error, ConnectionError)
         _keep(path, error)
-        said = readable(f"{type(error).__name__}: {' '.join(str(error).split())}", _LONGEST)
-        record.msg, record.args = f"the page goes on after an error ({said}); more in {path}", ()
+        notice = readable(f"{type(error).__name__}: {' '.join(str(error).split())}", _LONGEST)
+        record.msg, record.args = f"the page goes on after an error ({notice}); more in {path}", ()
         record.exc_info = record.exc_text = None
         return record
 

@@ -45,7 +45,7 @@ STEPS = (
 
 
 def save_model_files(
-    step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, tell: Callable[[float], None]
+    step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, report_progress: Callable[[float], None]
 ) -> str:
     """Writes model.toml, and margin.toml for a robot that a margin can be had for from logs; says what was written.
 
@@ -54,12 +54,12 @@ def save_model_files(
     """
     before: StepwiseModel = pickle.loads(step)
     final = with_final(before) if before.search.added or before.model.latent_names else before
-    tell(0.7)
+    report_progress(0.7)
     model = _as_given(final.model, given)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         save_model(model, folder / "model.toml")
-        tell(0.8)
+        report_progress(0.8)
         margin = calibrate_margin_file(model, runs, folder / "margin.toml")
     except OSError as error:
         raise InputError(
@@ -68,8 +68,8 @@ def save_model_files(
     path = folder / "model.toml"
     written = f"{path}{' and margin.toml' if margin.path else ''}"
     driven = "" if refusal_reason(model) else f": {drive_command(model, path, margin.path, period=margin.period)}"
-    said = f". {margin.said}" if margin.said else ""
-    return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}{said}"
+    notice = f". {margin.notice}" if margin.notice else ""
+    return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}{notice}"
 
 
 def _as_given(model: PhysicsModel, given: PhysicsModel) -> PhysicsModel:
@@ -121,27 +121,27 @@ def read_session(path: Path) -> SavedSession:
     return SavedSession(choice, decisions)
 
 
-def write_session(kept: SavedSession, folder: Path) -> None:
+def write_session(retained: SavedSession, folder: Path) -> None:
     """Writes session.json, whole or not at all. Raises RecordingError where the folder cannot be written to."""
-    columns = kept.choice.columns
+    columns = retained.choice.columns
     document = {
         "format": _FORMAT,
-        "model": kept.choice.model,
-        "runs": list(kept.choice.runs),
-        "columns": {"text": columns.text, "beside": columns.beside}
+        "model": retained.choice.model,
+        "runs": list(retained.choice.runs),
+        "columns": {"text": columns.text, "alongside": columns.alongside}
         if isinstance(columns, EditedColumnMap)
         else columns,
-        "horizon": kept.choice.horizon,
-        "decisions": [{"do": do, "effect": effect} for do, effect in kept.decisions],
+        "horizon": retained.choice.horizon,
+        "decisions": [{"do": do, "effect": effect} for do, effect in retained.decisions],
     }
     with atomic_path(folder / SESSION_FILE) as temporary:
         temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def _columns(told: Any) -> str | EditedColumnMap | None:
-    if told is None or isinstance(told, str):
-        return told
-    return EditedColumnMap(str(told["text"]), str(told["beside"]))
+def _columns(reported: Any) -> str | EditedColumnMap | None:
+    if reported is None or isinstance(reported, str):
+        return reported
+    return EditedColumnMap(str(reported["text"]), str(reported["alongside"]))
 
 
 def session_folder_for(base: Path, choice: InputSelection) -> tuple[Path, tuple[Decision, ...]]:
@@ -177,17 +177,17 @@ def absolute(choice: InputSelection) -> InputSelection:
         return str(Path(name).resolve()) if Path(name).is_file() else name
 
     columns = whole(choice.columns) if isinstance(choice.columns, str) else choice.columns
-    columns = replace(columns, beside=whole(columns.beside)) if isinstance(columns, EditedColumnMap) else columns
+    columns = replace(columns, alongside=whole(columns.alongside)) if isinstance(columns, EditedColumnMap) else columns
     return replace(choice, model=whole(choice.model), runs=tuple(map(whole, choice.runs)), columns=columns)
 
 
 def _decisions(path: Path, choice: InputSelection) -> tuple[Decision, ...] | None:
     """What was decided in the session of this choice; None in that of another one."""
     try:
-        kept = read_session(path)
+        retained = read_session(path)
     except InputError:
         return None
-    return kept.decisions if kept.choice == choice else None
+    return retained.decisions if retained.choice == choice else None
 
 
 def _folders(base: Path) -> Iterator[Path]:

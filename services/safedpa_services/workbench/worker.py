@@ -32,7 +32,9 @@ class Worker:
         self._connection: Connection | None = None
         self._turn = asyncio.Lock()
 
-    async def ask(self, job: Job, *arguments: Any, tell: Callable[[float], None] = lambda _share: None) -> Any:
+    async def ask(
+        self, job: Job, *arguments: Any, report_progress: Callable[[float], None] = lambda _share: None
+    ) -> Any:
         """What the job returns.
 
         Raises what the job raises (SafedpaError and its like), and StoppedError when the process ends meanwhile.
@@ -41,15 +43,15 @@ class Worker:
             connection = self._started()
             try:
                 await asyncio.to_thread(connection.send, (job, arguments))
-                return await self._answer(connection, tell)
+                return await self._answer(connection, report_progress)
             except (EOFError, OSError) as error:
                 raise StoppedError("the computation was ended before it was done; start it again") from error
 
-    async def _answer(self, connection: Connection, tell: Callable[[float], None]) -> Any:
+    async def _answer(self, connection: Connection, report_progress: Callable[[float], None]) -> Any:
         while True:
             kind, content = await asyncio.to_thread(connection.recv)
-            if kind == "told":
-                tell(content)
+            if kind == "reported":
+                report_progress(content)
             elif kind == "failed":
                 raise content
             else:
@@ -90,7 +92,7 @@ def _serve(connection: Connection) -> None:
 
 def _done(job: Job, arguments: tuple[Any, ...], connection: Connection) -> tuple[str, Any]:
     try:
-        return "done", job(*arguments, lambda share: connection.send(("told", share)))
+        return "done", job(*arguments, lambda share: connection.send(("reported", share)))
     except ConnectionError:  # the page's process is gone
         raise
     except SafedpaError as error:

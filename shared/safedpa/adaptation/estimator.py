@@ -225,8 +225,8 @@ class LatentEstimator(AbstractEstimator):
                     return quick(entries, felt, free, self._model.clock.seconds), memory
                 except (ValueError, ArithmeticError):  # numbers that the other road answers
                     pass
-            after, remembered = self._model.advance(state, action, memory, np.array(free), period=period)
-            return after.tolist(), remembered
+            after, cached = self._model.advance(state, action, memory, np.array(free), period=period)
+            return after.tolist(), cached
 
         return step
 

@@ -49,12 +49,12 @@ def calibration_from_drives(
     coverage: float,
     date: str,
     model_fingerprint: str,
-    ceiling: ErrorClip = NO_CLIP,
+    clip: ErrorClip = NO_CLIP,
     origin: str = "",
 ) -> MarginCalibration:
     """Margins for a step near a boundary, and for a whole drive.
 
-    Errors count below the ``ceiling``, which is doubled where a margin is too wide for it, or too few drives came near.
+    Errors count below the ``clip``, which is doubled where a margin is too wide for it, or too few drives came near.
     A drive in which nothing of a kind came near counts as one without an error. Raises InputError when there are too
     few drives, or no step in any.
     """
@@ -68,34 +68,34 @@ def calibration_from_drives(
     for kind in dict.fromkeys(kind for heights in drives for kind in heights):
         along = [heights.get(kind, _NOTHING) for heights in drives]
         for which, name in enumerate(("clip", "drive.clip")):
-            margin, used = _fitted(kind, along, coverage, ceiling, which)
+            margin, used = _fitted(kind, along, coverage, clip, which)
             tables[which][kind], tops[f"{name}.{kind}"] = margin, used.of(kind, 0.0)
     steps = sum(max(map(len, heights.values()), default=0) for heights in drives)
-    told = {name: value for name, value in tops.items() if isfinite(value)}
-    made = MarginCalibration(tables[0], coverage, steps, date, model_fingerprint, constants=told, drive=tables[1])
+    reported = {name: value for name, value in tops.items() if isfinite(value)}
+    made = MarginCalibration(tables[0], coverage, steps, date, model_fingerprint, constants=reported, drive=tables[1])
     return replace(made, drives=len(drives), origin=origin)
 
 
 def _fitted(
-    kind: str, along: Sequence[FloatArray], coverage: float, ceiling: ErrorClip, which: int
+    kind: str, along: Sequence[FloatArray], coverage: float, clip: ErrorClip, which: int
 ) -> tuple[float, ErrorClip]:
     """The margin of a step (0) or a whole drive (1), and the ceiling below which its errors were counted."""
 
     for _ in range(_DOUBLINGS):
-        if sum(len(ceiling.errors(kind, heights)) > 0 for heights in along) >= min(_NEAR, len(along)):
+        if sum(len(clip.errors(kind, heights)) > 0 for heights in along) >= min(_NEAR, len(along)):
             break
-        ceiling = ceiling.doubled(kind)
+        clip = clip.doubled(kind)
 
     def margin(chosen: ErrorClip) -> float:
         errors = [chosen.errors(kind, heights) for heights in along]
         return max(0.0, margins_over_drives([near if len(near) else (0.0,) for near in errors], coverage)[which])
 
-    return ceiling.fitting(kind, margin)
+    return clip.fitting(kind, margin)
 
 
-def covered_shares(drives: Drives, kind: str, epsilon: float, ceiling: ErrorClip = NO_CLIP) -> FloatArray:
+def covered_shares(drives: Drives, kind: str, epsilon: float, clip: ErrorClip = NO_CLIP) -> FloatArray:
     """(drives,) what share of a drive's steps near a boundary a margin covers; 1 where nothing came near."""
-    errors = [ceiling.errors(kind, heights.get(kind, _NOTHING), epsilon) for heights in drives]
+    errors = [clip.errors(kind, heights.get(kind, _NOTHING), epsilon) for heights in drives]
     return np.array([float((near <= epsilon).mean()) if len(near) else 1.0 for near in errors])
 
 

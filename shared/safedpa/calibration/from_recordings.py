@@ -103,8 +103,8 @@ def _period_of(drives: Sequence[Sequence[DriveTick]], model: PhysicsModel) -> fl
     """Of all drives, s: the error of a step grows with its length. The model's own where there is no drive."""
     periods = sorted({tick.state.period for ticks in drives for tick in ticks}) or [model.period]
     if len(periods) > 1:
-        told = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
-        raise InputError(f"recordings: got steps of {told} s, wanted one period; calibrate for each by itself")
+        reported = " and ".join(f"{period:g}" for period in (periods[0], periods[-1]))
+        raise InputError(f"recordings: got steps of {reported} s, wanted one period; calibrate for each by itself")
     return periods[0]
 
 
@@ -127,28 +127,28 @@ def _all_errors(
 ) -> dict[str, tuple[FloatArray, NDArray[np.bool_]]]:
     """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
     kinds = dict.fromkeys(kind for heights in along for kind in heights)
-    ceiling = ErrorClip(eta)
+    clip = ErrorClip(eta)
     joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
     return {
-        kind: (ceiling.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
+        kind: (clip.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
         for kind, rows in joined.items()
     }
 
 
 def _covered(
-    made: MarginCalibration, along: Sequence[Mapping[str, FloatArray]], ceiling: ErrorClip, *, by_drives: bool
+    made: MarginCalibration, along: Sequence[Mapping[str, FloatArray]], clip: ErrorClip, *, by_drives: bool
 ) -> dict[str, float]:
     """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
-    told: dict[str, float] = {}
-    blocks, fresh = _all_errors(along, ceiling.eta), along[_SHARE - 1 :: _SHARE]
+    reported: dict[str, float] = {}
+    blocks, fresh = _all_errors(along, clip.eta), along[_SHARE - 1 :: _SHARE]
     for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
         for kind, epsilon in table.items():
             if by_drives:
-                shares = covered_shares(fresh, kind, epsilon, ceiling)
-                told[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
+                shares = covered_shares(fresh, kind, epsilon, clip)
+                reported[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
             elif (left := blocks[kind][0][blocks[kind][1]]).size:
-                told[f"{name}.{kind}"] = float((left <= epsilon).mean())
-    return told
+                reported[f"{name}.{kind}"] = float((left <= epsilon).mean())
+    return reported
 
 
 def _drives(path: Path, model: str) -> list[list[DriveTick]]:

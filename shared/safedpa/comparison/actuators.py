@@ -92,12 +92,12 @@ def _lagged(column: FloatArray, time_constant: float, windows: Windows) -> Float
 def _starts(column: FloatArray, decays: FloatArray, windows: Windows) -> FloatArray:
     """What is felt at the beginning of each row: felt[k+1] = decay[k] felt[k] + (1 - decay[k]) command[k]."""
     begin = _begins(windows)
-    kept, found = np.roll(decays, 1), np.roll((1.0 - decays) * column, 1)
-    kept[begin], found[begin] = 0.0, column[begin]
+    retained, found = np.roll(decays, 1), np.roll((1.0 - decays) * column, 1)
+    retained[begin], found[begin] = 0.0, column[begin]
     back = 1
-    while back < len(column) and kept.max() > _FORGOTTEN:
-        found[back:] += kept[back:] * found[:-back]
-        kept[back:] *= kept[:-back]
+    while back < len(column) and retained.max() > _FORGOTTEN:
+        found[back:] += retained[back:] * found[:-back]
+        retained[back:] *= retained[:-back]
         back *= 2
     return found
 

@@ -34,16 +34,16 @@ def angle_edges(sectors: int = 8) -> FloatArray:
 def merge_small_bins(values: FloatArray, edges: FloatArray, smallest: int) -> FloatArray:
     """The edges without those that leave fewer than ``smallest`` values in a bin; a bin joins its right neighbour."""
     counts = np.histogram(values, edges)[0]
-    kept, inside = [edges[0]], 0
+    retained, inside = [edges[0]], 0
     for count, upper in zip(counts, edges[1:], strict=True):
         inside += int(count)
         if inside >= smallest:
-            kept.append(upper)
+            retained.append(upper)
             inside = 0
-    if len(kept) == 1:
+    if len(retained) == 1:
         return np.array([edges[0], edges[-1]])
-    kept[-1] = edges[-1]
-    return np.array(kept)
+    retained[-1] = edges[-1]
+    return np.array(retained)
 
 
 def _round_width(width: float) -> float:

@@ -33,10 +33,10 @@ def subsample_runs(runs: Sequence[Run], most_rows: int, horizon: float = 1.0) ->
     if rows <= most_rows:
         return list(runs)
     room = max(3, most_rows // max(_shortest(run, horizon) for run in runs))
-    kept = list(runs)[:: -(-len(runs) // room)]
-    rows = sum(len(part) for run in kept for part in run.stretches)
+    retained = list(runs)[:: -(-len(runs) // room)]
+    rows = sum(len(part) for run in retained for part in run.stretches)
     every = max(1, -(-rows // most_rows))
-    return [replace(run, stretches=_pieces(run, every, horizon)[::every]) for run in kept]
+    return [replace(run, stretches=_pieces(run, every, horizon)[::every]) for run in retained]
 
 
 def _shortest(run: Run, horizon: float) -> int:
@@ -59,7 +59,7 @@ def _pieces(run: Run, every: int, horizon: float) -> tuple[Stretch, ...]:
 
 def first_seconds(runs: Sequence[Run], seconds: float) -> list[Run]:
     """The first ``seconds`` of each run; the first stretch of each is kept whole up to there."""
-    kept = []
+    retained = []
     for run in runs:
         first = run.t[run.stretches[0].start]
         parts = []
@@ -67,8 +67,8 @@ def first_seconds(runs: Sequence[Run], seconds: float) -> list[Run]:
             stop = part.start + int((run.t[part.start : part.stop] <= first + seconds).sum())
             if stop > part.start:
                 parts.append(Stretch(part.start, stop))
-        kept.append(replace(run, stretches=tuple(parts)))
-    return kept
+        retained.append(replace(run, stretches=tuple(parts)))
+    return retained
 
 
 _SHARE = 0.5
@@ -85,18 +85,18 @@ def without_duplicates(runs: Sequence[Run]) -> tuple[list[Run], list[tuple[str, 
     """
     marks = [_marks(run) for run in runs]
     order = sorted(range(len(runs)), key=lambda index: -len(marks[index]))
-    kept: list[int] = []
+    retained: list[int] = []
     found = {}
     for index in order:
-        for other in kept:
+        for other in retained:
             same = int(np.isin(marks[index], marks[other]).sum())
             if len(marks[index]) >= _FEWEST and same > _SHARE * len(marks[index]):
                 found[index] = other, same
                 break
         else:
-            kept.append(index)
+            retained.append(index)
     findings = [(runs[index].name, _finding(runs[index], runs[found[index][0]], found[index][1])) for index in found]
-    return [runs[index] for index in sorted(kept)], sorted(findings, key=lambda item: item[0])
+    return [runs[index] for index in sorted(retained)], sorted(findings, key=lambda item: item[0])
 
 
 def _finding(run: Run, other: Run, same: int) -> Finding:

@@ -31,7 +31,7 @@ __all__ = [
 Columns = dict[str, FloatArray]
 """One action's value in every row, by the action's name."""
 
-_REMEMBERED = 16
+_CACHED = 16
 """How many chains of commands are kept: a search over effects asks for the same ones again and again."""
 
 
@@ -118,7 +118,7 @@ def effective_actions_by_name(model: PhysicsModel, windows: Windows) -> list[Flo
         own = {p.name: model.settings[f"{command.name}.{p.name}"].value for p in command.parameters}
         key = (*key, command, tuple(own.items()))
         if key not in windows.memo:
-            while len(windows.memo) >= _REMEMBERED:
+            while len(windows.memo) >= _CACHED:
                 windows.memo.pop(next(iter(windows.memo)))
             windows.memo[key] = _transformed(command, columns, own, windows)
         columns = windows.memo[key]

@@ -89,6 +89,6 @@ def trimmed_rms(errors: FloatArray, trim: float = TRIM) -> NDArray[np.float64]:
     """
     with np.errstate(over="ignore"):
         squares = np.where(np.isfinite(errors), errors, np.inf) ** 2
-    kept = len(squares) - int(trim * len(squares))
-    smallest = np.partition(squares, kept - 1, axis=0)[:kept]
+    retained = len(squares) - int(trim * len(squares))
+    smallest = np.partition(squares, retained - 1, axis=0)[:retained]
     return np.asarray(np.sqrt(smallest.mean(axis=0)))

@@ -23,7 +23,7 @@ from safedpa.effects import AbstractEffect, CommandEffect
 
 __all__ = ["StackedMechanics"]
 
-_REMEMBERED = 128
+_CACHED = 128
 """Structures whose straight line is kept."""
 
 
@@ -87,7 +87,7 @@ def _flat(columns: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
     return np.stack([np.broadcast_to(column, shape).reshape(-1) for column in columns], axis=-1)
 
 
-@lru_cache(maxsize=_REMEMBERED)
+@lru_cache(maxsize=_CACHED)
 def _recorded(
     base: AbstractBase,
     effects: tuple[AbstractEffect, ...],

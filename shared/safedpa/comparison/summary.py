@@ -28,7 +28,7 @@ _ODD = 2.0
 """Times the usual error of a state, from which a run stands out."""
 _NOTHING = 0.01
 _GREW = 0.05
-_TOLD = 4
+_REPORTED = 4
 """States in runs that a sentence names."""
 _PLACE_AND_TIME = ("place", "time")
 
@@ -105,9 +105,9 @@ def run_sentence(comparison: Comparison) -> str:
         run, name, value = max(odd, key=lambda item: item[2] / max(usual[item[1]], 1e-12))
         parts.append(f"{name} is far worse in {run.name} than elsewhere: {value:.2f} where {usual[name]:.2f} is usual")
     if lost and len(lost) < len(rows):
-        told = ", ".join(f"{name} in {run.name} ({value:.2f})" for run, name, value in lost[:_TOLD])
-        more = f" and {len(lost) - _TOLD} more" if len(lost) > _TOLD else ""
-        parts.append(f"worse than assuming no change: {told}{more}")
+        reported = ", ".join(f"{name} in {run.name} ({value:.2f})" for run, name, value in lost[:_REPORTED])
+        more = f" and {len(lost) - _REPORTED} more" if len(lost) > _REPORTED else ""
+        parts.append(f"worse than assuming no change: {reported}{more}")
     return (parts[0][0].upper() + "; ".join(parts)[1:] + ".") if parts else ""
 
 
@@ -124,9 +124,9 @@ def worse_sentence(before: Comparison, after: Comparison) -> str:
     if not worse:
         return f"{change}; no state gets worse in any run."
     worse.sort(key=lambda item: item[2] - item[3])
-    told = ", ".join(f"{name} in {run} ({old:.2g} to {new:.2g})" for run, name, old, new in worse[:_TOLD])
-    more = f" and {len(worse) - _TOLD} more" if len(worse) > _TOLD else ""
-    return f"{change}; what gets worse: {told}{more}."
+    reported = ", ".join(f"{name} in {run} ({old:.2g} to {new:.2g})" for run, name, old, new in worse[:_REPORTED])
+    more = f" and {len(worse) - _REPORTED} more" if len(worse) > _REPORTED else ""
+    return f"{change}; what gets worse: {reported}{more}."
 
 
 def naive_sentence(comparison: Comparison) -> str:

@@ -119,9 +119,9 @@ def windows_of(
     whole = (table.clock[last] >= table.clock[rows] + horizon - half) & (steps > 0)
     if not whole.any():
         raise _no_window(runs, horizon)
-    kept = steps > 0 if partial else whole
+    retained = steps > 0 if partial else whole
     begin = table.bounds[stretch, 0]
-    return replace(table, start=rows[kept], steps=steps[kept], begin=begin[kept], run=run[kept])
+    return replace(table, start=rows[retained], steps=steps[retained], begin=begin[retained], run=run[retained])
 
 
 def check_runs(runs: Sequence[Run]) -> None:

@@ -75,8 +75,8 @@ def add_effect(
     final: EffectTrial = trial_of(found, shooting, (name,), None)
     before = error_with(search.current.fit, search.shooting, shown)
     after = error_with(found, shooting, shown)
-    told = "".join(one.sentence for one in conditions_of(found.model, [name]))
-    return Addition(found.model, values_of(final, shooting), before, after, told)
+    reported = "".join(one.sentence for one in conditions_of(found.model, [name]))
+    return Addition(found.model, values_of(final, shooting), before, after, reported)
 
 
 def _tried(

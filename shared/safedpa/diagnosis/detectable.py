@@ -87,8 +87,8 @@ def with_manoeuvres(
     hidden = [size for size in sizes if not size.shown and size.effect in by_name]
     others = [with_effect_at(null.fit.model, by_name[size.effect], _usual(by_name[size.effect])) for size in hidden]
     drives = discriminating_manoeuvres(null.fit.model, others, np.maximum(null.fit.scale, 1e-9))
-    told = {id(size): drive for size, drive in zip(hidden, drives, strict=True)}
-    return tuple(replace(size, drive=told[id(size)]) if id(size) in told else size for size in sizes)
+    reported = {id(size): drive for size, drive in zip(hidden, drives, strict=True)}
+    return tuple(replace(size, drive=reported[id(size)]) if id(size) in reported else size for size in sizes)
 
 
 def _usual(item: AbstractEffect) -> dict[str, float]:

@@ -29,7 +29,7 @@ from safedpa.diagnosis.report_schema import Candidate, Detectable, Experiment, F
 from safedpa.diagnosis.residuals.match_effects import LibraryMatcher
 from safedpa.diagnosis.residuals.unmodelled import alternative_formula, find_unexplained_structure
 from safedpa.diagnosis.search.conditional import conditions_of
-from safedpa.diagnosis.search.forward_selection import JudgedTrial, SearchState, Tell, run_search
+from safedpa.diagnosis.search.forward_selection import JudgedTrial, ReportProgress, SearchState, run_search
 from safedpa.diagnosis.search.nearest_candidates import (
     closest_effects,
     doubtful_effects,
@@ -59,7 +59,10 @@ def library_for(model: PhysicsModel) -> list[AbstractEffect]:
 
 
 def diagnose(
-    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, tell: Tell = lambda _done, _all, _said: None
+    model: PhysicsModel,
+    runs: Sequence[Run],
+    horizon: float = 1.0,
+    report_progress: ReportProgress = lambda _done, _all, _message: None,
 ) -> Report:
     """Which effects of the library the model lacks, by runs that it should predict.
 
@@ -75,30 +78,32 @@ def diagnose(
         usable.quality.append(finding_row("all", Finding("no_verdict", judge.why_not)))
     asked: list[float] = []
 
-    def beside() -> list[HorizonData]:
+    def alongside() -> list[HorizonData]:
         found = list(data_at_other_horizons(usable.runs, usable.seconds))
         asked.extend(item.seconds for item in found if item.seconds not in asked)
         return found
 
-    search = run_search(model, library if judge.enough else [], evidence.shooting, evidence.heldout, tell, beside)
+    search = run_search(
+        model, library if judge.enough else [], evidence.shooting, evidence.heldout, report_progress, alongside
+    )
     usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
     found = _rest_of(search, judge, LibraryMatcher(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
     doubtful = doubtful_effects(search)
-    told, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
+    reported, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
     return Report(
         robot=model.system.name,
         horizon=horizon,
         verdict=_verdict(search, found, judge, sizes) if not doubtful else "undecided",
         added=tuple(search.added),
-        stages=tuple(told.stages),
-        candidates=_candidates(search, evidence.heldout, shown, told, final),
+        stages=tuple(reported.stages),
+        candidates=_candidates(search, evidence.heldout, shown, reported, final),
         where=_where(model, usable.runs, horizon),
         unexplained=found.unexplained,
         next_experiment=experiment_for(search),
         data_quality=tuple(usable.quality),
         parameters=final,
-        models=tuple(told.models),
+        models=tuple(reported.models),
         closest=closest_effects(
             [*doubtful, *found.likely],
             search,
@@ -108,7 +113,7 @@ def diagnose(
         ),
         detectable=tuple(sizes),
         naive=naive_errors(shown.windows),
-        worse=told.worse,
+        worse=reported.worse,
         conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *asked),
         coverage=coverage_of(usable.runs),
@@ -179,7 +184,7 @@ def _verdict(search: SearchState, found: _Rest, judge: DataSufficiency, sizes: S
 
 
 def _candidates(
-    search: SearchState, heldout: Heldout, shown: Heldout, told: StageReport, final: Mapping[str, FittedValue]
+    search: SearchState, heldout: Heldout, shown: Heldout, reported: StageReport, final: Mapping[str, FittedValue]
 ) -> tuple[Candidate, ...]:
     """As they were judged; what was accepted with the final numbers and the error of its stage, so that no number
     stands in a report twice with another value."""
@@ -187,7 +192,7 @@ def _candidates(
     for item in search.candidates:
         made = candidate_of(item, search)
         if item.decision == "accepted" and set(item.trial.effects) <= set(search.added):
-            stage = next(own for own in told.stages if set(item.trial.effects) <= set(own.effects))
+            stage = next(own for own in reported.stages if set(item.trial.effects) <= set(own.effects))
             numbers = {key: final[key if "." in key else f"{made.effect}.{key}"] for key in made.parameters}
             made = replace(made, heldout_error=stage.heldout_error, parameters=numbers)
         elif item.error is not None and shown is not heldout:

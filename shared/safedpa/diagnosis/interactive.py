@@ -107,7 +107,9 @@ def given_error(model: PhysicsModel, step: StepwiseModel) -> float:
     return rollout_error(model, step.shown.windows).value
 
 
-def proposal(step: StepwiseModel, tell: Callable[[int, int], None] = lambda _done, _all: None) -> RankedCandidates:
+def proposal(
+    step: StepwiseModel, report_progress: Callable[[int, int], None] = lambda _done, _all: None
+) -> RankedCandidates:
     """Every effect of the library that the model lacks on trial, alone and where none passes in pairs."""
     if step.why_not:
         return RankedCandidates((), None, Unexplained((), step.why_not, 0.0), None, _copied(step.search))
@@ -115,8 +117,10 @@ def proposal(step: StepwiseModel, tell: Callable[[int, int], None] = lambda _don
     before = {t.trial.effects[0]: t.trial for t in search.candidates if len(t.trial.effects) == 1}
     search.candidates = []
     library = library_for(step.model)
-    trials = fit_trials(search.current, library, search.shooting, before, lambda done: tell(done, len(library) + 4))
-    tell(len(library), len(library) + 4)
+    trials = fit_trials(
+        search.current, library, search.shooting, before, lambda done: report_progress(done, len(library) + 4)
+    )
+    report_progress(len(library), len(library) + 4)
     null = search.current
     passed = bool(library) and add_best_trial(search, len(search.added), trials, library, step.heldout)
     candidates = tuple(candidate_of(item, search) for item in search.candidates)

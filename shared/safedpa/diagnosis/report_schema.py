@@ -219,7 +219,7 @@ class Condition:
     effect: str
     kind: str
     """``where`` or ``varies``."""
-    words: str
+    phrase: str
     """As model files and ``safedpa add`` have it: ``x above``, ``gain with time``."""
     edge: float | None
     """Width over which a condition sets in, in the unit of its variable; None of what varies."""

@@ -37,13 +37,13 @@ def common_operations(state: Array, *others: Array | None) -> Operations:
     return FLOATS if single else NUMPY
 
 
-def columns(array: Array, beside: Array) -> list[Scalar]:
-    """The entries of the last axis of ``array``, as numbers that fit a state ``beside`` it."""
+def columns(array: Array, alongside: Array) -> list[Scalar]:
+    """The entries of the last axis of ``array``, as numbers that fit a state ``alongside`` it."""
     if isinstance(array, np.ndarray):
         if array.ndim == 1:
             return [float(value) for value in array.tolist()]
-        if is_torch(beside):
-            array = like(beside, array)
+        if is_torch(alongside):
+            array = like(alongside, array)
     return [array[..., index] for index in range(array.shape[-1])]
 
 

@@ -126,7 +126,7 @@ def _law_lines(item: AbstractEffect) -> list[str]:
     law = law_behind(item)
     if law is None:
         return []
-    lines = [f'{law.key} = "{law.words}"']
+    lines = [f'{law.key} = "{law.phrase}"']
     return [*lines, f"edge = {law.edge!r}"] if isinstance(law, Where) else lines
 
 

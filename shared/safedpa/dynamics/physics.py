@@ -152,8 +152,8 @@ class PhysicsModel(AbstractDynamics):
         """What one robot's mechanics feel of an action (actions,), the mean over a period, and the memory after it."""
         named = dict(zip(self.system.action_names, action, strict=True))
         values = self._fixed if latent is None else self._with_free(latent)
-        after, remembered = self._felt(named, memory, values, period, FLOATS)
-        return list(after.values()), remembered
+        after, cached = self._felt(named, memory, values, period, FLOATS)
+        return list(after.values()), cached
 
     def straight(self, period: float) -> StraightStep | None:
         """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``, as with
@@ -370,12 +370,12 @@ class PhysicsModel(AbstractDynamics):
         self, action: Named, memory: Any, values: _Values, period: float, operations: Operations
     ) -> tuple[Named, tuple[Any, ...]]:
         """What the mechanics feel of an action, and the actuators' memory after it."""
-        remembered = []
+        cached = []
         owns = memory if self._apart or memory else (None,) * len(self._commands)
         for command, own in zip(self._commands, owns, strict=True):
-            action, kept = command.transform(action, own, values[command.name], period, operations)
-            remembered.append(kept)
-        return action, tuple(remembered) if self._apart else ()
+            action, retained = command.transform(action, own, values[command.name], period, operations)
+            cached.append(retained)
+        return action, tuple(cached) if self._apart else ()
 
     def _settled(self, action: Named, values: _Values, operations: Operations) -> tuple[Any, ...]:
         """Each actuator's memory once it has settled at what those before it make of the action."""

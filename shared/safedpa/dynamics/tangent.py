@@ -175,9 +175,9 @@ class _Slopes:
         if rule is not None:
             return rule.format(*operands, own=name, **known)
         if form == "sin":
-            return f"{self._beside('cos', operands)} * {known['d0']}"
+            return f"{self._alongside('cos', operands)} * {known['d0']}"
         if form == "cos":
-            return f"-({self._beside('sin', operands)} * {known['d0']})"
+            return f"-({self._alongside('sin', operands)} * {known['d0']})"
         if form == "tanh":
             share = f"1.0 / cosh({operands[0]}) if abs({operands[0]}) < {_LARGEST_COSH} else 0.0"
             share = self._line(f"{name}_share", share)
@@ -187,7 +187,7 @@ class _Slopes:
         both = [f"complex({item}, {named[item]})" if item in named else item for item in operands]
         return (f"complex_{form}({', '.join(both)})" if form in _FUNCTIONS else f"({form.format(*both)})") + ".imag"
 
-    def _beside(self, function: str, operands: tuple[str, ...]) -> str:
+    def _alongside(self, function: str, operands: tuple[str, ...]) -> str:
         """The variable that holds the sine or cosine of an angle."""
         known = self._sines.get((function, operands))
         return known or self._line(f"{function}_{operands[0]}", f"{function}({operands[0]})")
@@ -208,12 +208,12 @@ def _value(form: str, operands: tuple[str, ...]) -> str:
 
 def _needed(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[tuple[str, str]]:
     """Of terms by the variable that they set, those that the wanted variables depend on, in the same order."""
-    alive, kept = set(wanted), []
+    alive, retained = set(wanted), []
     for name, term in reversed(lines):
         if name in alive:
-            kept.append((name, term))
+            retained.append((name, term))
             alive.update(_NAME.findall(term))
-    return kept[::-1]
+    return retained[::-1]
 
 
 def _nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]:

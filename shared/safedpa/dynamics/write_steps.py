@@ -24,7 +24,7 @@ _SLOW, _QUICKER = 0.05, (0.01, 0.005)
 _FUNCTIONS = ("atan", "atan2", "cos", "cosh", "exp", "hypot", "inf", "nan", "sin", "sqrt", "tan", "tanh")
 _VECTOR = "Iterable[float]"
 _RESULTS = {"step": "list[float]", "tangent": "tuple[list[float], list[list[float]]]"}
-_SAID = {"step": "Entries after one period.", "tangent": "The same, and their slopes in the action."}
+_MESSAGE = {"step": "Entries after one period.", "tangent": "The same, and their slopes in the action."}
 
 
 def text() -> str:
@@ -47,7 +47,7 @@ def _typed(recorded: str, kind: str, name: str) -> str:
     head, body = recorded.split("\n", 1)
     del head
     arguments = f"state: {_VECTOR}, action: {_VECTOR}, latent: {_VECTOR}, time: float"
-    return f'def {name}_{kind}({arguments}) -> {_RESULTS[kind]}:\n    """{_SAID[kind]}"""\n{body}\n'
+    return f'def {name}_{kind}({arguments}) -> {_RESULTS[kind]}:\n    """{_MESSAGE[kind]}"""\n{body}\n'
 
 
 def _module(written: Mapping[str, tuple[str, str]]) -> str:

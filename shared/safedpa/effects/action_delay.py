@@ -27,9 +27,9 @@ class ActionDelay(CommandEffect):
     def transform(  # noqa: D102
         self, action: Named, memory: Any, parameters: Named, period: float, operations: Operations
     ) -> tuple[Named, Any]:
-        longest, felt, remembered = self.parameters[0].high, {}, {}
+        longest, felt, cached = self.parameters[0].high, {}, {}
         for name, command in action.items():
-            felt[name], remembered[name] = delayed(
+            felt[name], cached[name] = delayed(
                 command, memory[name], parameters["seconds"], longest, period, operations
             )
-        return felt, remembered
+        return felt, cached

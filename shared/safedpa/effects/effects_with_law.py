@@ -38,7 +38,7 @@ class Conditioned(AbstractEffect):
         self.name: str = inner.name  # type: ignore[misc]
         self.robot: str = inner.robot  # type: ignore[misc]
         self.stage: Stage = inner.stage  # type: ignore[misc]
-        self.equation: str = f"{inner.equation}; {law.key} {law.words}"  # type: ignore[misc]
+        self.equation: str = f"{inner.equation}; {law.key} {law.phrase}"  # type: ignore[misc]
         self.parameters = (*inner.parameters, *law.parameters(inner, system))  # type: ignore[misc]
         self.signature: str = inner.signature  # type: ignore[misc]
         self.source: str = inner.source  # type: ignore[misc]

@@ -44,7 +44,7 @@ class Law(Protocol):
     """In model files."""
 
     @property
-    def words(self) -> str:
+    def phrase(self) -> str:
         """As model files and the command line have it: ``x above``, ``gain with time``."""
 
     @property
@@ -79,7 +79,7 @@ class Where:
     key: ClassVar[str] = "where"
 
     @property
-    def words(self) -> str:  # noqa: D102
+    def phrase(self) -> str:  # noqa: D102
         return self.shape if self.shape in PLACES else f"{self.variable} {self.shape}"
 
     @property
@@ -175,7 +175,7 @@ class Varies:
     key: ClassVar[str] = "varies"
 
     @property
-    def words(self) -> str:  # noqa: D102
+    def phrase(self) -> str:  # noqa: D102
         return f"{self.parameter} with {self.variable}"
 
     @property
@@ -223,20 +223,20 @@ class Varies:
         return next(parameter for parameter in item.parameters if parameter.name == self.parameter)
 
 
-def law_of(key: str, words: str, edge: float | None, owner: str) -> Where | Varies:
+def law_of(key: str, phrase: str, edge: float | None, owner: str) -> Where | Varies:
     """The law that a model file or the command line names. Raises ModelFileError with what is wanted."""
-    parts = words.split() if isinstance(words, str) else []
+    parts = phrase.split() if isinstance(phrase, str) else []
     if key == Varies.key:
         if len(parts) == 3 and parts[1] == "with":
             return Varies(parts[0], parts[2])
-        raise ModelFileError(f"{owner}.varies: got {words!r}, wanted 'PARAMETER with VARIABLE', say 'gain with time'")
+        raise ModelFileError(f"{owner}.varies: got {phrase!r}, wanted 'PARAMETER with VARIABLE', say 'gain with time'")
     shape = parts[-1] if parts else ""
     if (len(parts) == 1 and shape in PLACES) or (len(parts) == 2 and shape in SHAPES):
         if edge is None:
             raise ModelFileError(f"{owner}.edge: missing; give the width over which it sets in, in the variable's unit")
         return Where(shape, "" if shape in PLACES else parts[0], edge)
     wanted = f"'VARIABLE {'|'.join(SHAPES)}', say 'x above', or one of {', '.join(PLACES)}"
-    raise ModelFileError(f"{owner}.where: got {words!r}, wanted {wanted}")
+    raise ModelFileError(f"{owner}.where: got {phrase!r}, wanted {wanted}")
 
 
 @dataclass(frozen=True)

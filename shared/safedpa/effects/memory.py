@@ -52,7 +52,7 @@ def delayed(
         end = start
         if start <= -reach:
             break
-    return total, _remembered(((command, period), *history), longest)
+    return total, _cached(((command, period), *history), longest)
 
 
 def _overlap(start: float, end: float, delay: Scalar, period: float, operations: Operations) -> Scalar:
@@ -61,7 +61,7 @@ def _overlap(start: float, end: float, delay: Scalar, period: float, operations:
     return operations.maximum(shared, 0.0)
 
 
-def _remembered(history: History, longest: float) -> History:
+def _cached(history: History, longest: float) -> History:
     age = 0.0
     for index, (value, duration) in enumerate(history):
         age += duration

@@ -111,13 +111,13 @@ def _slopes_text(tape: RowTape) -> str:
     lines += known_lines
     groups, wanted = [], list[str]()
     for number, group in enumerate(rows):
-        told = []
+        reported = []
         for place, (own, slopes) in enumerate(group):
             lines += [(f"{name}_{number}_{place}", _renamed(term, own, number, place)) for name, term in own]
             terms = [tape.chained(slopes, known, index) for index in range(len(tape.state))]
-            told.append(f"[{', '.join(_renamed(term, own, number, place) for term in terms)}]")
-        groups.append(f"([{', '.join(told)}], {_items(tape, number)})")
-        wanted += told
+            reported.append(f"[{', '.join(_renamed(term, own, number, place) for term in terms)}]")
+        groups.append(f"([{', '.join(reported)}], {_items(tape, number)})")
+        wanted += reported
     text = [*_head(tape), *nested(lines, wanted), f"return [{', '.join(groups)}]"]
     return "\n    ".join(["def slopes(state, shared, each):", *text])
 

@@ -57,7 +57,7 @@ def _values(tape: RowTape, level: Level, wanted: Sequence[str]) -> Lines:
     return [line for one in tape.of(level, wanted) for line in _value(one)]
 
 
-def _words(lines: Sequence[str]) -> set[str]:
+def _text(lines: Sequence[str]) -> set[str]:
     return {word for line in lines for word in re.findall(r"\b[a-z]\w*\b", line)}
 
 
@@ -66,7 +66,7 @@ def _shared(tape: RowTape) -> list[str]:
     return list(dict.fromkeys(name for names in tape.shared for name in names))
 
 
-def _kept(tape: RowTape) -> list[str]:
+def _retained(tape: RowTape) -> list[str]:
     """What is computed for the scene and needed for its states: attributes of the object."""
     every = [name for names in tape.results for name in names] + list(tape.steepest or ())
     needed = {operand for level in ("state", "item") for line in tape.of(level, every) for operand in line[2]}
@@ -82,10 +82,10 @@ def _beginning(tape: RowTape) -> Iterator[str]:
         if owners[number]:
             for index, name in enumerate(names):
                 yield f"    {name}: float = shared[{number}][{index}]"
-    kept = _kept(tape)
-    for line in nested(_values(tape, "scene", kept), kept):
+    retained = _retained(tape)
+    for line in nested(_values(tape, "scene", retained), retained):
         yield f"    {line}"
-    for name in kept:
+    for name in retained:
         yield f"    self._{name}: float = {name}"
     for number, names in enumerate(tape.each):
         kind, entries = ", ".join(["float"] * len(names)), "".join(f"item[{index}], " for index in range(len(names)))
@@ -96,14 +96,14 @@ def _head(tape: RowTape, needed: set[str]) -> Iterator[str]:
     for index, name in enumerate(tape.state):
         if name in needed:
             yield f"    {name}: float = state[{index}]"
-    for name in _kept(tape):
+    for name in _retained(tape):
         if name in needed:
             yield f"    {name} = self._{name}"
 
 
 def _unpacked(tape: RowTape, number: int, lines: Sequence[str]) -> str:
     """The numbers of an item as a target of an assignment, those that no line needs left out."""
-    needed = _words(lines)
+    needed = _text(lines)
     names = [name if name in needed else "_" for name in tape.each[number]]
     return f"({names[0]},)" if len(names) == 1 else ", ".join(names) or "_"
 
@@ -115,7 +115,7 @@ def _heights(tape: RowTape) -> Iterator[str]:
     items = [nested(_values(tape, "item", names), names) for names in tape.results]
     wanted = [*every, *(line for lines in items for line in lines)]
     state = nested(_values(tape, "state", every), wanted)
-    yield from _head(tape, _words([*state, *wanted]))
+    yield from _head(tape, _text([*state, *wanted]))
     yield from (f"    {line}" for line in state)
     yield "    h: list[float] = []"
     for number, lines in enumerate(items):
@@ -135,9 +135,9 @@ def _slopes(tape: RowTape) -> Iterator[str]:
     known_lines, known = tape.state_slopes(sorted(over), PLAIN)
     bodies = [[_row_text(tape, row, known) for row in rows] for rows in groups]
     wanted = [line for bodies_of in bodies for body in bodies_of for line in body]
-    needed = [*over, *(name for name in _words(wanted) if tape.level(name) == "state")]
+    needed = [*over, *(name for name in _text(wanted) if tape.level(name) == "state")]
     state = nested([*_values(tape, "state", needed), *known_lines], wanted)
-    yield from _head(tape, _words([*state, *wanted]))
+    yield from _head(tape, _text([*state, *wanted]))
     yield from (f"    {line}" for line in state)
     yield "    end0 = 0"
     for number, names in enumerate(tape.results):
@@ -206,6 +206,6 @@ def _steepest(tape: RowTape) -> Iterator[str]:
     yield f"def steepest(self, state: Sequence[float]) -> {kind}:"
     yield '    """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""'
     lines = nested(_values(tape, "state", tape.steepest), tape.steepest)
-    yield from _head(tape, _words([*lines, *tape.steepest]))
+    yield from _head(tape, _text([*lines, *tape.steepest]))
     yield from (f"    {line}" for line in lines)
     yield f"    return {', '.join(tape.steepest)}"

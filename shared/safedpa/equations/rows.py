@@ -116,13 +116,13 @@ class RowTape:
 
     def of(self, level: Level, wanted: Sequence[str]) -> list[Line]:
         """The lines of one level that the wanted names need, in order."""
-        needed, kept = set(wanted), list[Line]()
+        needed, retained = set(wanted), list[Line]()
         for line in reversed(self.lines):
             if line[0] in needed:
                 needed.update(line[2])
                 if self._levels[line[0]] == level:
-                    kept.append(line)
-        return kept[::-1]
+                    retained.append(line)
+        return retained[::-1]
 
     def item_slopes(self, result: str, style: Style) -> tuple[list[tuple[str, str]], dict[str, str]]:
         """Lines (name, term) that compute d(result)/d(v) for each v of the state's level, and their terms by v."""
@@ -136,7 +136,7 @@ class RowTape:
                 continue
             for operand, term in zip(operands, handed_on(form, slope, name, operands, style), strict=True):
                 if operand in self._moves and term != "0.0":
-                    terms.setdefault(operand, []).append(self._beside(term, operand))
+                    terms.setdefault(operand, []).append(self._alongside(term, operand))
         return lines, {name: self._named(f"d_{name}", sum_of(found), lines) for name, found in terms.items()}
 
     def state_slopes(self, wanted: Sequence[str], style: Style) -> tuple[list[tuple[str, str]], dict[str, list[str]]]:
@@ -152,7 +152,7 @@ class RowTape:
                 for place, operand in enumerate(operands):
                     slope = known.get(operand, ["0.0"] * len(self.state))[index]
                     if slope != "0.0":
-                        terms.append(self._beside(handed_on(form, slope, name, operands, style)[place], operand))
+                        terms.append(self._alongside(handed_on(form, slope, name, operands, style)[place], operand))
                 entries.append(self._named(f"{name}_{index}", sum_of(terms), lines))
             known[name] = entries
         return lines, known
@@ -161,7 +161,7 @@ class RowTape:
         """d(result)/d(entry of the state) from the slopes over what is computed for the state."""
         return sum_of([product(slope, known[name][index]) for name, slope in over.items() if name in known])
 
-    def _beside(self, term: str, angle: str) -> str:
+    def _alongside(self, term: str, angle: str) -> str:
         """The same with the sine or cosine of an angle where it is computed already."""
         for form in ("sin", "cos"):
             known = next((name for name, other, operands in self.lines if (other, operands) == (form, (angle,))), None)
@@ -193,17 +193,17 @@ def nested(lines: Sequence[tuple[str, str]], wanted: Sequence[str]) -> list[str]
     ``wanted`` are the names and terms that are needed after them.
     """
     after = Counter(word for term in wanted for word in _NAME.findall(term))
-    kept: list[tuple[str, str]] = []
+    retained: list[tuple[str, str]] = []
     alive = set(after)
     for name, term in reversed(lines):
         if name in alive:
-            kept.append((name, term))
+            retained.append((name, term))
             alive.update(_NAME.findall(term))
-    kept.reverse()
-    uses = Counter(word for _, term in kept for word in _NAME.findall(term))
+    retained.reverse()
+    uses = Counter(word for _, term in retained for word in _NAME.findall(term))
     terms: dict[str, str] = {}
     found = []
-    for name, term in kept:
+    for name, term in retained:
         whole = _NAME.sub(lambda match: terms.pop(match[0], match[0]), term)
         if uses[name] == 1 and not after[name] and whole.count("(") < _DEEPEST:
             terms[name] = f"({whole})"

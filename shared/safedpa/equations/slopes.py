@@ -66,11 +66,11 @@ def negative(term: str) -> str:
 
 def sum_of(terms: Sequence[str]) -> str:
     """The text of a sum of products; "0.0" of none."""
-    kept = [term for term in terms if term != _NONE]
-    if not kept:
+    retained = [term for term in terms if term != _NONE]
+    if not retained:
         return _NONE
-    text = kept[0]
-    for term in kept[1:]:
+    text = retained[0]
+    for term in retained[1:]:
         text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
     return text
 

@@ -61,12 +61,12 @@ class Tape:
 
     def keep(self, results: Iterable[str]) -> None:
         """Forgets the lines that no result needs: where x goes within a period, say, if nothing depends on x."""
-        needed, kept = set(results), []
+        needed, retained = set(results), []
         for line in reversed(self.lines):
             if line[0] in needed:
                 needed.update(line[2])
-                kept.append(line)
-        self.lines = kept[::-1]
+                retained.append(line)
+        self.lines = retained[::-1]
 
     def operations(self) -> Operations:
         """A table whose functions write themselves down."""

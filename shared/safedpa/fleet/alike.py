@@ -47,13 +47,13 @@ def with_one_name(outcomes: Sequence[RobotOutcome]) -> list[RobotOutcome]:
 
 
 def _renamed(found: tuple[EffectEvidence, ...], votes: Counter[str]) -> tuple[EffectEvidence, ...]:
-    kept: list[EffectEvidence] = []
+    retained: list[EffectEvidence] = []
     own = {item.effect for item in found}
     for item in found:
         others = [name for name in item.others or {} if name not in own]
         best = max(others, key=lambda name: votes[name], default=item.effect)
-        kept.append(_as(item, best) if votes[best] > votes[item.effect] else item)
-    return tuple(kept)
+        retained.append(_as(item, best) if votes[best] > votes[item.effect] else item)
+    return tuple(retained)
 
 
 def _as(item: EffectEvidence, name: str) -> EffectEvidence:

@@ -51,7 +51,7 @@ class FleetEffect:
 
     effect: str
     numbers: Mapping[str, Pooled]
-    said: Mapping[str, EffectEvidence]
+    notice: Mapping[str, EffectEvidence]
     """What each robot says, by name."""
     found_in: int
     of: int
@@ -111,11 +111,11 @@ def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[Pooled
     showing = [item for item in evidence if _shows(item, judged)][:_ALTERNATIVES]
     found = []
     for item in showing:
-        said = estimates(item.effect, judged)
+        notice = estimates(item.effect, judged)
         rivals = tuple(other.effect for other in showing if other is not item)
-        numbers = pooled_numbers(list(said.values()))
+        numbers = pooled_numbers(list(notice.values()))
         found.append(
-            FleetEffect(item.effect, numbers, said, votes[item.effect], len(judged), item.score, rivals, False)
+            FleetEffect(item.effect, numbers, notice, votes[item.effect], len(judged), item.score, rivals, False)
         )
     return found
 
@@ -132,16 +132,16 @@ def _shows(item: PooledEvidence, judged: Sequence[RobotOutcome]) -> bool:
 def _strong(name: str, count: int, judged: Sequence[RobotOutcome], robot: str) -> FleetEffect:
     own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
     largest = max(connected_components(own, lambda one, other: differ_significantly(one, other, robot)), key=len)
-    said = {outcome.name: outcome.found[0] for outcome in own}
+    notice = {outcome.name: outcome.found[0] for outcome in own}
     numbers = pooled_numbers([outcome.found[0] for outcome in largest])
     wide = any(_wide(robot, name, parameter, item) for parameter, item in numbers.items())
-    rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in said.values()))))
-    return FleetEffect(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
+    rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in notice.values()))))
+    return FleetEffect(name, numbers, notice, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
 
 
 def _only(outcome: RobotOutcome, name: str) -> RobotOutcome:
-    kept = tuple(item for item in outcome.found if item.effect == name)
-    return RobotOutcome(outcome.name, outcome.status, outcome.reason, kept)
+    retained = tuple(item for item in outcome.found if item.effect == name)
+    return RobotOutcome(outcome.name, outcome.status, outcome.reason, retained)
 
 
 def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
@@ -153,8 +153,8 @@ def corrected_settings(robot: str, common: Sequence[FleetEffect], without: str =
     """The fleet's numbers by effect, those of the robot ``without`` left out; free where they differ."""
     found = {}
     for item in common:
-        said = [tried for name, tried in item.said.items() if name != without]
-        numbers = item.numbers if not without else pooled_numbers(said)
+        notice = [tried for name, tried in item.notice.items() if name != without]
+        numbers = item.numbers if not without else pooled_numbers(notice)
         found[item.effect] = {
             parameter.name: _setting(parameter, numbers[parameter.name].mean, item.differs)
             for parameter in effect(robot, item.effect).parameters

@@ -119,9 +119,9 @@ def _odd(judged: Sequence[RobotOutcome]) -> tuple[tuple[str, float], ...]:
 
 
 def fleet_document(
-    analysis: Analysis, mended: Sequence[tuple[FleetEffect, Confirmation]], **about: Any
+    analysis: Analysis, corrected: Sequence[tuple[FleetEffect, Confirmation]], **about: Any
 ) -> dict[str, Any]:
-    """The document of ``fleet.json``; ``mended``: what all have in common, and whether it held on the robots.
+    """The document of ``fleet.json``; ``corrected``: what all have in common, and whether it held on the robots.
 
     ``about``: model, horizon, by, left_out and what it cost.
     """
@@ -132,7 +132,7 @@ def fleet_document(
         **about,
         "counts": {kind: sum(len(g.members) for g in analysis.groups if g.kind == kind) for kind in ORDER},
         "groups": [_group_document(group) for group in analysis.groups],
-        "common": _common_document(mended),
+        "common": _common_document(corrected),
         "false_discovery": _discovery_document(analysis),
         "pooled": [asdict(item) | {"rivals": list(item.rivals)} for item in analysis.evidence],
         "odd": [{"robot": name, "times": round(ratio, 3)} for name, ratio in analysis.odd],
@@ -158,8 +158,8 @@ def _group_document(group: Group) -> dict[str, Any]:
     }
 
 
-def _common_document(mended: Sequence[tuple[FleetEffect, Confirmation]]) -> dict[str, Any] | None:
-    if not mended:
+def _common_document(corrected: Sequence[tuple[FleetEffect, Confirmation]]) -> dict[str, Any] | None:
+    if not corrected:
         return None
     effects = [
         {
@@ -173,9 +173,9 @@ def _common_document(mended: Sequence[tuple[FleetEffect, Confirmation]]) -> dict
             "differs": item.differs,
             "confirmed": {**_plain(asdict(tried)), "holds": tried.holds},
         }
-        for item, tried in mended
+        for item, tried in corrected
     ]
-    return {"effects": effects, "model": "model.toml" if any(tried.holds for _, tried in mended) else None}
+    return {"effects": effects, "model": "model.toml" if any(tried.holds for _, tried in corrected) else None}
 
 
 def _discovery_document(analysis: Analysis) -> dict[str, Any]:

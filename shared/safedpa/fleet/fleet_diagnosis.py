@@ -49,7 +49,7 @@ __all__ = [
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
-Mended = list[tuple[FleetEffect, Confirmation]]
+Corrected = list[tuple[FleetEffect, Confirmation]]
 """What was tried, and whether it held beside what held before it."""
 
 _MOST_TRIED = 40
@@ -65,7 +65,7 @@ class Workers(Protocol):
         """Runs ``work`` on every job somewhere."""
 
 
-def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Mended:
+def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Corrected:
     """Tries what the fleet has in common on robots, each with the others' numbers; writes the model with what holds.
 
     First what nearly all were found to have, one after the other; then, beside it, the best of what shows in all
@@ -74,7 +74,7 @@ def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Work
     path.unlink(missing_ok=True)  # of an earlier fleet
     if not tasks:
         return []
-    told: Mended = []
+    reported: Corrected = []
     held: list[FleetEffect] = []
     errors: Mapping[str, float] = {item.name: item.error_before for item in analysis.outcomes if item.judged}
     steps = [[item] for item in analysis.common] + ([list(analysis.together)] if analysis.together else [])
@@ -82,13 +82,13 @@ def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Work
         tried = [(item, _errors([*held, item], analysis, tasks, workers)) for item in options]
         best, after = max(tried, key=lambda pair: confirm_correction(errors, pair[1]).fall)
         found = confirm_correction(errors, after)
-        told.append((best, found))
+        reported.append((best, found))
         if found.holds:
             held.append(best)
             errors = after
     if held:
         _save(corrected_model(load_model(tasks[0].options.model), corrected_settings(analysis.robot, held)), path)
-    return told
+    return reported
 
 
 def _errors(
@@ -191,7 +191,7 @@ def write_scripts(out: Path) -> None:
         temporary.write_bytes(text)
 
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -203,11 +203,13 @@ class Fleet:
     out: Path
 
 
-def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _all: None, *, anew: bool = False) -> Any:
+def diagnose_fleet(
+    fleet: Fleet, workers: Workers, report_progress: ReportProgress = lambda _done, _all: None, *, again: bool = False
+) -> Any:
     """Diagnoses every robot whose result is not there yet, or is of other inputs; returns the document of fleet.json.
 
     Writes ``robots/NAME/`` (result.json, report.json, report.html, model.toml) as each robot is done, then
-    ``fleet.json``, ``fleet.html`` and, where the fleet has an effect in common, ``model.toml``. ``anew``: all of it.
+    ``fleet.json``, ``fleet.html`` and, where the fleet has an effect in common, ``model.toml``. ``again``: all of it.
     Raises InputError and ModelFileError for a model or options that no robot could be diagnosed with, RecordingError
     when the folder cannot be written.
     """
@@ -218,13 +220,13 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
     tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
     clear_others(tasks, out)
     write_scripts(out)
-    todo = [task for task in tasks if anew or not has_current_result(task, out)]
+    todo = [task for task in tasks if again or not has_current_result(task, out)]
     done = len(tasks) - len(todo)
-    tell(done, len(tasks))
+    report_progress(done, len(tasks))
     for result in workers(diagnose_robot, todo, failed_result):
         write_result(result, out)
         done += 1
-        tell(done, len(tasks))
+        report_progress(done, len(tasks))
     analysis = analyse_fleet([outcome_of(*pair) for pair in iterate_results(tasks, out)], given.system.name)
     common = correct_fleet_model(analysis, tasks, workers, out / "model.toml")
     document = fleet_document(analysis, common, **_about(fleet, len(todo)))

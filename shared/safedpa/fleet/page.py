@@ -148,8 +148,8 @@ def _rest(document: Mapping[str, Any], lanes: Sequence[int], numbers: Mapping[st
 
 def _numbers(analysis: Analysis, effect: str, parameter: str) -> tuple[dict[str, Number], str]:
     """What each robot's data say of one number, by the robot's name, and its unit."""
-    said = estimates(effect, [item for item in analysis.outcomes if item.judged])
-    numbers = {name: item.numbers[parameter] for name, item in said.items() if parameter in item.numbers}
+    notice = estimates(effect, [item for item in analysis.outcomes if item.judged])
+    numbers = {name: item.numbers[parameter] for name, item in notice.items() if parameter in item.numbers}
     for outcome in analysis.outcomes:
         own = (outcome.free or {}).get(f"{effect}.{parameter}")
         if own is not None:

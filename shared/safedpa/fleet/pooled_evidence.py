@@ -72,8 +72,8 @@ def pooled_number(numbers: Sequence[Number]) -> Pooled:
     centre = float((weights * values).sum() / weights.sum())
     surplus = float((weights * (values - centre) ** 2).sum()) - (len(values) - 1)
     size = float(weights.sum() - (weights**2).sum() / weights.sum())
-    told_apart = size > _ROUNDING * float(weights.sum())  # of one robot it is 0 but for rounding errors
-    spread = math.sqrt(max(0.0, surplus / size)) if told_apart else 0.0
+    reported_apart = size > _ROUNDING * float(weights.sum())  # of one robot it is 0 but for rounding errors
+    spread = math.sqrt(max(0.0, surplus / size)) if reported_apart else 0.0
     shrunk = 1.0 / (stds**2 + spread**2)
     mean = float((shrunk * values).sum() / shrunk.sum())
     deviation = float(shrunk.sum() ** -0.5)
@@ -89,13 +89,13 @@ def pooled_numbers(tried: Sequence[EffectEvidence]) -> dict[str, Pooled]:
 
 def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, EffectEvidence]:
     """What each robot says of an effect, found or not, by the robot's name; robots that did not try it are missing."""
-    said = {}
+    notice = {}
     for outcome in outcomes:
         own = {item.effect: item for item in outcome.found}
         item = own.get(effect) or (outcome.last or {}).get(effect)
         if item is not None:
-            said[outcome.name] = item
-    return said
+            notice[outcome.name] = item
+    return notice
 
 
 def evidence_over(outcomes: Sequence[RobotOutcome]) -> list[PooledEvidence]:

@@ -47,12 +47,12 @@ def numbers_text(group: Mapping[str, Any]) -> str:
 
 def headline(document: Mapping[str, Any]) -> str:
     """The fleet in one sentence: ``60 robots: 3 lack rolling_resistance (...); in 55 nothing is missing.``"""
-    parts = [_told(group) for group in document["groups"]]
+    parts = [_reported(group) for group in document["groups"]]
     total = len(document["robots"])
     return f"{total} robot{'' if total == 1 else 's'}: {'; '.join(parts)}."
 
 
-def _told(group: Mapping[str, Any]) -> str:
+def _reported(group: Mapping[str, Any]) -> str:
     count, title = len(group["robots"]), group_title(group)
     one = count == 1
     if group["kind"] == "missing":
@@ -73,8 +73,8 @@ def common_sentence(document: Mapping[str, Any]) -> str:
     common = document["common"]
     if common is None:
         return ""
-    told = " ".join(f"{_common_part(item)} {_tried_text(item)}" for item in common["effects"])
-    text = f"The fleet has in common: {told}"
+    reported = " ".join(f"{_common_part(item)} {_tried_text(item)}" for item in common["effects"])
+    text = f"The fleet has in common: {reported}"
     return f"{text} Mend the model file: {common['model']} holds it." if common["model"] else text
 
 

@@ -18,11 +18,11 @@ def check_archive(path: Path) -> None:
             members = archive.infolist()
             if len(members) > limit("archive_members"):
                 raise too_much("archive_members", len(members), str(path))
-            told = sum(member.file_size for member in members)
+            reported = sum(member.file_size for member in members)
             packed = path.stat().st_size
-            if told > limit("archive_bytes"):
-                raise too_much("archive_bytes", f"{told} bytes", str(path))
-            if told > max(limit("expansion_free_bytes"), packed * limit("expansion")):
-                raise too_much("expansion", told // max(1, packed), str(path))
+            if reported > limit("archive_bytes"):
+                raise too_much("archive_bytes", f"{reported} bytes", str(path))
+            if reported > max(limit("expansion_free_bytes"), packed * limit("expansion")):
+                raise too_much("expansion", reported // max(1, packed), str(path))
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
         raise InputError(f"{path}: is no whole archive ({' '.join(str(error).split())[:120]})") from error

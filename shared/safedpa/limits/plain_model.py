@@ -17,8 +17,8 @@ _NUMBER = r"[-+]?[0-9.][0-9.eE+-]{0,39}|[-+]?inf|[-+]?nan|true|false"
 _TEXT = r"""\"[^"\\\x00-\x1f]{0,200}"|'[^'\x00-\x1f]{0,200}'"""
 _PARTS = r"\{[^{}\[\]]{0,300}\}"
 """Such as ``{ value = 0.3, free = true }``."""
-_SAID = rf"\[\[?{_NAME}\]?\]|{_NAME}[ \t]*+=[ \t]*+(?:{_NUMBER}|{_TEXT}|{_PARTS})"
-_LINE = re.compile(rf"[ \t]*+(?:{_SAID})?[ \t]*+(?:#.{{0,400}})?\r?")
+_MESSAGE = rf"\[\[?{_NAME}\]?\]|{_NAME}[ \t]*+=[ \t]*+(?:{_NUMBER}|{_TEXT}|{_PARTS})"
+_LINE = re.compile(rf"[ \t]*+(?:{_MESSAGE})?[ \t]*+(?:#.{{0,400}})?\r?")
 
 
 def check_plain_model(document: str) -> None:

@@ -28,7 +28,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is the first; so is a number of too many digits
-        raise InputError(f"not TOML: {_words(error)}") from error
+        raise InputError(f"not TOML: {_text(error)}") from error
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -39,13 +39,13 @@ def parse_json(text: str | bytes) -> Any:
         try:
             text = text.decode()
         except UnicodeDecodeError as error:
-            raise InputError(f"not JSON: {_words(error)}") from error
+            raise InputError(f"not JSON: {_text(error)}") from error
     _check_bytes(text, "json_bytes")
     _measure_json(text)
     try:
         return json.loads(text, parse_int=_integer)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {_words(error)}") from error
+        raise InputError(f"not JSON: {_text(error)}") from error
 
 
 def refuse_unknown(
@@ -120,13 +120,13 @@ def _after_string(text: str, start: int, quote: str) -> int:
 
 def _measure_json(text: str) -> None:
     most, depth = limit("json_depth"), 0
-    for sign in _BESIDE_BRACKETS.sub("", text):
+    for sign in _ALONGSIDE_BRACKETS.sub("", text):
         depth += 1 if sign in "[{" else -1
         if depth > most:
             raise too_much("json_depth", f"more than {most}")
 
 
-_BESIDE_BRACKETS = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)|[^\[\]{}"]++', re.DOTALL)
+_ALONGSIDE_BRACKETS = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)|[^\[\]{}"]++', re.DOTALL)
 """Strings, also one that does not end, and everything else that opens and closes nothing."""
 
 
@@ -136,5 +136,5 @@ def _integer(text: str) -> int:
     return int(text)
 
 
-def _words(error: Exception) -> str:
+def _text(error: Exception) -> str:
     return "brackets too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())[:200]

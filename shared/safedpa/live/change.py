@@ -59,24 +59,26 @@ class ModelChanges:
     ) -> None:
         self._lock = RLock()
         self._folder, self._settings = folder, settings or ChangeSettings()
-        kept = None if folder is None else folder.load()
-        self._kept = kept or PersistedState((first,))
-        self._version = self._kept.versions[-1]
+        retained = None if folder is None else folder.load()
+        self._retained = retained or PersistedState((first,))
+        self._version = self._retained.versions[-1]
         self._coming: ModelVersion | None = None
         self._state: StateMessage | None = None
         self._change: ChangeInProgress | None = None
-        self._told: deque[ModelMessage] = deque()
+        self._reported: deque[ModelMessage] = deque()
         self._strays = ModelMismatchMonitor()
         self._finding = 0
         self._candidates: dict[str, OfferedEffect] = {}
-        self.sentence = "the model is the one that the robot began with" if kept is None else "taken up after a restart"
+        self.sentence = (
+            "the model is the one that the robot began with" if retained is None else "taken up after a restart"
+        )
         """What became of the last change."""
-        if self._kept.offered:
+        if self._retained.offered:
             lost = ChangeInProgress(
-                self._kept.change, "undecided", "", self.fingerprint, (), ModelVersion(self._kept.offered, "")
+                self._retained.change, "undecided", "", self.fingerprint, (), ModelVersion(self._retained.offered, "")
             )
-            self._told.append(lost.message("drop", "the diagnosis was restarted"))
-            self._kept = replace(self._kept, offered="")
+            self._reported.append(lost.message("drop", "the diagnosis was restarted"))
+            self._retained = replace(self._retained, offered="")
 
     @property
     def version(self) -> ModelVersion:
@@ -91,7 +93,7 @@ class ModelChanges:
     @property
     def versions(self) -> tuple[ModelVersion, ...]:
         """Agreed on, oldest first; the last is in force, or will be in a few ticks. ``roll_back`` removes it."""
-        return self._kept.versions
+        return self._retained.versions
 
     @property
     def under_way(self) -> str:
@@ -108,7 +110,7 @@ class ModelChanges:
     @property
     def rejected(self) -> frozenset[tuple[int, str]]:
         """(finding, effect) that a person rejected."""
-        return frozenset(self._kept.rejected)
+        return frozenset(self._retained.rejected)
 
     def propose(self, finding: int, candidates: Mapping[str, OfferedEffect]) -> None:
         """What may be accepted from now on: candidates of one finding by effect, best first; empty: none."""
@@ -140,8 +142,8 @@ class ModelChanges:
         with self._lock:
             self._state = state
             self._settle(state)
-            if self._told:
-                return with_stamp(self._told.popleft(), state, time.time())
+            if self._reported:
+                return with_stamp(self._reported.popleft(), state, time.time())
             self._change = self._change or self._repair()
             message = None if self._change is None else self._advance(self._change, state)
             return None if message is None else with_stamp(message, state, time.time())
@@ -155,7 +157,7 @@ class ModelChanges:
                 under_way="" if self._change is None else f"{self._change.name} by {self._change.who or 'somebody'}",
                 finding=self._finding,
                 candidates=self._open_candidates(),
-                versions=len(self._kept.versions),
+                versions=len(self._retained.versions),
                 alive=self._state is not None,
             )
             if refusal:
@@ -175,24 +177,26 @@ class ModelChanges:
         return change
 
     def _roll_back(self, who: str, reason: str = "") -> ChangeInProgress:
-        *before, last = self._kept.versions
+        *before, last = self._retained.versions
         change = self._begun(f"roll back {last.why or 'the last change'}{reason}", who)
         change.version, change.versions = before[-1], tuple(before)
         return change
 
     def _begun(self, why: str, who: str) -> ChangeInProgress:
-        self._kept = replace(self._kept, change=self._kept.change + 1)
-        self._change = ChangeInProgress(self._kept.change, why, who, self.fingerprint, self._kept.versions, None)
+        self._retained = replace(self._retained, change=self._retained.change + 1)
+        self._change = ChangeInProgress(
+            self._retained.change, why, who, self.fingerprint, self._retained.versions, None
+        )
         return self._change
 
     def _reject(self, request: Request) -> Answer:
-        rejected = (*self._kept.rejected, (request.finding, request.effect))
-        problem = self._keep(replace(self._kept, change=self._kept.change + 1, rejected=rejected))
+        rejected = (*self._retained.rejected, (request.finding, request.effect))
+        problem = self._keep(replace(self._retained, change=self._retained.change + 1, rejected=rejected))
         if problem:
             return self._answer(False, f"refused: {problem}")
         what = f"reject {request.effect} of finding {request.finding}"
-        noted = ChangeInProgress(self._kept.change, what, request.who, self.fingerprint, (), None)
-        self._told.append(noted.message("drop"))  # for the recording; no service was offered anything
+        noted = ChangeInProgress(self._retained.change, what, request.who, self.fingerprint, (), None)
+        self._reported.append(noted.message("drop"))  # for the recording; no service was offered anything
         return self._answer(True, f"{request.effect} is rejected")
 
     def _open_candidates(self) -> tuple[str, ...]:
@@ -200,13 +204,13 @@ class ModelChanges:
 
     def _settle(self, state: StateMessage) -> None:
         """From its tick on the new version is in force; a robot that started anew begins with it."""
-        self._strays.settle(state, anew=False)
+        self._strays.settle(state, again=False)
         change, coming = self._change, self._coming
         if coming is None or change is None:
             return
         if state.epoch != change.epoch or state.tick >= change.from_tick:
             self._version, self._coming = coming, None
-            self._strays.settle(state, anew=True)
+            self._strays.settle(state, again=True)
 
     def _advance(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
         change.steps += 1
@@ -226,7 +230,7 @@ class ModelChanges:
         if change.version is None:
             late = change.steps > self._settings.prepare
             return self._give_up(change, "its model was not made in time") if late else None
-        problem = self._keep(replace(self._kept, offered=change.version.fingerprint))
+        problem = self._keep(replace(self._retained, offered=change.version.fingerprint))
         if problem:
             return self._give_up(change, problem)
         change.enter("offer")
@@ -234,7 +238,7 @@ class ModelChanges:
 
     def _decide(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
         """Kept first, told then: whoever asks after a crash hears what was decided."""
-        problem = self._keep(replace(self._kept, versions=change.versions, offered=""))
+        problem = self._keep(replace(self._retained, versions=change.versions, offered=""))
         if problem:
             return self._give_up(change, problem)
         change.enter("take")
@@ -249,7 +253,7 @@ class ModelChanges:
         late = bool(change.refused) or change.steps > self._settings.ahead + self._settings.taken
         if not change.unconfirmed and self._coming is None:
             self._finish(f"{change.name}: taken by everyone{change.consequence}")
-            self._strays.mended()
+            self._strays.corrected()
         elif late and self._coming is None:
             self._finish(f"{change.name}: {change.unconfirmed} did not confirm it")
         elif change.steps % self._settings.repeat == 0:
@@ -259,10 +263,10 @@ class ModelChanges:
     def _give_up(self, change: ChangeInProgress, reason: str) -> ModelMessage:
         """Everyone stays on the version in force; where one of them cannot use it, all go back."""
         self._finish(f"{change.name}: dropped, {reason}")
-        self._keep(replace(self._kept, offered=""))
+        self._keep(replace(self._retained, offered=""))
         if change.repair:
-            self._strays.not_mended()
-            if change.refused and len(self._kept.versions) > 1:
+            self._strays.not_corrected()
+            if change.refused and len(self._retained.versions) > 1:
                 self._roll_back("diagnosis", f", as {reason}")
         return change.message("drop", reason)
 
@@ -278,14 +282,14 @@ class ModelChanges:
         change.version, change.repair = self._version, True
         return change
 
-    def _keep(self, kept: PersistedState) -> str:
+    def _keep(self, retained: PersistedState) -> str:
         """Why it cannot be kept; what is kept stays as it was then."""
         try:
             if self._folder is not None:
-                self._folder.save(kept)
+                self._folder.save(retained)
         except RecordingError as error:
             return str(error)
-        self._kept = kept
+        self._retained = retained
         return ""
 
     def _status(self) -> Answer:
@@ -308,11 +312,11 @@ class ModelChanges:
         return Answer(
             ok=ok,
             sentence=sentence,
-            change=self._kept.change,
+            change=self._retained.change,
             fingerprint=self.fingerprint,
             finding=self._finding,
             candidates=self._open_candidates(),
-            earlier=len(self._kept.versions) - 1,
+            earlier=len(self._retained.versions) - 1,
         )
 
 

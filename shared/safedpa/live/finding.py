@@ -83,7 +83,7 @@ _NONE = 1.0
 """Of the evidence: it does not fall to 0 even where nothing has ever happened."""
 _REPLAYED = 3.0
 """Horizons of the past that a new model predicts at once."""
-_TOLD_SECONDS = 60.0
+_REPORTED_SECONDS = 60.0
 """How long after a change of the model the error before is told beside the error now."""
 
 
@@ -144,7 +144,7 @@ class RobotDiagnosis:
         self._adopted: _Adopted | None = None
         self.time = 0.0
         """s; of the newest tick, by the robot's clock."""
-        self._told: tuple[object, ...] = ()
+        self._reported: tuple[object, ...] = ()
         self._sent = 0
 
     @property
@@ -202,9 +202,9 @@ class RobotDiagnosis:
         self._think(state)
         second = int(state.robot_time + 1e-9)
         news = (second, self.stage, self.number, id(self.outcome))
-        if news == self._told:
+        if news == self._reported:
             return None
-        fresh, self._told = news[1:] != self._told[1:], news
+        fresh, self._reported = news[1:] != self._reported[1:], news
         return self._message(state, fresh)
 
     def _think(self, state: StateMessage) -> None:
@@ -276,7 +276,7 @@ class RobotDiagnosis:
     def _sentence(self, stage: str) -> str:
         watch, finding = self.watch, self._finding
         error = f"the error over {self._horizon:g} s is {watch.error:.3f}"
-        if self._adopted is not None and self.time - self._adopted.at < _TOLD_SECONDS and finding is None:
+        if self._adopted is not None and self.time - self._adopted.at < _REPORTED_SECONDS and finding is None:
             error = f"{error}, {self._adopted.before:.3f} with the model before"
         if finding is None or watch.band is None:
             learned = f"still learning what is usual: {watch.seconds_to_learn:.0f} s of driving to go"
@@ -287,26 +287,26 @@ class RobotDiagnosis:
             )
         left = f"finding {self.number}: {error}, its band ends at {watch.band.error:.3f}"
         if finding.outcome is not None:
-            return f"{left}; {_told_outcome(finding.outcome)}"
+            return f"{left}; {_reported_outcome(finding.outcome)}"
         seconds = self.history.seconds_since(finding.first)
         if finding.searching:
             return f"{left}; looking for the missing effect in {finding.seconds:.0f} s of driving"
         return f"{left}; {seconds:.0f} of {finding.seconds:.0f} s are recorded for the search"
 
 
-def _told_outcome(outcome: WorkOutcome) -> str:
+def _reported_outcome(outcome: WorkOutcome) -> str:
     if outcome.failure:
         return f"the search failed: {outcome.failure}"
     if not outcome.effects:
         return "no effect of the library explains it"
     first, report = outcome.effects[0], json.loads(outcome.report)
     own = named_candidate(report["candidates"], first) or {}
-    before, after = _error_told(report["stages"][0]["heldout_error"]), _error_told(own.get("heldout_error"))
+    before, after = _error_reported(report["stages"][0]["heldout_error"]), _error_reported(own.get("heldout_error"))
     certain = "explains it" if outcome.documents else "may explain it, but unseen data do not confirm it"
     return f"{first} {certain}: held-out error {before} without, {after} with it"
 
 
-def _error_told(error: float | None) -> str:
+def _error_reported(error: float | None) -> str:
     """Not every prediction stays a number, and not every candidate is tried on unseen data."""
     return "unknown" if error is None else f"{error:.3f}"
 

@@ -62,7 +62,7 @@ class CandidateForecasts:
             self.running = self.waiting.pop(0)
             worker.begin(robot, self.running)
 
-    def told(self, margin: str, foretell: Foretell) -> dict[str, str]:
+    def reported(self, margin: str, foretell: Foretell) -> dict[str, str]:
         """What accepting each effect does that was looked at, in words; ``margin`` is the text of the one in force."""
         return {
             effect: f"it cannot be made: {found.failure}"

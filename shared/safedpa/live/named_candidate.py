@@ -22,6 +22,6 @@ def named_candidate(candidates: Iterable[Mapping[str, Any]], effect: str) -> Map
 
 def _place(item: Mapping[str, Any]) -> tuple[bool, bool, float]:
     """Sorts the accepted one first, then by error; NaN, which is neither before nor after a number, as none."""
-    told = item.get("heldout_error")
-    error = inf if told is None or isnan(told) else float(told)
+    reported = item.get("heldout_error")
+    error = inf if reported is None or isnan(reported) else float(reported)
     return item.get("decision") != "accepted", error == inf, error

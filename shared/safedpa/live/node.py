@@ -44,7 +44,7 @@ __all__ = ["DiagnosisNode"]
 class _DiagnosedRobot:
     diagnosis: RobotDiagnosis
     footprint: tuple[float, ...] = ()
-    told: WorkOutcome | None = None
+    reported: WorkOutcome | None = None
     """Whose candidates are proposed."""
     preparing: SearchJob | None = None
     ahead: CandidateForecasts = field(default_factory=CandidateForecasts)
@@ -118,8 +118,8 @@ class DiagnosisNode(AbstractNode):
         answer, known = changes.answer(request), self._robots.get(robot)
         if request.do != "status" or known is None or self._foretell is None:
             return answer
-        told = known.ahead.told(changes.version.margin, self._foretell)
-        return replace(answer, foreseen=tuple(told.get(effect, "") for effect in answer.candidates))
+        reported = known.ahead.reported(changes.version.margin, self._foretell)
+        return replace(answer, foreseen=tuple(reported.get(effect, "") for effect in answer.candidates))
 
     def changes_of(self, robot: str) -> ModelChanges:
         """The versions of a robot's model; they outlive a restart of the robot."""
@@ -162,8 +162,8 @@ class DiagnosisNode(AbstractNode):
     def _propose(self, known: _DiagnosedRobot, changes: ModelChanges) -> None:
         """Hands on what may be accepted; when a person rejected all of it, the error is usual from now on."""
         outcome, number = known.diagnosis.outcome, known.diagnosis.number
-        if outcome is not known.told:
-            known.told = outcome
+        if outcome is not known.reported:
+            known.reported = outcome
             effects = () if outcome is None else outcome.effects
             changes.propose(number, {effect: OfferedEffect(effect) for effect in effects})
             if self._foretell is not None:

@@ -145,11 +145,11 @@ class ModelMismatchMonitor:
         if message.service in SERVICES:
             self._health[message.service] = message
 
-    def settle(self, state: StateMessage, *, anew: bool) -> None:
-        """Once per tick; ``anew`` from the tick on at which another version is in force."""
-        if self._since is None or self._since[0] != state.epoch or anew:
+    def settle(self, state: StateMessage, *, again: bool) -> None:
+        """Once per tick; ``again`` from the tick on at which another version is in force."""
+        if self._since is None or self._since[0] != state.epoch or again:
             self._since = (state.epoch, state.tick)
-        self._ticks += not anew
+        self._ticks += not again
 
     def found(self, fingerprint: str) -> str:
         """Who uses another model than the one in force, in words; empty: nobody, or it is too early to say."""
@@ -165,11 +165,11 @@ class ModelMismatchMonitor:
             self._health = {}
         return ", ".join(f"{name} uses {model}" for name, model in sorted(strays.items()))
 
-    def mended(self) -> None:
+    def corrected(self) -> None:
         """A change was taken by everyone."""
         self._pause = _FIRST_PAUSE
 
-    def not_mended(self) -> None:
+    def not_corrected(self) -> None:
         """A repair came to nothing: the next one waits."""
         self._again_at = self._ticks + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE)

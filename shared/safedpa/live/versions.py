@@ -70,25 +70,25 @@ class VersionFolder:
             table = parse_json(text_of_file(path, "json_bytes"))
             versions = tuple(ModelVersion(**entry) for entry in table["versions"])
             rejected = tuple((int(number), str(effect)) for number, effect in table["rejected"])
-            kept = PersistedState(versions, int(table["change"]), str(table["offered"]), rejected)
+            retained = PersistedState(versions, int(table["change"]), str(table["offered"]), rejected)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError, InputError) as error:
             raise InputError(f"{path}: cannot be read ({error}); move it away to begin without it") from error
-        if not kept.versions:
+        if not retained.versions:
             raise InputError(f"{path}: got no version, wanted at least one; move it away to begin without it")
-        return kept
+        return retained
 
-    def save(self, kept: PersistedState) -> None:
+    def save(self, retained: PersistedState) -> None:
         """Keeps it before anybody acts on it. Raises RecordingError when that fails; what was kept before stays."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            newest = kept.versions[-1]
+            newest = retained.versions[-1]
             stem = f"model-{newest.change:03d}-{newest.fingerprint}"
             write_through(self.folder / f"{stem}.toml", newest.document)
             if newest.margin:
                 write_through(self.folder / f"{stem}.margin.json", newest.margin)
-            table: dict[str, Any] = asdict(kept)
+            table: dict[str, Any] = asdict(retained)
             write_through(self.folder / _STATE, json.dumps(table, indent=1))
         except OSError as error:
             raise RecordingError(f"{self.folder}: cannot be written ({error.strerror}); free space there") from error

@@ -160,8 +160,8 @@ def _condition(system: System, forecasts: Sequence[Forecast], errors: FloatArray
         below, above = float(low.mean()) + 1e-12, float(high.mean()) + 1e-12
         side = "above" if above > below else "below"
         found.append((max(above / below, below / above), f", most where {name} is {side} {middle:.2g} {unit}".rstrip()))
-    times, words = max(found, default=(0.0, ""))
-    return words if times >= _TIMES else ""
+    times, phrase = max(found, default=(0.0, ""))
+    return phrase if times >= _TIMES else ""
 
 
 def _heading(system: System, forecasts: Sequence[Forecast], errors: FloatArray) -> str:
@@ -248,7 +248,7 @@ _LEARN = 40
 _SETTLE = 2
 """Forecasts left out at the start: actuators may remember what nobody saw."""
 _COVERED_SECONDS = 20.0
-_KEPT = 80
+_RETAINED = 80
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class ModelMonitor:
         """None while it is being learned."""
         self.evidence = EDetector()
         self._forecasts = ForecastTracker(model, horizon, period)
-        self._seen: deque[Forecast] = deque(maxlen=_KEPT)
+        self._seen: deque[Forecast] = deque(maxlen=_RETAINED)
         self._settling = _SETTLE
         self._judged_until = -1
         self._covered: deque[bool] = deque(maxlen=round(_COVERED_SECONDS / (period or model.period)))

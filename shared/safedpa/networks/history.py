@@ -78,9 +78,9 @@ class HistoryEncoder:
 
     def padded(self, rows: FloatArray) -> FloatArray:
         """The last k rows (..., k, row_length), with rows of zeros in front where there are fewer."""
-        kept = rows[..., max(0, rows.shape[-2] - self.length) :, :]
-        missing = self.length - kept.shape[-2]
-        return np.concatenate([np.zeros((*kept.shape[:-2], missing, self.row_length)), kept], axis=-2)
+        retained = rows[..., max(0, rows.shape[-2] - self.length) :, :]
+        missing = self.length - retained.shape[-2]
+        return np.concatenate([np.zeros((*retained.shape[:-2], missing, self.row_length)), retained], axis=-2)
 
     def encode(self, rows: FloatArray) -> FloatArray:
         """z (..., latents) for exactly k rows (..., k, row_length), within the range that the networks know.

@@ -69,7 +69,7 @@ class HistoryStreams:
             product(before.window(tick), matrix, out=y)
             np.add(y, bias, out=y)
             np.maximum(y, _ZERO, out=y)
-            after.kept(tick)
+            after.retained(tick)
         self._ticks = tick + 1
         return self._encoded(tick)
 
@@ -123,16 +123,16 @@ class _Series:
                 self._windows.append(phase[:, start + width : twin + width])
 
     def place(self, tick: int) -> Float32Array:
-        """Where the value (robots, width) of a tick goes; ``kept`` says that it is there."""
+        """Where the value (robots, width) of a tick goes; ``retained`` says that it is there."""
         return self._places[tick % len(self._places)]
 
-    def kept(self, tick: int) -> None:
+    def retained(self, tick: int) -> None:
         at = tick % len(self._places)
         self._twins[at][:] = self._places[at]
 
     def keep(self, value: Float32Array, tick: int) -> None:
         self.place(tick)[:] = value
-        self.kept(tick)
+        self.retained(tick)
 
     def window(self, tick: int) -> Float32Array:
         """(robots, kernel width): the value of a tick last, before it those ``spacing``, 2 ``spacing``, ... earlier."""

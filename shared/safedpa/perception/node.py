@@ -66,7 +66,7 @@ class PerceptionNode(AbstractNode):
         around = self._of(robot)
         in_force = self.switches.in_force(robot, state.sources, state.tick)
         if in_force != self._in_force.get(robot) and not self.switches.replays(robot):
-            self._tell(robot, state, in_force)
+            self._report(robot, state, in_force)
         seen = around.at(state, in_force)
         counting = in_force.at(state.values[3] if len(state.values) > 3 else None)
         message = SurroundingsMessage(
@@ -98,21 +98,23 @@ class PerceptionNode(AbstractNode):
             if epoch == state.epoch and name in state.sources
         )
 
-    def _tell(self, robot: str, state: StateMessage, now: ActiveZones) -> None:
+    def _report(self, robot: str, state: StateMessage, now: ActiveZones) -> None:
         """What takes something away from what is told: when a robot is met, and when somebody switched."""
         known, self._in_force[robot] = self._in_force.get(robot), now
-        tell = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
+        report_progress = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
         ignored = ", ".join(zone.name for zone in now.zones if zone.kind == "ignored")
         off, on = ", ".join(sorted(now.off)), ", ".join(zone.name for zone in now.zones)
         strange = ", ".join(name for name in self._settings.sources if name not in state.sources)
         if known is not None:
-            tell("perception.switched", f"zones that count: {on or 'none'}; sources off: {off or 'none'}")
+            report_progress("perception.switched", f"zones that count: {on or 'none'}; sources off: {off or 'none'}")
         elif strange:
-            tell("perception.source_unknown", f"the file names the source {strange}, the robot does not")
+            report_progress("perception.source_unknown", f"the file names the source {strange}, the robot does not")
         if ignored:
-            tell("perception.ignores", f"what is seen in {ignored} is not told, and nobody is taken to hide there")
+            report_progress(
+                "perception.ignores", f"what is seen in {ignored} is not told, and nobody is taken to hide there"
+            )
         if off:
-            tell("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
+            report_progress("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
 
     def _of(self, robot: str) -> SurroundingsTracker:
         if robot not in self._robots:

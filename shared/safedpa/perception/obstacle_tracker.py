@@ -27,7 +27,7 @@ __all__ = ["ObstacleTracker"]
 
 _WIDTH = 0.06
 """m around the middle through which every ray must pass."""
-_BESIDE = 1.5 * CELL
+_ALONGSIDE = 1.5 * CELL
 """m; noise throws a point so far."""
 _SLACK = 8
 """Cells by which the robot leaves the grid's middle before the grid follows."""
@@ -107,7 +107,9 @@ class ObstacleTracker:
         hit = np.zeros_like(own)
         hit[i, j] = True
         seen = (distance < sight - BEHIND) & ~hit
-        empty = seen & ~dilate(hit, _BESIDE, beyond=False)  # along a wall one sees far past what stands beside the ray
+        empty = seen & ~dilate(
+            hit, _ALONGSIDE, beyond=False
+        )  # along a wall one sees far past what stands beside the ray
         self._forget(empty, sweep)
         self._add(hit, sweep)
         self._place(i, j, ends)
@@ -150,12 +152,12 @@ class ObstacleTracker:
         own, time, emptied = self.settings, sweep.time, self._emptied[sweep.source]
         new = hit & (self.first == inf)
         at_rest = self.at_rest(time, self.moving(time))
-        beside = dilate(self._solid(time, at_rest), _BESIDE, beyond=False)
-        beside |= dilate(at_rest, _BESIDE, beyond=False) & ~emptied
-        appeared = new & ~beside & emptied
-        came = new & ~beside & ~appeared & dilate(self.hiding.reached(time), own.widest, beyond=True)
-        restless = dilate(self._moved > time - own.restless, _BESIDE, beyond=False)
-        self._moved[appeared | (new & ~beside & restless)] = time
+        alongside = dilate(self._solid(time, at_rest), _ALONGSIDE, beyond=False)
+        alongside |= dilate(at_rest, _ALONGSIDE, beyond=False) & ~emptied
+        appeared = new & ~alongside & emptied
+        came = new & ~alongside & ~appeared & dilate(self.hiding.reached(time), own.widest, beyond=True)
+        restless = dilate(self._moved > time - own.restless, _ALONGSIDE, beyond=False)
+        self._moved[appeared | (new & ~alongside & restless)] = time
         self._doubtful[came] = True
         self.first[new] = time
         self.last[hit] = np.maximum(self.last[hit], time)

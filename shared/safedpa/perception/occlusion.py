@@ -55,7 +55,7 @@ class OcclusionMap:
         """s; the newest look that saw a cell without anybody in it, or something solid there."""
         self._newest = -inf
         """s; the newest look."""
-        self.nobody: BoolArray = np.zeros((size, size), dtype=bool)
+        self.no_one: BoolArray = np.zeros((size, size), dtype=bool)
         """(size, size) cells in which a person says that nobody hides: nobody comes out of them. Who would come through
         them is told where he comes in."""
 
@@ -65,7 +65,7 @@ class OcclusionMap:
         self.present = shift_cells(self.present, way, True)
         self._stuck = shift_cells(self._stuck, way, False)
         self._left, self._shown = shift_cells(self._left, way, -inf), shift_cells(self._shown, way, -inf)
-        self.nobody = shift_cells(self.nobody, way, False)
+        self.no_one = shift_cells(self.no_one, way, False)
 
     def look(self, time: float, seen: BoolArray, solid: BoolArray, own: BoolArray, leaves: BoolArray) -> None:
         """Takes up what ``solid`` is at rest at ``time`` [s], the robot's ``own``, and cells past whose middle, within
@@ -92,7 +92,7 @@ class OcclusionMap:
 
         Between what hides and what is solid nobody comes out: behind a wall somebody may be, and stays there.
         """
-        present = self.present & ~self.nobody
+        present = self.present & ~self.no_one
         open_room = ~present & ~self._stuck
         return present & dilate(open_room, 1.5 * CELL, beyond=False)
 
@@ -101,7 +101,7 @@ class OcclusionMap:
 
         Who comes out of where a person says that nobody hides was not seen to come either.
         """
-        return (self._earliest <= time) | self.nobody
+        return (self._earliest <= time) | self.no_one
 
     def wait(self, time: float) -> None:
         """Nobody looked until ``time`` [s]: the front goes on."""
@@ -116,7 +116,7 @@ class OcclusionMap:
     def _spread(self, time: float, leaves: BoolArray) -> None:
         start = np.where(leaves, time, inf)
         start = np.where(self.present, np.minimum(self._earliest, start), start)
-        start[self.nobody] = inf
+        start[self.no_one] = inf
         np.minimum(self._earliest, _reached(start, self._shown, self._fastest), out=self._earliest)
 
 

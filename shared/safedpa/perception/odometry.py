@@ -12,7 +12,7 @@ __all__ = ["OdometryBuffer", "Pose"]
 Pose = tuple[float, float, float]
 """x, y in m, yaw in rad, turns counted or not."""
 
-_KEPT = 200
+_RETAINED = 200
 """Poses; 10 s at 20 Hz."""
 
 
@@ -21,8 +21,8 @@ class OdometryBuffer:
     """Poses by the robot's own clock, the newest last."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_KEPT)
-        self._poses: deque[Pose] = deque(maxlen=_KEPT)
+        self._times: deque[float] = deque(maxlen=_RETAINED)
+        self._poses: deque[Pose] = deque(maxlen=_RETAINED)
 
     def add(self, time: float, pose: Pose) -> None:
         """The pose at ``time`` [s], later than all before."""

@@ -94,10 +94,10 @@ class SensorOverrides:
     def __init__(self, settings: PerceptionSettings, path: Path | None = None) -> None:
         self._settings, self._path = settings, path
         self._lock = threading.Lock()
-        kept, self.lost = ({}, "") if path is None else load_overrides(path)
+        retained, self.lost = ({}, "") if path is None else load_overrides(path)
         """Why kept orders cannot be read; empty: they can, or there are none."""
         self._ordered: dict[str, _Switched] = {
-            robot: MappingProxyType(self._lasting(own)) for robot, own in kept.items()
+            robot: MappingProxyType(self._lasting(own)) for robot, own in retained.items()
         }
         """By robot; each replaced as a whole, so that a tick reads it without waiting."""
         self._who: dict[str, str] = {}
@@ -111,11 +111,11 @@ class SensorOverrides:
         self._met[robot] = sources, tick
         if robot in self._replayed:
             return self._replayed[robot]
-        told = self._counts(robot)
+        reported = self._counts(robot)
         return ActiveZones(
-            frozenset(name for name in sources if not told["source", name]),
-            tuple(zone for zone in self._settings.zones if told.get(("zone", zone.name))),
-            self._told_of_orders(robot),
+            frozenset(name for name in sources if not reported["source", name]),
+            tuple(zone for zone in self._settings.zones if reported.get(("zone", zone.name))),
+            self._reported_of_orders(robot),
         )
 
     def replay(self, robot: str, off: Collection[str], zones: Collection[str], ordered: str) -> None:
@@ -128,13 +128,13 @@ class SensorOverrides:
         """Whether a recording says what counts: then it is long ago, and no news."""
         return robot in self._replayed
 
-    def _told_of_orders(self, robot: str) -> str:
+    def _reported_of_orders(self, robot: str) -> str:
         """What was ordered for a robot, with who did; empty: nothing was."""
-        told = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))
-        if not told:
+        reported = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))
+        if not reported:
             return ""
         who = self._who.get(robot, "")
-        return f"{told}, {f'by {who}' if who else 'before perception was started'}"
+        return f"{reported}, {f'by {who}' if who else 'before perception was started'}"
 
     def forget(self, robot: str) -> None:
         """That it was met; what was ordered for it stays."""
@@ -143,15 +143,15 @@ class SensorOverrides:
     def _counts(self, robot: str) -> dict[tuple[str, str], bool]:
         """Of all that can be switched for a robot that was met: whether it counts."""
         own, (sources, _) = self._settings, self._met[robot]
-        told = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
-        told |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
+        reported = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
+        reported |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
         if not self._ordered.get("-", {}).get(EVERY_SOURCE, True):
-            told |= {("source", name): False for name in sources}
+            reported |= {("source", name): False for name in sources}
         ordered = self._ordered.get(robot, MappingProxyType({}))
-        return {key: ordered.get(key, counts) for key, counts in told.items()}
+        return {key: ordered.get(key, counts) for key, counts in reported.items()}
 
     @property
-    def kept(self) -> dict[str, str]:
+    def retained(self) -> dict[str, str]:
         """What was ordered, in words, by robot; ``-`` is each of them."""
         return {robot: _listed(own) for robot, own in self._ordered.items()}
 
@@ -219,10 +219,10 @@ def _word(counts: bool) -> str:
     return "on" if counts else "off"
 
 
-def _listed(told: Mapping[tuple[str, str], bool]) -> str:
-    return ", ".join(f"{what} {name} {_word(counts)}" for (what, name), counts in told.items())
+def _listed(reported: Mapping[tuple[str, str], bool]) -> str:
+    return ", ".join(f"{what} {name} {_word(counts)}" for (what, name), counts in reported.items())
 
 
-def _blind(told: Mapping[tuple[str, str], bool]) -> str:
-    sources = [counts for (what, _), counts in told.items() if what == "source"]
+def _blind(reported: Mapping[tuple[str, str], bool]) -> str:
+    sources = [counts for (what, _), counts in reported.items() if what == "source"]
     return "" if any(sources) else "; no source is left, so the filter brakes"

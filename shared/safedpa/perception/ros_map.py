@@ -129,22 +129,22 @@ def read_map(path: Path) -> PackedCells:
     A cell of 0.1 m is closed where a pixel that is occupied reaches into it, as far as the box around the pixel, where
     the map is turned. Raises InputError naming the file.
     """
-    told: dict[str, str] = {}
+    reported: dict[str, str] = {}
     try:
-        told = _told(text_of_file(path, "toml_bytes"))
-        picture = _pgm(path.parent / told["image"])
-        darkness = picture if told["negate"] == "1" else 255 - picture
-        occupied = darkness > 255.0 * _number(told, "occupied_thresh", 0.0, 1.0)
-        return _closed(occupied, _number(told, "resolution", *_RESOLUTION), _origin(told["origin"]))
+        reported = _reported(text_of_file(path, "toml_bytes"))
+        picture = _pgm(path.parent / reported["image"])
+        darkness = picture if reported["negate"] == "1" else 255 - picture
+        occupied = darkness > 255.0 * _number(reported, "occupied_thresh", 0.0, 1.0)
+        return _closed(occupied, _number(reported, "resolution", *_RESOLUTION), _origin(reported["origin"]))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:  # no UTF-8, or a name that no file can have
         reason = getattr(error, "strerror", None) or error
-        unread = f"its image '{told['image'][:200]}'" if told else "it"
+        unread = f"its image '{reported['image'][:200]}'" if reported else "it"
         raise InputError(f"{path}: {unread} cannot be read ({reason})") from error
 
 
-def _told(text: str) -> dict[str, str]:
+def _reported(text: str) -> dict[str, str]:
     """The keys of a map's YAML with their values, as text; of YAML what such a file needs."""
     found = {"mode": "trinary", "negate": "0", "occupied_thresh": "0.65"}
     for line in text.splitlines():
@@ -165,8 +165,8 @@ def _told(text: str) -> dict[str, str]:
     return found
 
 
-def _number(told: dict[str, str], key: str, low: float, high: float) -> float:
-    return _within(key, told[key], low, high)
+def _number(reported: dict[str, str], key: str, low: float, high: float) -> float:
+    return _within(key, reported[key], low, high)
 
 
 def _within(key: str, text: str, low: float, high: float) -> float:

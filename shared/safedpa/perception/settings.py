@@ -154,11 +154,13 @@ def parse_perception(text: str) -> PerceptionSettings:
         raise InputError(f"format: got {table['format']!r}, wanted {FORMAT}; this program reads no other")
     own = _of_table(PerceptionSettings, "[perception]", table.get("perception", {}), but=("sources", "zones"))
     sources = _table("sources", table.get("sources", {}))
-    told = {name: SourceSettings(**_of_table(SourceSettings, f"[sources.{name}]", sources[name])) for name in sources}
+    reported = {
+        name: SourceSettings(**_of_table(SourceSettings, f"[sources.{name}]", sources[name])) for name in sources
+    }
     zones = table.get("zones", [])
     if not isinstance(zones, list):
         raise InputError(f"zones: got {type(zones).__name__}, wanted a [[zones]] for each")
-    return PerceptionSettings(**own, sources=MappingProxyType(told), zones=tuple(map(_zone, zones)))
+    return PerceptionSettings(**own, sources=MappingProxyType(reported), zones=tuple(map(_zone, zones)))
 
 
 def _table(where: str, value: Any) -> dict[str, Any]:

@@ -87,10 +87,10 @@ class Sources:
 
         What is told rests on none that is off: in its place stands the oldest of the others.
         """
-        told = {name: -1.0 if one.time is None else now - one.time for name, one in self._known.items()}
-        others = [age for name, age in told.items() if name not in self._off]
+        reported = {name: -1.0 if one.time is None else now - one.time for name, one in self._known.items()}
+        others = [age for name, age in reported.items() if name not in self._off]
         oldest = -1.0 if not others or min(others) == -1.0 else max(others)
-        return tuple(oldest if name in self._off else age for name, age in told.items())
+        return tuple(oldest if name in self._off else age for name, age in reported.items())
 
     def problems(self, now: float) -> tuple[str, ...]:
         """A sentence for each thing that is wrong."""

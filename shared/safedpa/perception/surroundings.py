@@ -111,13 +111,13 @@ class SurroundingsTracker:
             self._things, self._looked = ObstacleTracker(self.settings, x, y), state.robot_time
         self._things.follow(x, y)
         self._things.driven += self._odometry.last_step
-        self._things.hiding.nobody = unoccupied_cells(self._ignored, self._things.grid, (x, y, yaw))
+        self._things.hiding.no_one = unoccupied_cells(self._ignored, self._things.grid, (x, y, yaw))
         for scan in self._due(state):
             self._take(scan, state, self._things)
         while state.robot_time - self._looked > self._things.hiding.patience:
             self._looked += self._things.hiding.patience
             self._things.hiding.wait(self._looked)
-        return self._told(state, self._things)
+        return self._reported(state, self._things)
 
     def _goes_on(self, state: StateMessage, epoch: int, before: float) -> bool:
         return state.epoch == epoch and -1e-9 <= state.robot_time - before <= _LEAP
@@ -150,7 +150,7 @@ class SurroundingsTracker:
             if float(np.hypot(*apart.T).min()) < state.towed[2] + _STRIDE:
                 self._at_load = scan.robot_time
 
-    def _beside_load(self, state: StateMessage) -> Rows:
+    def _alongside_load(self, state: StateMessage) -> Rows:
         """Where somebody may be who went to what is towed: nothing of the robot's own is seen, so that he is not.
 
         He counts as at rest with it as late as anybody else who stops.
@@ -162,12 +162,12 @@ class SurroundingsTracker:
         x, y = hitch_position((x, y, yaw), state).tolist()
         return ((x, y, state.towed[2]),)
 
-    def _told(self, state: StateMessage, things: ObstacleTracker) -> SurroundingsSnapshot:
+    def _reported(self, state: StateMessage, things: ObstacleTracker) -> SurroundingsSnapshot:
         own, now = self.settings, state.robot_time
         x, y, yaw = state.values[:3]
         here = np.array((x, y))
         may_move = things.moving(now)
-        at_rest = self._told_of(things, things.at_rest(now, may_move))
+        at_rest = self._reported_of(things, things.at_rest(now, may_move))
         rest, ago = things.places(at_rest), things.driven - things.seen_at[at_rest]
         outside = ~within_body(rest, (x, y, yaw), state, 0.0)
         places, radii = rest[outside], own.point_radius + own.drift * ago[outside]
@@ -175,11 +175,11 @@ class SurroundingsTracker:
             closed = closed_discs(self._closed, x, y, own.reach)
             places, radii = np.vstack([places, closed[:, :2]]), np.append(radii, closed[:, 2])
         points = cover_with_fewer_discs(places, radii, here, own.most)
-        moving = self._told_of(things, things.moving_now(now, may_move))
+        moving = self._reported_of(things, things.moving_now(now, may_move))
         age = np.maximum(now - things.last[moving], 0.0)
-        beside = self._beside_load(state)
+        alongside = self._alongside_load(state)
         radii = own.point_radius + own.fastest * age
-        movers = cover_with_fewer_discs(things.places(moving), radii, here, own.most - len(beside))
+        movers = cover_with_fewer_discs(things.places(moving), radii, here, own.most - len(alongside))
         grid_x, grid_y = things.grid.middles
         ways_out = things.hiding.ways_out
         places = np.column_stack([grid_x[ways_out], grid_y[ways_out]])
@@ -189,11 +189,11 @@ class SurroundingsTracker:
         )
         return SurroundingsSnapshot(
             tuple((x, y, radius) for x, y, radius in points.tolist()),
-            tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in (*movers.tolist(), *beside)),
+            tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in (*movers.tolist(), *alongside)),
             tuple((x, y, radius, own.coming) for x, y, radius in hidden.tolist()),
         )
 
-    def _told_of(self, things: ObstacleTracker, cells: BoolArray) -> BoolArray:
+    def _reported_of(self, things: ObstacleTracker, cells: BoolArray) -> BoolArray:
         """``cells`` without those whose content lies in a zone of the map that is ignored.
 
         What came into a zone of the robot's own frame was seen outside of it before, and is told on.

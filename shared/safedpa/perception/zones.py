@@ -38,7 +38,7 @@ Corners = tuple[tuple[float, float], ...]
 KINDS, FRAMES = ("ignored", "closed"), ("map", "robot")
 _FEWEST, _MOST = 3, 64
 """Vertices of a polygon."""
-_MOST_TOLD = 512
+_MOST_REPORTED = 512
 """Vertices of all zones that are told for pictures: 14 KB in each message."""
 _FARTHEST = 1e5
 """m; as far from its frame's origin may a vertex be."""
@@ -160,7 +160,7 @@ class ActiveZones:
         for number, zone in enumerate(self.zones):
             if zone.cells is not None:
                 continue
-            if len(rows) + len(zone.polygon) > _MOST_TOLD:
+            if len(rows) + len(zone.polygon) > _MOST_REPORTED:
                 break
             rows += [(float(number), x, y) for x, y in zone.corners(pose).tolist()]
         return tuple(rows)

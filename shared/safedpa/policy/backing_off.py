@@ -52,7 +52,7 @@ class BackOffController:
     def __init__(self, controller: Controller, settings: BackOffSettings | None = None) -> None:
         self._controller = controller
         self._settings = settings or BackOffSettings()
-        self._trail: deque[tuple[float, float, float]] = deque()
+        self._history: deque[tuple[float, float, float]] = deque()
         self._until = -math.inf
         self._steer = 0.0
         self._attempts = 0
@@ -64,7 +64,7 @@ class BackOffController:
         now = state.robot_time
         if state.goal != self._goal:
             self._goal, self._attempts, self._until = state.goal, 0, -math.inf
-            self._trail.clear()
+            self._history.clear()
         if now >= self._until and self._is_held(now, *state.values[:2]):
             self._begin(now, state)
         if now >= self._until:
@@ -78,13 +78,13 @@ class BackOffController:
         self._steer = towards * self._settings.steer * (1.0 if self._attempts % 2 == 0 else -1.0)
         self._attempts += 1
         self._until = now + self._settings.back_off_seconds
-        self._trail.clear()
+        self._history.clear()
 
     def _is_held(self, now: float, x: float, y: float) -> bool:
         """Whether the car has gone less than the headway for as long as the patience."""
-        self._trail.append((now, x, y))
-        while now - self._trail[0][0] > self._settings.patience_seconds:
-            self._trail.popleft()
-        oldest, past_x, past_y = self._trail[0]
+        self._history.append((now, x, y))
+        while now - self._history[0][0] > self._settings.patience_seconds:
+            self._history.popleft()
+        oldest, past_x, past_y = self._history[0]
         watched = now - oldest >= 0.9 * self._settings.patience_seconds
         return watched and math.hypot(x - past_x, y - past_y) < self._settings.headway

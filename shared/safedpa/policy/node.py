@@ -71,7 +71,7 @@ class PolicyNode(AbstractNode):
     # A load does not change within a tick, and waiting for news of it would take a quarter of sense to act.
     # Nor what is around it: where it goes is planned for seconds.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1, SURROUNDINGS: 2}
-    senses = (SURROUNDINGS,)
+    sensor_inputs = (SURROUNDINGS,)
     lingers = False
 
     def __init__(self, model: PhysicsModel, controller: str | None = None) -> None:

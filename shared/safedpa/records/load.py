@@ -37,21 +37,21 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
 
         return read_run_from_mcap(path, system)
     if kind == "topics" and columns is None:
-        raise RunError(_topics_told(path, system))
+        raise RunError(_topics_reported(path, system))
     table = _read(path, kind, mapping, system)
     return run_of_rows(path, system, mapping, mapped_rows(table, mapping, system), table.findings)
 
 
-def _topics_told(path: Path, system: System) -> str:
+def _topics_reported(path: Path, system: System) -> str:
     """One line: what a log of topics holds, and that it wants a map."""
     log = topic_log(path)
     topics = [topic for topic in log.topics().values() if topic.count]
     if topics and all(topic.name.startswith("safedpa/") for topic in topics):
         return f"{path}: is the folder of a run; name the recording in it: {path / 'recording.mcap'}"
-    said = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MOST_TOPICS])
+    notice = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MOST_TOPICS])
     more = f" and {len(topics) - _MOST_TOPICS} more" if len(topics) > _MOST_TOPICS else ""
     return (
-        f"{path}: is a {log.kind} with {len(topics)} topics, and no map says which are whose: {said}{more}; "
+        f"{path}: is a {log.kind} with {len(topics)} topics, and no map says which are whose: {notice}{more}; "
         f"'safedpa columns {path} --robot {system.name} > map.toml' proposes one, then --columns map.toml"
     )
 

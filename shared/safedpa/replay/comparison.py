@@ -38,11 +38,11 @@ class Difference:
 
 
 def differences(
-    topic: str, recorded: Message, replayed: Message, told: frozenset[str], tolerance: float = TOLERANCE
+    topic: str, recorded: Message, replayed: Message, reported: frozenset[str], tolerance: float = TOLERANCE
 ) -> Iterator[Difference]:
-    """Every field in which two messages differ; ``told`` are the fields that the recording has at all."""
+    """Every field in which two messages differ; ``reported`` are the fields that the recording has at all."""
     for item in fields(recorded):
-        if item.name in _LEFT_OUT or item.name not in told:
+        if item.name in _LEFT_OUT or item.name not in reported:
             continue
         one, other = getattr(recorded, item.name), getattr(replayed, item.name)
         if one == other:

@@ -55,7 +55,7 @@ class ReplayedStep:
     """Empty when the node refused the state."""
     unknown: str = ""
     """Why the service's memory or an input is not known from this step on; empty where nothing new is unknown."""
-    anew: bool = False
+    again: bool = False
     """Whether the service's memory of the robot began with this step: what was unknown before matters no more."""
 
 
@@ -109,15 +109,15 @@ class Driver:
             state = self._tape.states.get((message.epoch, message.tick))
             if state is None:
                 continue  # lost on the way to the recording: counts as a missing step
-            anew = self._is_anew(message)
-            if anew:
+            again = self._is_again(message)
+            if again:
                 unknown = self._begin(entry)
                 yield from (self._step(before, None, "") for before in self._first(message))
             else:
                 lost = self._lost(message)
                 yield from (self._step(between, None, "") for between in lost)
                 unknown = self._gap(message, len(lost))
-            yield replace(self._step(state, message, unknown), anew=anew)
+            yield replace(self._step(state, message, unknown), again=again)
             self._previous = message
         yield from (self._step(state, None, "") for state in self._behind())
 
@@ -137,7 +137,7 @@ class Driver:
             found.append(state)
         return found
 
-    def _is_anew(self, message: ComputedMessage) -> bool:
+    def _is_again(self, message: ComputedMessage) -> bool:
         """Whether the service's memory of the robot began with this step, or is not in the recording before it."""
         previous = self._previous
         if previous is None or message.epoch != previous.epoch:
@@ -261,8 +261,8 @@ class Driver:
         found: dict[Topic, Message | Stale] = {}
         missing = ""
         for index, topic in enumerate(node.needs(state)):
-            told = message.consumed[index] if message is not None and index < len(message.consumed) else None
-            item = self._of_tick(topic, state) if told is None else self._told(topic, state, *told)
+            reported = message.consumed[index] if message is not None and index < len(message.consumed) else None
+            item = self._of_tick(topic, state) if reported is None else self._reported(topic, state, *reported)
             if item is None:
                 item = self._made_up.get((topic, state.epoch, state.tick))
             if item is None:
@@ -271,7 +271,7 @@ class Driver:
             found[topic] = item if isinstance(item, Stale) else self._overrule.message(item)
         return found, missing
 
-    def _told(self, topic: Topic, state: StateMessage, age: float, published: float) -> Message | Stale | None:
+    def _reported(self, topic: Topic, state: StateMessage, age: float, published: float) -> Message | Stale | None:
         """The input that a step says it used; None when it is not in the recording."""
         if published == 0.0:
             return Stale(topic, None if age < 0 else int(age))

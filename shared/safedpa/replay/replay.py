@@ -50,7 +50,7 @@ class UnknownStateSpan:
     robot_time: float
     agrees_from: int | None = None
     """Tick from which on all came out as recorded again; None: it did not until the end of the span."""
-    anew_from: int | None = None
+    again_from: int | None = None
     """Tick at which the memory began anew, and was known again; None: at none."""
     steps: int = 0
     """Not compared."""
@@ -89,7 +89,7 @@ class Replay:
     def unsettled(self) -> UnknownStateSpan | None:
         """A span that reaches to the end of the recording; None: there is none."""
         last = [part.spans[-1] for part in self.services if part.spans]
-        return next((span for span in last if span.agrees_from is None and span.anew_from is None), None)
+        return next((span for span in last if span.agrees_from is None and span.again_from is None), None)
 
     @property
     def exact(self) -> bool:
@@ -102,23 +102,23 @@ def replay(
     window: tuple[float, float] = (float("-inf"), float("inf")),
     tolerance: float = TOLERANCE,
     folders: tuple[Path, ...] = (),
-    tell: Callable[[ReplayedStep], None] = lambda _: None,
+    report_progress: Callable[[ReplayedStep], None] = lambda _: None,
 ) -> Replay:
     """Replays every service with a setup and outputs; compares what has a robot time in ``window`` [s].
 
-    The steps before the window are replayed as well: they make the memory. ``tell`` hears of every step. Raises
+    The steps before the window are replayed as well: they make the memory. ``report_progress`` hears of every step. Raises
     InputError when a setup is broken or a learned model's weights are not to be found.
     """
     found = []
     made_up: dict[tuple[Topic, int, int], Message] = {}
-    for service in (*((PerceptionNode.name,) if _told_of_scans(tape) else ()), *REPLAYED):
+    for service in (*((PerceptionNode.name,) if _reported_of_scans(tape) else ()), *REPLAYED):
         if tape.computed[service] and tape.setups.get(service):
             steps = Driver(tape, service, lambda setup: node_of(setup, folders), made_up=made_up).run()
-            found.append(_OutputComparison(tape, service, window, tolerance).judged(steps, tell))
+            found.append(_OutputComparison(tape, service, window, tolerance).judged(steps, report_progress))
     return Replay(found)
 
 
-def _told_of_scans(tape: RobotTape) -> bool:
+def _reported_of_scans(tape: RobotTape) -> bool:
     """Whether perception told which scans it had heard; what older programs made of them is believed."""
     return "scans" in tape.fields.get(SurroundingsMessage, frozenset())
 
@@ -137,11 +137,11 @@ class _OutputComparison:
         self._agreeing: list[tuple[StateMessage, _Judged]] = []
         """Within a span: since the last output that came out otherwise."""
 
-    def judged(self, steps: Iterator[ReplayedStep], tell: Callable[[ReplayedStep], None]) -> ServiceReplay:
+    def judged(self, steps: Iterator[ReplayedStep], report_progress: Callable[[ReplayedStep], None]) -> ServiceReplay:
         for step in steps:
-            tell(step)
-            if step.anew or step.unknown:
-                self._close(step.state.tick if step.anew else None)
+            report_progress(step)
+            if step.again or step.unknown:
+                self._close(step.state.tick if step.again else None)
             if step.unknown:
                 state = step.state
                 self._span = UnknownStateSpan(step.unknown, state.epoch, state.tick, state.robot_time)
@@ -163,11 +163,11 @@ class _OutputComparison:
         else:
             self._agreeing.append((step.state, found))
 
-    def _close(self, anew_from: int | None = None) -> None:
+    def _close(self, again_from: int | None = None) -> None:
         """Ends the span: what agreed behind its last difference counts, if it is more than chance."""
         if self._span is None:
             return
-        self._span.anew_from = anew_from
+        self._span.again_from = again_from
         if len(self._agreeing) >= _AGREED:
             self._span.agrees_from = self._agreeing[0][0].tick
             for state, found in self._agreeing:
@@ -191,8 +191,8 @@ class _OutputComparison:
         if replayed is None:
             stamp = (recorded.epoch, recorded.tick, recorded.robot_time)
             return [Difference(*stamp, topic.name, "message", "sent", "none", exact_only=False)]
-        told = self._tape.fields[topic.message] - (_STATISTICS if self._found.spans else frozenset())
-        return list(differences(topic.name, recorded, replayed, told, self._tolerance))
+        reported = self._tape.fields[topic.message] - (_STATISTICS if self._found.spans else frozenset())
+        return list(differences(topic.name, recorded, replayed, reported, self._tolerance))
 
     def _pairs(self, step: ReplayedStep) -> Iterator[tuple[Topic, Message, Message | None]]:
         """Topic, recorded and replayed message of a step; the action belongs to its verdict."""

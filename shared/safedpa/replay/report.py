@@ -85,8 +85,8 @@ def _span_sentence(span: UnknownStateSpan) -> str:
     began = f"memory not known from tick {span.tick} on ({span.reason}): {span.steps} outputs not compared"
     if span.agrees_from is not None:
         return f"{began}, agrees again from tick {span.agrees_from} on"
-    if span.anew_from is not None:
-        return f"{began}, known again from tick {span.anew_from} on, where it began anew"
+    if span.again_from is not None:
+        return f"{began}, known again from tick {span.again_from} on, where it began anew"
     return f"{began}, never agreed again"
 
 
@@ -227,8 +227,8 @@ class ReplayOutputs:
         yield from ((_nanoseconds(state), STATE, state) for state in tape.states.values())
         yield from ((_nanoseconds(scan), SCAN, scan) for scan in map(tape.scan, tape.scans) if scan is not None)
         if not any(isinstance(step.recorded, SurroundingsMessage) for step in self._steps):
-            told = (entry.message for entry in tape.computed[PerceptionNode.name])
-            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in told)
+            reported = (entry.message for entry in tape.computed[PerceptionNode.name])
+            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in reported)
         for step in self._steps:
             for topic, message in step.outputs.items():
                 traced = _traced(message, step.recorded)

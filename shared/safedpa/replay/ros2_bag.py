@@ -63,13 +63,13 @@ def export_bag(recording: Path, out: Path, robot: str | None = None) -> Exported
         raise InputError(f"{out}: is there already; name a new folder for the bag")
     findings: list[Finding] = []
     name, first = _robot_in(recording, robot)
-    speaks = _RosMessages(name, *(_told_by_setup(recording, name) or (_kind_of(recording, first), None)))
+    speaks = _RosMessages(name, *(_reported_by_setup(recording, name) or (_kind_of(recording, first), None)))
     exported = ExportedBag(name)
     writer = _writer(out)
     try:
         with writer:
             lines: dict[str, Any] = {}
-            for topic, message, at, values in _told(recording, name, speaks, findings):
+            for topic, message, at, values in _reported(recording, name, speaks, findings):
                 if topic not in lines:
                     lines[topic] = writer.add_connection(topic, message, typestore=type_store())
                 writer.write(lines[topic], at, encode(message, values))
@@ -103,7 +103,7 @@ def _robot_in(recording: Path, robot: str | None) -> tuple[str, StateMessage]:
     return name, found[name]
 
 
-def _told_by_setup(recording: Path, name: str) -> tuple[AbstractRobot, PhysicsModel] | None:
+def _reported_by_setup(recording: Path, name: str) -> tuple[AbstractRobot, PhysicsModel] | None:
     """The robot as the model declares it with which the services say that they run: a throttle is no speed."""
     for key, _, message in read_messages(recording, None, (SETUP,)):
         if isinstance(message, SetupMessage) and message.document and topic_of(key)[1] in (name, "-"):
@@ -127,10 +127,10 @@ def _kind_of(recording: Path, state: StateMessage) -> AbstractRobot:
     )
 
 
-Told = tuple[str, str, int, Mapping[str, Any]]
+Reported = tuple[str, str, int, Mapping[str, Any]]
 
 
-def _told(recording: Path, name: str, speaks: _RosMessages, findings: list[Finding]) -> Iterator[Told]:
+def _reported(recording: Path, name: str, speaks: _RosMessages, findings: list[Finding]) -> Iterator[Reported]:
     """(topic, type, ns, fields) of everything that is written, in the recording's order."""
     clock = _Clock()
     for key, _, message in read_messages(recording, findings, (STATE, VERDICT, NOMINAL)):
@@ -191,8 +191,8 @@ class _RosMessages:
                 yield "odom", _TYPES["odom"], odometry_of(head, self._frame, *pose)
                 yield "/tf", _TYPES["/tf"], {"transforms": [transform_of(head, self._frame, *pose[:3])]}
                 command = self._face.commands[0]
-                beside = {"header": head} if command.endswith("Stamped") else {}
-                yield "command", command, {**beside, **self._face.message(command, message.applied, message.values)}
+                alongside = {"header": head} if command.endswith("Stamped") else {}
+                yield "command", command, {**alongside, **self._face.message(command, message.applied, message.values)}
                 if message.obstacles:
                     yield "markers", _TYPES["markers"], {"markers": _discs(head, message.obstacles)}
         elif isinstance(message, NominalMessage):

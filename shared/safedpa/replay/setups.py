@@ -88,15 +88,15 @@ def complete_setups(tape: RobotTape, model: str = "", settings: str = "") -> lis
     """
     sees = PerceptionNode.name
     believed = tape.computed[sees] and not tape.setups.get(sees)
-    told = [f"{sees}: no setup was recorded; what it made of the scans is believed"] if believed else []
+    reported = [f"{sees}: no setup was recorded; what it made of the scans is believed"] if believed else []
     lacking = [name for name in REPLAYED if tape.computed[name] and not tape.setups.get(name)]
     if not lacking:
-        return told
+        return reported
     found = load_model(model) if model else _model_of(tape)
     tape.setups |= {name: [(0, _assumed(name, found, settings or found.system.name))] for name in lacking}
     which = f"model {fingerprint(found)} of a {found.system.name}, the settings '{settings or found.system.name}'"
     return [
-        *told,
+        *reported,
         f"{', '.join(lacking)}: no setup was recorded; assumed {which}, its shipped margin, the default controller",
     ]
 

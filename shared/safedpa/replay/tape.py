@@ -62,7 +62,7 @@ _SENDERS: dict[type[Message], tuple[str, Topic]] = {
 
 _INPUTS: dict[str, tuple[Topic, ...]] = {
     PolicyNode.name: PolicyNode.inputs,
-    SafetyFilterNode.name: (*SafetyFilterNode.inputs, *SafetyFilterNode.senses),
+    SafetyFilterNode.name: (*SafetyFilterNode.inputs, *SafetyFilterNode.sensor_inputs),
 }
 
 
@@ -146,7 +146,9 @@ class RobotTape:
     def _with_a_trace_that_fits(self, sender: str, message: ComputedMessage) -> ComputedMessage:
         """Without what it says of its inputs, where that is not one age and time for each: then nothing is known."""
         rows, most = message.consumed, len(_INPUTS.get(sender, ()))
-        wanted = most - len(SafetyFilterNode.senses) if sender == SafetyFilterNode.name else most  # without sources
+        wanted = (
+            most - len(SafetyFilterNode.sensor_inputs) if sender == SafetyFilterNode.name else most
+        )  # without sources
         if not rows or (len(rows) in (wanted, most) and all(len(row) == 2 for row in rows)):
             return message
         text = f"{sender}: what it says of its inputs is not one age and time for each of {wanted}; left out"

@@ -202,11 +202,11 @@ class _Hypothetical(InputOverride):
 
     def __init__(self, estimates: dict[tuple[int, int, float], LatentMessage]) -> None:
         self._estimates = estimates
-        self._said: dict[tuple[int, int], tuple[float, ...]] = {}
+        self._message: dict[tuple[int, int], tuple[float, ...]] = {}
 
     def state(self, state: StateMessage) -> StateMessage:
-        said = self._said.get((state.epoch, state.tick - 1))
-        obeyed = said is None or _apart(said, state.applied) <= _SAME
+        notice = self._message.get((state.epoch, state.tick - 1))
+        obeyed = notice is None or _apart(notice, state.applied) <= _SAME
         return state if obeyed else replace(state, applied_by="recorded")
 
     def message(self, recorded: Message) -> Message:
@@ -216,7 +216,7 @@ class _Hypothetical(InputOverride):
     def done(self, state: StateMessage, outputs: Outputs) -> None:
         action = outputs.get(ACTION)
         if isinstance(action, ActionMessage):
-            self._said = {(state.epoch, state.tick): action.values}
+            self._message = {(state.epoch, state.tick): action.values}
 
 
 def _apart(one: Sequence[float], other: Sequence[float]) -> float:

@@ -68,12 +68,12 @@ def _back_to_back(runs: Sequence[Run], horizon: float) -> Windows:
         every = windows_of(first_seconds(runs[:_MOST_RUNS], _MOST_SECONDS), horizon, stride=1)
     except InputError:  # no stretch of a whole horizon so early: then from wherever there is one
         every = windows_of(runs, horizon, stride=1)
-    kept, free = [], -1
+    retained, free = [], -1
     for index in np.argsort(every.start, kind="stable"):
         if every.start[index] >= free:
-            kept.append(int(index))
+            retained.append(int(index))
             free = int(every.end[index])
-    return every.select(np.array(kept, dtype=np.int64))
+    return every.select(np.array(retained, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -166,8 +166,8 @@ def _blueprint(windows: Windows) -> Any:
         for state in windows.system.state
     ]
     error = rrb.TimeSeriesView(origin="/error", name="held-out error, stage after stage")
-    words = rrb.TextDocumentView(origin="/story", name="stage")
-    left: list[Any] = [rrb.Horizontal(words, error)]
+    phrase = rrb.TextDocumentView(origin="/story", name="stage")
+    left: list[Any] = [rrb.Horizontal(phrase, error)]
     if set(PLACE) <= set(windows.system.state_names):
         left.append(rrb.Spatial2DView(origin="/plane", name="all runs from above [m]", background=[24, 26, 30]))
     return rrb.Blueprint(

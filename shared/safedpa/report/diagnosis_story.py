@@ -76,7 +76,7 @@ def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str
     return " ".join(parts) or "refitted"
 
 
-_TELLS = 0.02
+_REPORTS = 0.02
 """Share that is worth a line."""
 _MOST_GAPS = 3
 """That are told in a sentence."""
@@ -129,7 +129,7 @@ def report_text(document: Mapping[str, Any]) -> ReportText:
     title, note = _FORMULA.get(rest.get("kind", "formula"), _FORMULA["formula"])
     if rest.get("alternatives"):
         note += f" As good as its first term on unseen data: {', '.join(rest['alternatives'])}."
-    dependence = [item for item in rest.get("dependence", ()) if number(item["share"]) > _TELLS]
+    dependence = [item for item in rest.get("dependence", ()) if number(item["share"]) > _REPORTS]
     return ReportText(
         _lead(document),
         _remains(document),
@@ -155,7 +155,7 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if added:
         fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
         verb = "falls" if fall > 0 else "changes"
-        lacking, them = [_told(document, name) for name in added], "it" if len(added) == 1 else "them"
+        lacking, them = [_reported(document, name) for name in added], "it" if len(added) == 1 else "them"
         if document["verdict"] == "undecided":
             return unsure_sentence(document, _joined(lacking), first, last)
         return (
@@ -165,10 +165,10 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "undecided":
         return undecided_sentence(document)
     if document["verdict"] == "nothing_missing":
-        told = nothing_sentence(document)
+        reported = nothing_sentence(document)
         return (
             f"Nothing is missing{gaps_clause(document)}: no effect of the library predicts unseen data better than "
-            f"chance would have it. The error is {first:.3g}.{' ' if told else ''}{told}"
+            f"chance would have it. The error is {first:.3g}.{' ' if reported else ''}{reported}"
         )
     if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
         return f"No verdict: {document['unexplained']['expression']}."
@@ -180,8 +180,8 @@ def gaps_clause(document: Mapping[str, Any]) -> str:
     found = [(item, gap) for item in document.get("coverage") or () for gap in item["gaps"]]
     if not found:
         return ""
-    told = [_gap_text(item, gap) for item, gap in sorted(found, key=_narrower)[:_MOST_GAPS]]
-    names = " and ".join([", ".join(told[:-1]), told[-1]]) if len(told) > 1 else told[0]
+    reported = [_gap_text(item, gap) for item, gap in sorted(found, key=_narrower)[:_MOST_GAPS]]
+    names = " and ".join([", ".join(reported[:-1]), reported[-1]]) if len(reported) > 1 else reported[0]
     return f", judged without {names}, which these logs hardly hold (there the model is extrapolated)"
 
 
@@ -197,7 +197,7 @@ def _gap_text(item: Mapping[str, Any], gap: Mapping[str, Any]) -> str:
     return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{unit} ({held})"
 
 
-def _told(document: Mapping[str, Any], name: str) -> str:
+def _reported(document: Mapping[str, Any], name: str) -> str:
     """An effect by its name; one that does not act everywhere and always alike with where, when and how much."""
     own = [item["sentence"] for item in document.get("conditions") or () if item["effect"] == name]
     return own[0] if own else name

@@ -73,14 +73,14 @@ def chosen_windows(comparison: Comparison) -> list[tuple[str, int]]:
 
 
 def _apart(windows: Windows, order: IndexArray, count: int) -> list[int]:
-    kept: list[int] = []
+    retained: list[int] = []
     for index in order.tolist():
         middle = windows.clock[windows.start[index]]
-        if all(abs(middle - windows.clock[windows.start[other]]) > windows.horizon for other in kept):
-            kept.append(index)
-        if len(kept) == count:
+        if all(abs(middle - windows.clock[windows.start[other]]) > windows.horizon for other in retained):
+            retained.append(index)
+        if len(retained) == count:
             break
-    return kept
+    return retained
 
 
 def _figure(windows: Windows, number: int, predicted: FloatArray, rates: FloatArray) -> dict[str, Any]:

@@ -95,9 +95,9 @@ def detectable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, st
     for item in document.get("detectable") or ():
         unit = "" if item["unit"] == "1" else f" {item['unit']}"
         smallest = "not at all" if item.get("smallest") is None else f"{item['smallest']:.2g}{unit}"
-        beside = f"only as a sum with {', '.join(item['only_with'])}" if item["only_with"] else ""
+        alongside = f"only as a sum with {', '.join(item['only_with'])}" if item["only_with"] else ""
         drive = f"drive: {item['drive']}" if item["drive"] else ""
-        note = "; ".join(part for part in (beside, drive) if part)
+        note = "; ".join(part for part in (alongside, drive) if part)
         rows.append((item["effect"], item["parameter"], smallest, f"{item['ordinary']:.2g}{unit}", note))
     return rows
 

@@ -40,7 +40,7 @@ TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 QUATERNION = "geometry_msgs/msg/Quaternion"
 _DEEPEST = 24
 """Types within types; those of ROS have 6."""
-_SAYS_NOTHING = 16
+_REPORTS_NOTHING = 16
 """Times as long as what it says a definition may be, with its comments."""
 _MOST_FIELDS = 4096
 """Numbers of one message that are listed."""
@@ -147,11 +147,11 @@ def summarize_definition(text: str, form: str) -> tuple[str, int]:
 
     Cheap, whatever it is, while the library's grammar takes 15 to 100 us for each line, and 15 for each comma.
     """
-    said = [line for raw in text.split("\n") if (line := raw.strip(" \t\r"))]
+    notice = [line for raw in text.split("\n") if (line := raw.strip(" \t\r"))]
     if form != "ros2idl":
-        said = [line for line in said if line[0] != "#"]
-    left = "\n".join([*said, ""])
-    return left, len(said) + left.count(",")
+        notice = [line for line in notice if line[0] != "#"]
+    left = "\n".join([*notice, ""])
+    return left, len(notice) + left.count(",")
 
 
 @lru_cache(maxsize=512)
@@ -163,7 +163,7 @@ def parsed(name: str, text: str, form: str) -> Mapping[str, Fields]:
     need("ros", what="reading ROS logs")
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
-    if len(text) > _SAYS_NOTHING * limit("definition_letters"):
+    if len(text) > _REPORTS_NOTHING * limit("definition_letters"):
         raise too_much("definition_letters", len(text), f"type '{readable(name)}'")
     text, lines = summarize_definition(text, form)
     if len(text) > limit("definition_letters"):

@@ -72,8 +72,8 @@ def stamp_of(nanoseconds: int) -> dict[str, int]:
 def _require(name: str) -> None:
     if name not in known_fields():
         package = name.split("/", 1)[0]
-        beside = [one for one in known_fields() if one.startswith(f"{package}/")] or ["geometry_msgs/msg/Twist"]
-        raise InputError(f"type '{name}': {did_you_mean(name, beside)}")
+        alongside = [one for one in known_fields() if one.startswith(f"{package}/")] or ["geometry_msgs/msg/Twist"]
+        raise InputError(f"type '{name}': {did_you_mean(name, alongside)}")
 
 
 def _built(name: str, values: Mapping[str, Any]) -> Any:

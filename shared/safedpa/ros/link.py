@@ -97,7 +97,7 @@ class RosLink:
 
         self._seen = {}
 
-        def told(sample: zenoh.Sample) -> None:
+        def reported(sample: zenoh.Sample) -> None:
             token = str(sample.key_expr)
             endpoint = Endpoint.of(token)
             with self._lock:
@@ -109,7 +109,7 @@ class RosLink:
                     self._seen[token] = endpoint
 
         key = f"@ros2_lv/{self.domain}/**"
-        callback = zenoh.handlers.Callback(told, indirect=False)
+        callback = zenoh.handlers.Callback(reported, indirect=False)
         self._held.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
 
     def hear(self, topic: str, type_name: str, heard: Heard) -> None:
@@ -124,8 +124,8 @@ class RosLink:
         import zenoh
 
         def on_sample(sample: zenoh.Sample) -> None:
-            beside = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
-            heard(sample.payload.to_bytes(), beside)
+            alongside = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
+            heard(sample.payload.to_bytes(), alongside)
 
         self._held.append(
             self._session.declare_subscriber(
@@ -192,5 +192,5 @@ class RosPublisher:
     def put(self, values: Any) -> None:
         """Sends a message with these fields, from any thread. Raises InputError for a field that its type has not."""
         number = next(self._numbers)
-        beside = Attachment(number, time.time_ns(), self._sender).packed() if self._form == "rmw_zenoh" else None
-        self._publisher.put(encode(self.type, values), attachment=beside)
+        alongside = Attachment(number, time.time_ns(), self._sender).packed() if self._form == "rmw_zenoh" else None
+        self._publisher.put(encode(self.type, values), attachment=alongside)

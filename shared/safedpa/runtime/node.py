@@ -47,7 +47,7 @@ from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
 __all__ = ["SafetyFilterNode"]
 
-_STANDS = 0.02
+_IS_STATIONARY = 0.02
 """m/s; slower than that a car stands."""
 _WIDTHS = 1e3
 """Margins that nobody can keep, as multiples of the largest |h| and of the margins in force."""
@@ -66,7 +66,7 @@ class SafetyFilterNode(AbstractNode):
     inputs = (LATENT, NOMINAL)
     outputs = (ACTION, VERDICT, TAKEOVER)
     listens = (MODEL,)
-    senses = (SURROUNDINGS,)
+    sensor_inputs = (SURROUNDINGS,)
     share = 0.5
     # As the policy: a nominal action does not wait for news of a load. The watch over the margin sees what that costs.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
@@ -86,7 +86,7 @@ class SafetyFilterNode(AbstractNode):
             model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings)
         )
         RobotSession.begun(first, self._settings)  # refuses another robot now, and not at its first tick
-        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._foretold)
+        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._predicted)
         self._robots: dict[str, RobotSession] = {}
         self._broken: dict[str, RobotSession] = {}
         """Of robots whose last step failed: their margin goes on."""
@@ -225,7 +225,9 @@ class SafetyFilterNode(AbstractNode):
             return False
         state, _, verdict = memory.decision
         speeds = [state.values[index] for index in memory.speeds if index < len(state.values)]
-        return verdict.status in (Status.stopped, Status.fallback) and all(abs(speed) <= _STANDS for speed in speeds)
+        return verdict.status in (Status.stopped, Status.fallback) and all(
+            abs(speed) <= _IS_STATIONARY for speed in speeds
+        )
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
         """The backup of a robot that does not rest by itself, else the resting action, and a verdict that says so.
@@ -257,7 +259,7 @@ class SafetyFilterNode(AbstractNode):
             trial.try_out(memory.decision, memory.barriers)
         return held
 
-    def _foretold(self, robot: str, held: CalibratedModel) -> str:
+    def _predicted(self, robot: str, held: CalibratedModel) -> str:
         """What the margin of an offered model would do where the robot is now."""
         memory, current = self._robots.get(robot), self._versions.of(robot).calibration.epsilon
         if memory is None or memory.decision is None or isinstance(memory.barriers, str):

@@ -81,7 +81,7 @@ class RobotSession:
     filter: SafetyFilter
     scene: AbstractScene
     margin: OnlineMarginMonitor
-    trail: CommandHistory
+    history: CommandHistory
     tick: int = -1
     changed_at: int = -1
     """First tick from which another model is to be used; -1: of none."""
@@ -224,7 +224,9 @@ class RobotSession:
         last = None if self.decision is None else self.decision.state
         same = last is not None and _same_scene(last, state)
         late = (
-            self.trail.delayed_prediction(self.until_action) if self.pending and state.applied_by == "filter" else None
+            self.history.delayed_prediction(self.until_action)
+            if self.pending and state.applied_by == "filter"
+            else None
         )
         self.margin.observe(state.values, barriers, same_scene=same, late=late)
         if barriers.names:
@@ -239,13 +241,13 @@ class RobotSession:
             predicted, self.expected_memory = (), None
         self._watch_delay(state, latent)
         if self.pending:
-            self.trail.decided(None if latent is None else tuple(latent.tolist()))
+            self.history.decided(None if latent is None else tuple(latent.tolist()))
         barriers = None if isinstance(self.barriers, str) else self.barriers
         self.margin.expect(predicted[0] if predicted else None, barriers)
         return predicted
 
     def _watch_delay(self, state: StateMessage, latent: FloatArray | None) -> None:
-        passed = self.trail.passed(MOST) if state.applied_by == "filter" else None
+        passed = self.history.passed(MOST) if state.applied_by == "filter" else None
         if passed is None or (state.sources and passed.stood(self.speeds)):
             return
         with suppress(InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is learned
@@ -272,7 +274,7 @@ class RobotSession:
 
     def inherit_from(self, former: RobotSession | None) -> None:
         """How far the robot was driven backwards, and what was sent, do not depend on who held the model until now."""
-        self.former = None if former is None else former.trail
+        self.former = None if former is None else former.history
         if former is not None:
             self.sensed = former.sensed
             self.scene.remember(former.scene)
@@ -281,8 +283,8 @@ class RobotSession:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        model, told, expected = self.model, self.decision, self.expected_memory
-        follows = told is not None and (state.epoch, state.tick) == (told.state.epoch, told.state.tick + 1)
+        model, reported, expected = self.model, self.decision, self.expected_memory
+        follows = reported is not None and (state.epoch, state.tick) == (reported.state.epoch, reported.state.tick + 1)
         if follows and expected is not None and state.applied_by == "filter":
             self.memory = expected
         elif follows and self.memory:  # the watchdog's action: what was sent before is still on its way
@@ -294,10 +296,10 @@ class RobotSession:
             for command in sent if self.memory else ():
                 self.memory = model.felt(command, self.memory, period=state.period)[1]
         self.former = None
-        self.trail.add(state.tick, state.values, state.applied, self.memory)
+        self.history.add(state.tick, state.values, state.applied, self.memory)
         self.until_action = min(self.delay.beyond(state.until_action), LONGEST_AGE)
         late = (self.memory or self.until_action > 0.0) and not state_too_old(state)
-        self.pending = self.trail.pending(self.until_action) if late else ()
+        self.pending = self.history.pending(self.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: FloatArray | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.
@@ -309,7 +311,7 @@ class RobotSession:
             return (), None
         if self.pending and self.pending.sent:
             known, action = None if latent is None else tuple(latent.tolist()), tuple(verdict.action.tolist())
-            ahead = self.trail.expected(action, known, self.pending, steps)
+            ahead = self.history.expected(action, known, self.pending, steps)
             after = model.felt(action, self.memory, known, period=state.period)[1] if self.memory else self.memory
             return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
         step = model.straight(state.period)
@@ -356,8 +358,8 @@ class RobotSession:
         resting = rest()
         if resting.status is not Status.passed:
             return verdict
-        said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
-        return replace(resting, status=Status.corrected, nominal=verdict.nominal, active=verdict.active, reason=said)
+        notice = "The correction lay in the dead band, where the robot did not move before: it rests instead."
+        return replace(resting, status=Status.corrected, nominal=verdict.nominal, active=verdict.active, reason=notice)
 
     def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: FloatArray | None) -> Verdict:
         """Where no action keeps every condition: what leads out of the margin's layer (``DeadlockEscape``).

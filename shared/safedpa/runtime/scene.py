@@ -151,10 +151,10 @@ def scene_of(model: AbstractDynamics, settings: FilterSettings) -> AbstractScene
 
 def _no_names(system: System) -> str:
     known = [one.system for one in robots().values()]
-    told = "; ".join(f"{', '.join(item.state_names)} with {', '.join(item.action_names)}" for item in known)
+    reported = "; ".join(f"{', '.join(item.state_names)} with {', '.join(item.action_names)}" for item in known)
     return (
         f"model: of the system '{system.name}', {', '.join(system.state_names)} with "
-        f"{', '.join(system.action_names) or 'no action'}; the service has barriers for {told}; declare a robot of "
+        f"{', '.join(system.action_names) or 'no action'}; the service has barriers for {reported}; declare a robot of "
         "your own (--robot-file), or filter it with the library, which takes barriers of your own"
     )
 

@@ -35,22 +35,22 @@ class StopOrders:
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._kept: Mapping[str, str] = MappingProxyType({} if path is None else _read(path))
+        self._active: Mapping[str, str] = MappingProxyType({} if path is None else _read(path))
         """By robot: why it is to stand. Replaced as a whole, so that a tick reads it without waiting."""
         self._ending = ""
 
     def reason(self, robot: str) -> str:
         """Why the robot is to stand; empty: it may drive."""
-        return self._ending or self._kept.get(EVERYBODY, "") or self._kept.get(robot, "")
+        return self._ending or self._active.get(EVERYBODY, "") or self._active.get(robot, "")
 
     def end(self, reason: str) -> None:
         """Stops everybody until this process ends; never kept, so the next one lets them drive."""
         self._ending = reason
 
     @property
-    def kept(self) -> dict[str, str]:
+    def active(self) -> dict[str, str]:
         """The orders in force, by robot; ``-`` is the whole fleet."""
-        return dict(self._kept)
+        return dict(self._active)
 
     def answer(self, robot: str, request: Request) -> Answer:
         """``stop``, ``go`` or ``status`` about a robot, or about the fleet where the robot is ``-``.
@@ -58,7 +58,7 @@ class StopOrders:
         Raises InputError for anything else.
         """
         if request.do == "status":
-            return Answer(ok=True, sentence=self._told(robot))
+            return Answer(ok=True, sentence=self._reported(robot))
         if request.do not in ("stop", "go"):
             raise InputError(f"order '{request.do}': wanted stop, go or status")
         with self._lock:
@@ -66,23 +66,23 @@ class StopOrders:
 
     def _stop(self, robot: str, who: str) -> Answer:
         reason = f"ordered by {who or 'somebody who gave no name'}"
-        problem = self._change({**self._kept, robot: reason})
+        problem = self._change({**self._active, robot: reason})
         return Answer(ok=True, sentence=f"{_named(robot)} stops, {reason}{self._how_long(problem)}")
 
     def _go(self, robot: str) -> Answer:
-        if robot != EVERYBODY and EVERYBODY in self._kept:
-            return Answer(ok=False, sentence=f"refused: the whole fleet is stopped, {self._kept[EVERYBODY]}")
-        if robot not in self._kept:
+        if robot != EVERYBODY and EVERYBODY in self._active:
+            return Answer(ok=False, sentence=f"refused: the whole fleet is stopped, {self._active[EVERYBODY]}")
+        if robot not in self._active:
             return Answer(ok=False, sentence=f"refused: {_named(robot)} is not stopped by an order{self._others()}")
-        problem = self._change({name: why for name, why in self._kept.items() if name != robot})
+        problem = self._change({name: why for name, why in self._active.items() if name != robot})
         again = f"; but a filter that is started again will stop it anew: {problem}" if problem else ""
         return Answer(ok=True, sentence=f"{_named(robot)} may drive{self._others()}{again}")
 
     def _others(self) -> str:
-        single = sorted(name for name in self._kept if name != EVERYBODY)
+        single = sorted(name for name in self._active if name != EVERYBODY)
         return f"; still stopped: {', '.join(single)}" if single else ""
 
-    def _told(self, robot: str) -> str:
+    def _reported(self, robot: str) -> str:
         reason = self.reason(robot)
         return f"{_named(robot)} stands, {reason}" if reason else f"{_named(robot)} may drive{self._others()}"
 
@@ -91,13 +91,13 @@ class StopOrders:
             return "; held until 'go' or the filter's end, since it keeps no file of orders"
         return f"; held until 'go' or the filter's end: {problem}" if problem else "; held until 'go'"
 
-    def _change(self, kept: dict[str, str]) -> str:
+    def _change(self, active: dict[str, str]) -> str:
         """Puts the orders in force, then on disk; what went wrong with the disk, or nothing."""
-        self._kept = MappingProxyType(kept)
+        self._active = MappingProxyType(active)
         if self._path is None:
             return ""
         try:
-            write_through(self._path, json.dumps({"format": _FORMAT, "orders": kept}))
+            write_through(self._path, json.dumps({"format": _FORMAT, "orders": active}))
         except OSError as error:
             return f"{self._path} cannot be written ({error.strerror})"
         return ""

@@ -105,17 +105,17 @@ class Decision:
         self._latent = self._checked("latent", request.latent, wanted) if given else None
         self._seconds = nan
         """Since the start of the run; NaN: not told."""
-        self._tell_time(request.time)
+        self._report_time(request.time)
         self._margin = 0.0
         self._conditions: Constraints | None = None
 
-    def _tell_time(self, seconds: Any) -> None:
+    def _report_time(self, seconds: Any) -> None:
         """A model that depends on the time since the start is asked at that time, and not at all without it."""
         prediction = self._tools.prediction
-        told = float(seconds) if isinstance(seconds, (float, int)) else nan
-        if 0.0 <= told < inf:
-            self._seconds = told
-            prediction.tell_time(self._seconds)
+        reported = float(seconds) if isinstance(seconds, (float, int)) else nan
+        if 0.0 <= reported < inf:
+            self._seconds = reported
+            prediction.report_time(self._seconds)
         elif prediction.timed:  # to any other model the time says nothing
             self._problems.append(
                 f"time: got {seconds!r}, wanted the seconds since the start of the run, on which the model depends"
@@ -196,8 +196,8 @@ class Decision:
         searched = self._request.searched
         held = searched.still(conditions, program.sides, self._seconds)
         if held is not None and not held.kept:
-            said = f"{self._worst(conditions, held)}{searched.said} Found a moment ago, and no worse now."
-            return self._verdict(Status.relaxed, held, said, solver)
+            notice = f"{self._worst(conditions, held)}{searched.notice} Found a moment ago, and no worse now."
+            return self._verdict(Status.relaxed, held, notice, solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
         other, solver = self._restart_from(conditions, nominal, asked, [backup, *spread])
@@ -207,12 +207,12 @@ class Decision:
         if nearby.kept:
             other, solver = self._restart_from(conditions, nominal, asked, [nearby])
             return self._kept(conditions, nominal, other, "Found beside the least broken of many actions.", solver)
-        best, said = self._least_unsafe(conditions, backup, [asked, found, other, nearby, *spread])
+        best, notice = self._least_violation(conditions, backup, [asked, found, other, nearby, *spread])
         if best.kept:
             other, solver = self._restart_from(conditions, nominal, asked, [best])
             return self._kept(conditions, nominal, other, "Found among the least unsafe actions.", solver)
-        searched.note(best, self._seconds, said)
-        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
+        searched.note(best, self._seconds, notice)
+        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{notice}", solver)
 
     def _kept(
         self, conditions: Constraints, nominal: Action, found: ActionCandidate, reason: str, solver: str
@@ -264,16 +264,16 @@ class Decision:
 
     def _violated(self, conditions: Constraints, asked: ActionCandidate) -> Verdict:
         backup = conditions.outcome(self._backup_action())
-        best, said = self._least_unsafe(conditions, backup, [asked, *self._spread(conditions)])
+        best, notice = self._least_violation(conditions, backup, [asked, *self._spread(conditions)])
         names, h_now = conditions.barriers.names, conditions.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
-        return self._verdict(Status.violated, best, f"Below 0: {below}.{said}", "solved")
+        return self._verdict(Status.violated, best, f"Below 0: {below}.{notice}", "solved")
 
     def _spread(self, conditions: Constraints) -> list[ActionCandidate]:
         tools = self._tools
         return [conditions.outcome(one) for one in action_grid(tools.program.sides, affine=tools.prediction.affine)]
 
-    def _least_unsafe(
+    def _least_violation(
         self, conditions: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
     ) -> tuple[ActionCandidate, str]:
         """The least unsafe outcome, and what is to be said of barriers that no action moves."""

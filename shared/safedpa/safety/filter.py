@@ -176,8 +176,8 @@ class SafetyFilter:
         if verdict.status is Status.fallback:
             return replace(verdict, nominal=None)
         status = Status.corrected if verdict.status is Status.passed else verdict.status
-        said = f"{verdict.reason} {absent[:1].upper()}{absent[1:]}: the resting action stood in for it.".strip()
-        return replace(verdict, nominal=None, status=status, reason=said)
+        notice = f"{verdict.reason} {absent[:1].upper()}{absent[1:]}: the resting action stood in for it.".strip()
+        return replace(verdict, nominal=None, status=status, reason=notice)
 
     def stop(
         self,

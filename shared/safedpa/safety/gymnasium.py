@@ -121,8 +121,8 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
         taken = np.stack([self._between.action(verdict) for verdict in verdicts])
         observations, rewards, terminated, truncated, infos = self.env.step(taken)
         self._observations = deepcopy(observations)
-        told = {"verdict": verdicts, "_verdict": np.ones(count, dtype=np.bool_)}
-        return observations, rewards, terminated, truncated, {**infos, **told}
+        reported = {"verdict": verdicts, "_verdict": np.ones(count, dtype=np.bool_)}
+        return observations, rewards, terminated, truncated, {**infos, **reported}
 
 
 @final

@@ -135,8 +135,8 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
         return entries
     if plausible is None or found == _NOT_FINITE:
         return InvalidInput(f"{what} holds NaN or infinity")
-    said = f"{plausible.names[found]} = {entries[found]:g}, wanted {low[found]:g} to {high[found]:g}"
-    return InvalidInput(f"{what} is out of its plausible range: {said}")
+    notice = f"{plausible.names[found]} = {entries[found]:g}, wanted {low[found]:g} to {high[found]:g}"
+    return InvalidInput(f"{what} is out of its plausible range: {notice}")
 
 
 def _all_floats(values: Any) -> bool:

@@ -64,7 +64,7 @@ def against(
     other: Path,
     pairs: int,
     seconds: float,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
     drive: Drive | None = None,
     rows: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def against(
                 measured = run((ours, other)[which])
                 if number:
                     found[which].append(measured)
-            tell(number, pairs)
+            report_progress(number, pairs)
     return {
         "pairs": pairs,
         "seconds": seconds,
@@ -114,7 +114,7 @@ def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as out:
         drive = ["up", "--headless", "--json", "--load", "box", "--seconds", repr(seconds), "--out", out]
         began = time.time()
-        summary = json.loads(_said_by(folder, drive, Path(out), compiled, seconds + _LONGEST_SECONDS))
+        summary = json.loads(_message_by(folder, drive, Path(out), compiled, seconds + _LONGEST_SECONDS))
         first = _first_action(Path(summary["recording"])) - began
     latency = summary["latency_us"]
     return dict(zip(FIGURES, (latency["p50"], latency["p99"], first), strict=True))
@@ -125,7 +125,9 @@ def benched(folder: Path, rows: Sequence[str], compiled: Path) -> dict[str, floa
     with tempfile.TemporaryDirectory() as out:
         file = Path(out) / "rows.json"
         named = [part for name in rows for part in ("--only", name)]
-        _said_by(folder, ["bench", "all", "--quick", *named, "--json", str(file)], Path(out), compiled, _LONGEST_BENCH)
+        _message_by(
+            folder, ["bench", "all", "--quick", *named, "--json", str(file)], Path(out), compiled, _LONGEST_BENCH
+        )
         document = json.loads(file.read_text(encoding="utf-8"))
     found = {}
     for name in rows:
@@ -138,7 +140,7 @@ def benched(folder: Path, rows: Sequence[str], compiled: Path) -> dict[str, floa
     return found
 
 
-def _said_by(folder: Path, arguments: Sequence[str], where: Path, compiled: Path, longest_seconds: float) -> str:
+def _message_by(folder: Path, arguments: Sequence[str], where: Path, compiled: Path, longest_seconds: float) -> str:
     """What ``safedpa`` of a checkout writes. Raises SafedpaError when it fails or takes longer."""
     environment = {
         **os.environ,
@@ -147,7 +149,7 @@ def _said_by(folder: Path, arguments: Sequence[str], where: Path, compiled: Path
     }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-m", "safedpa_services", *arguments]
-    said = f"{folder}: safedpa {' '.join(arguments[:2])}"
+    notice = f"{folder}: safedpa {' '.join(arguments[:2])}"
     try:
         done = subprocess.run(
             command,
@@ -159,9 +161,9 @@ def _said_by(folder: Path, arguments: Sequence[str], where: Path, compiled: Path
             timeout=longest_seconds,
         )
     except subprocess.TimeoutExpired as error:
-        raise SafedpaError(f"{said} did not end within {error.timeout:.0f} s") from error
+        raise SafedpaError(f"{notice} did not end within {error.timeout:.0f} s") from error
     if done.returncode != 0:
-        raise SafedpaError(f"{said}: {done.stderr.strip()[-500:]}")
+        raise SafedpaError(f"{notice}: {done.stderr.strip()[-500:]}")
     return done.stdout
 
 

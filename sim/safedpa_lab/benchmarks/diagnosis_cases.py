@@ -14,7 +14,7 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
-__all__ = ["CASES", "NAMES", "Hidden", "expression_is_right", "terms_are_right", "told", "written"]
+__all__ = ["CASES", "NAMES", "Hidden", "expression_is_right", "reported", "terms_are_right", "written"]
 
 
 NAMES: Final = ("speed", "target", "steer", "sign")
@@ -76,7 +76,7 @@ def written(hidden: Hidden, folder: Path, runs: int, seconds: float) -> Any:
     return write_case(case, folder)
 
 
-def told(log: Any) -> dict[str, Any]:
+def reported(log: Any) -> dict[str, Any]:
     """What a peer is told of a case: per run what the given model leaves of yaw and speed, and the variables."""
     model = load_model(log.model)
     described = [_left_over(model, load_run(path, model.system)) for path in log.runs]

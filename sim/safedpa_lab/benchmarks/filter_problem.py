@@ -55,8 +55,8 @@ class FilterProblem:
         A robot may tell the service no more than ``MOST_OBSTACLES``; of more they are built without its scene.
         """
         if len(self.obstacles) > MOST_OBSTACLES:
-            told = self.obstacles.tolist()
-            return CachingBarrierSet(make_barrier_set(car_barriers(self.settings, _FOOTPRINT, told, _FIELD, None)))
+            reported = self.obstacles.tolist()
+            return CachingBarrierSet(make_barrier_set(car_barriers(self.settings, _FOOTPRINT, reported, _FIELD, None)))
         found = CarScene(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
         assert not isinstance(found, str), found
         return found
@@ -128,23 +128,23 @@ def problem_with(count: int) -> FilterProblem:
     nowhere = np.zeros((0, 4))
     problem = FilterProblem(obstacles, nowhere, settings, nowhere)
     barriers, nominal = problem.barriers(), np.array(_NOMINAL)
-    kept: list[FloatArray] = []
+    retained: list[FloatArray] = []
     every: list[FloatArray] = []
     state, tick = _towards(obstacles[0], random), 0
-    while len(kept) < _STATES:
+    while len(retained) < _STATES:
         verdicts = [
             one.decide(state, nominal, model.latent, barriers=barriers)
             for one, model in zip(filters, models, strict=True)
         ]
         every.append(state)
         if all(verdict.status is Status.corrected and verdict.solver == "solved" for verdict in verdicts):
-            kept.append(state)
+            retained.append(state)
         moved, _ = models[0].advance(state, verdicts[0].action, models[0].initial_memory(nominal), models[0].latent)
         tick += 1
         state = np.asarray(moved, dtype=np.float64)
         if tick == _TICKS:
             state, tick = _towards(obstacles[0], random), 0
-    return FilterProblem(obstacles, np.array(kept), settings, np.array(every))
+    return FilterProblem(obstacles, np.array(retained), settings, np.array(every))
 
 
 def wedged() -> FilterProblem:

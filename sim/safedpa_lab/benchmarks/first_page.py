@@ -53,18 +53,18 @@ def seconds_to_pages(pages: tuple[str, ...] = _PAGES) -> dict[str, float]:
 def _answered(
     process: subprocess.Popen[str], lines: queue.SimpleQueue[str], pages: tuple[str, ...], began: float
 ) -> dict[str, float]:
-    told: dict[str, str] = {}
+    reported: dict[str, str] = {}
     found: dict[str, float] = {}
-    said = ""
+    notice = ""
     while len(found) < len(pages):
         while not lines.empty():
-            said = lines.get()
-            told |= {page.strip(): said.removeprefix(page).strip() for page in pages if said.startswith(page)}
-        for page, address in told.items():
+            notice = lines.get()
+            reported |= {page.strip(): notice.removeprefix(page).strip() for page in pages if notice.startswith(page)}
+        for page, address in reported.items():
             if page not in found and answers(address):
                 found[page] = time.monotonic() - began
         if process.poll() is not None:
-            raise SafedpaError(f"safedpa up: ended with exit code {process.returncode}: {said.strip()}")
+            raise SafedpaError(f"safedpa up: ended with exit code {process.returncode}: {notice.strip()}")
         if time.monotonic() - began > _PATIENCE_SECONDS:
             absent = ", ".join(page.strip() for page in pages if page.strip() not in found)
             raise SafedpaError(f"safedpa up: no answer of {absent} within {_PATIENCE_SECONDS:.0f} s")

@@ -54,7 +54,9 @@ class FleetTrial:
     """Somebody with a diagnosis' key offers models that take long to read, in every other stretch of so many s."""
 
 
-def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
+def fleet_benchmark(
+    trial: FleetTrial, report_progress: Callable[[int, int], None] = lambda _done, _all: None
+) -> dict[str, Any]:
     """Drives the fleet and tells late ticks, sense to act, and each process's processor time and memory.
 
     ``tell(seconds, of)`` hears how far it is.
@@ -72,7 +74,7 @@ def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda
                 summary,
                 children,
                 trial.seconds + _PATIENCE_SECONDS,
-                lambda: tell(round(min(time.monotonic() - began, trial.seconds)), round(trial.seconds)),
+                lambda: report_progress(round(min(time.monotonic() - began, trial.seconds)), round(trial.seconds)),
             )
             after = _usages(children)
             account = json.loads(summary.read_text(encoding="utf-8"))
@@ -173,15 +175,17 @@ def _running(children: list[Child]) -> Iterator[None]:
             child.end(2.0)
 
 
-def _await(file: Path, children: list[Child], patience: float, tell: Callable[[], None] = lambda: None) -> None:
+def _await(
+    file: Path, children: list[Child], patience: float, report_progress: Callable[[], None] = lambda: None
+) -> None:
     deadline = time.monotonic() + patience
     while not file.exists():
-        tell()
+        report_progress()
         for child in children:
             if child.exit_code is not None:
-                raise SafedpaError(f"{child.name} ended with exit code {child.exit_code}: {child.last_words()}")
+                raise SafedpaError(f"{child.name} ended with exit code {child.exit_code}: {child.last_text()}")
         if time.monotonic() > deadline:
-            raise SafedpaError(f"the fleet was not ready within {patience:.0f} s: {children[0].last_words()}")
+            raise SafedpaError(f"the fleet was not ready within {patience:.0f} s: {children[0].last_text()}")
         time.sleep(_LOOK_SECONDS)
 
 

@@ -129,8 +129,8 @@ def _growth(curves: list[Document], path: Path) -> Path:
         axis.set_xlabel(curve["x_name"], fontsize=8)
         axis.set_ylabel(curve["y_name"], fontsize=8)
         axis.tick_params(which="both", labelsize=8)
-        beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)} if len(curve["series"]) > _MOST_INSIDE else {}
-        axis.legend(fontsize=7, frameon=False, **beside)
+        alongside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)} if len(curve["series"]) > _MOST_INSIDE else {}
+        axis.legend(fontsize=7, frameon=False, **alongside)
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)

@@ -58,8 +58,8 @@ def of_source(calls: int, seconds: float) -> dict[str, Any]:
 
 def without(folder: Path, paths: str) -> str:
     """The entries of a PYTHONPATH but ``folder``."""
-    kept = [path for path in paths.split(os.pathsep) if path and Path(path).resolve() != folder.resolve()]
-    return os.pathsep.join(kept)
+    retained = [path for path in paths.split(os.pathsep) if path and Path(path).resolve() != folder.resolve()]
+    return os.pathsep.join(retained)
 
 
 def _main(calls: int, seconds: float) -> None:

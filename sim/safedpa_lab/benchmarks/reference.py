@@ -22,7 +22,7 @@ __all__ = ["held_up_seconds", "work"]
 
 _PERIOD_SECONDS = 0.005
 _LATE_SECONDS = 0.002
-_REMEMBERED = 100_000
+_CACHED = 100_000
 
 
 def held_up_seconds(gaps: Iterable[Sequence[float]], begin: float, end: float) -> float:
@@ -45,7 +45,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         due += _PERIOD_SECONDS
         time.sleep(max(0.0, due - time.monotonic()))
         woke = time.monotonic()
-        if woke - due > _LATE_SECONDS and turns and len(gaps) < _REMEMBERED:
+        if woke - due > _LATE_SECONDS and turns and len(gaps) < _CACHED:
             gaps.append((due, woke))
         due = max(due, woke - _PERIOD_SECONDS)
     options.account.write_text(json.dumps({"core": options.core, "gaps": gaps}), encoding="utf-8")

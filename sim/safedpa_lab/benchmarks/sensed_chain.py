@@ -26,7 +26,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import walkers
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 __all__ = ["chain_times"]
 
@@ -41,7 +41,9 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
     simulation and the network are not.
     """
     model, scene = load_model("car"), Scene.random(_SEED)
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(rays=rays), _SEED),), walkers(scene, _PEOPLE)))
+    robot = CarRobot(
+        scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(rays=rays), _SEED),), walkers(scene, _PEOPLE))
+    )
     adaptation, perception = AdaptationNode(model), PerceptionNode()
     policy, safety = PolicyNode(model), SafetyFilterNode(model, settings_named("car"), margin_for(model))
     nodes = (adaptation, perception, policy, safety)
@@ -50,9 +52,9 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
     wall: list[float] = []
     processor: list[float] = []
     while len(wall) < _WARM + scans:
-        state, told = robot.state_message(), [encode(scan) for scan in robot.scans()]
+        state, reported = robot.state_message(), [encode(scan) for scan in robot.scans()]
         used, began = time.process_time(), time.perf_counter()
-        for data in told:
+        for data in reported:
             perception.hear(_NAME, decode(ScanMessage, data))
         inputs: dict[Any, Any] = {LATENT: adaptation.step(_NAME, state, {})[LATENT]}
         inputs[SURROUNDINGS] = decode(SurroundingsMessage, encode(perception.step(_NAME, state, {})[SURROUNDINGS]))
@@ -64,7 +66,7 @@ def chain_times(rays: int, scans: int) -> tuple[list[float], list[float]]:
             node.afterwards(_NAME)
         robot.receive(decode(ActionMessage, heard))
         robot.advance()
-        if told:
+        if reported:
             wall.append(1e6 * elapsed)
             processor.append(1e6 * spent)
     return wall[_WARM:], processor[_WARM:]

@@ -42,9 +42,13 @@ def chosen_rows(only: Sequence[str], effort: Effort) -> list[str]:
 
 
 def run_rows(
-    names: Sequence[str], effort: Effort, file: Path | None, tell: Callable[[str, Document], None], resume: bool = False
+    names: Sequence[str],
+    effort: Effort,
+    file: Path | None,
+    report_progress: Callable[[str, Document], None],
+    resume: bool = False,
 ) -> Document:
-    """Measures rows and hands each to ``tell`` as it comes; returns the whole document.
+    """Measures rows and hands each to ``report_progress`` as it comes; returns the whole document.
 
     With ``file`` every row is written as soon as it is there; rows in it that are not measured now stay, and with
     ``resume`` those that are there already are not measured again. A row that fails is told in words; the others go on.
@@ -54,14 +58,14 @@ def run_rows(
         document = read_document(file)
     for name in names:
         if resume and "failed" not in document["rows"].get(name, {"failed": ""}):
-            tell(name, document["rows"][name])
+            report_progress(name, document["rows"][name])
             continue
         document["rows"][name] = _one(name, effort)
         document["rows"] = {known: document["rows"][known] for known in ROWS if known in document["rows"]}
         if file is not None:
             with atomic_path(file) as unfinished:
                 unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        tell(name, document["rows"][name])
+        report_progress(name, document["rows"][name])
     return document
 
 

@@ -49,8 +49,8 @@ def _unit(figure: str, unit: str) -> str:
 
 def _filled(columns: list[str], lines: list[Line]) -> tuple[list[str], list[Line]]:
     """Without the columns in which nothing stands."""
-    kept = [place for place in range(len(columns)) if any(line[place] not in ("", "-") for line in lines)]
-    return [columns[place] for place in kept], [tuple(line[place] for place in kept) for line in lines]
+    retained = [place for place in range(len(columns)) if any(line[place] not in ("", "-") for line in lines)]
+    return [columns[place] for place in retained], [tuple(line[place] for place in retained) for line in lines]
 
 
 def figure_text(value: float | None, unit: str) -> str:
@@ -118,8 +118,10 @@ def _section(row: Document) -> Iterator[str]:
     yield "|" + "".join(" --- |" if name in ("program", "problem") else " --: |" for name in columns)
     yield from ("| " + " | ".join(line) + " |" for line in lines)
     yield ""
-    told = dict.fromkeys((entry["name"], entry["missing"] or entry["note"]) for entry in (*row["ours"], *row["peers"]))
-    yield from (f"- {name}: {words}" for name, words in told if words)
+    reported = dict.fromkeys(
+        (entry["name"], entry["missing"] or entry["note"]) for entry in (*row["ours"], *row["peers"])
+    )
+    yield from (f"- {name}: {phrase}" for name, phrase in reported if phrase)
     yield from (f"- {note}" for note in row["notes"])
     about = row["machine"]
     yield (

@@ -79,8 +79,8 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
             _show(result)
 
     def measure(wanted: FleetTrial) -> dict[str, Any]:
-        with progress(f"{wanted.robots} robots") as tell:
-            return fleet_benchmark(wanted, tell)
+        with progress(f"{wanted.robots} robots") as report_progress:
+            return fleet_benchmark(wanted, report_progress)
 
     if not as_json:
         click.echo(f"bare chain of as many processes, one robot: p50 {bare['p50']:.0f}, p99 {bare['p99']:.0f} us")
@@ -119,8 +119,8 @@ def against(
 
     ours, other = checkout_of(Path(__file__).parents[3]), checkout_of(folder)
     rows = chosen_rows(only, Effort(quick=True)) if only else []
-    with progress(f"{pairs} pairs of {'rows' if rows else 'drives'}") as tell:
-        result = compared(ours, other, pairs, seconds, tell, rows=rows)
+    with progress(f"{pairs} pairs of {'rows' if rows else 'drives'}") as report_progress:
+        result = compared(ours, other, pairs, seconds, report_progress, rows=rows)
     if as_json:
         click.echo(json.dumps(result))
     else:
@@ -206,8 +206,8 @@ def _show_row(name: str, row: dict[str, Any]) -> None:
         console.print(table)
     entries = (*row.get("ours", ()), *row.get("peers", ()))
     absent = [f"{entry['name']}: {entry['missing']}" for entry in entries if entry["missing"]]
-    for words in (*target_texts(row), *row.get("notes", ()), *dict.fromkeys(absent)):
-        console.print(f"  {words}", markup=False)
+    for phrase in (*target_texts(row), *row.get("notes", ()), *dict.fromkeys(absent)):
+        console.print(f"  {phrase}", markup=False)
 
 
 def _check(seconds: float, rate: float) -> None:
@@ -225,8 +225,8 @@ def _show(result: dict[str, Any]) -> None:
         f"load average {result['load_average'][0]} to {result['load_average'][1]}"
     )
     for name, times in (("sense to act, us", sense), ("states sent late by, us", own)):
-        told = "   ".join(f"{key} {_number(times[key])}" for key in ("p50", "p99", "p999", "longest"))
-        click.echo(f"  {name:24} {told}")
+        reported = "   ".join(f"{key} {_number(times[key])}" for key in ("p50", "p99", "p999", "longest"))
+        click.echo(f"  {name:24} {reported}")
     for name, used in result["processes"].items():
         if used is not None:
             click.echo(

@@ -32,14 +32,14 @@ def _check(folder: Path, strict: bool, as_json: bool) -> int:
 
     found = list(standings(folder))
     if as_json:
-        click.echo(json.dumps({"results": [{**asdict(each), "told": each.told} for each in found]}))
+        click.echo(json.dumps({"results": [{**asdict(each), "reported": each.reported} for each in found]}))
     else:
         for each in found:
-            click.echo(f"{each.name:32} {(each.date or 'no date')[:10]:10}  {each.told}")
+            click.echo(f"{each.name:32} {(each.date or 'no date')[:10]:10}  {each.reported}")
             if each.command:
                 click.echo(f"{'':34}{each.command}")
             if each.changed:
                 click.echo(f"{'':34}differ: {', '.join(each.changed)}")
-        told = sum(not each.changed and each.rooms > 0 for each in found)
-        click.echo(f"{told} of {len(found)} were made by the code of today")
+        reported = sum(not each.changed and each.rooms > 0 for each in found)
+        click.echo(f"{reported} of {len(found)} were made by the code of today")
     return int(strict and any(each.changed or not each.rooms for each in found))

@@ -50,7 +50,7 @@ def command(
     chosen = _split("--names", names, BASELINES), _split("--tasks", tasks, tuple(TASKS))
     numbers = _numbers(seeds)
     changes = plan if steps is None else {**plan, "steps": steps}
-    train_baselines(out, *chosen, numbers, _tell, changes)
+    train_baselines(out, *chosen, numbers, _report, changes)
     found = baselines_in(out, numbers[0])
     write_baselines(found, out)
     click.echo(json.dumps(found) if as_json else markdown_of(found))
@@ -72,7 +72,7 @@ def _split(option: str, given: str | None, everything: tuple[str, ...]) -> tuple
     return chosen
 
 
-def _tell(phase: str, done: int, everything: int, note: str) -> None:
+def _report(phase: str, done: int, everything: int, note: str) -> None:
     """One line that stays where it is on a terminal, a line each elsewhere."""
     line = f"{time.strftime('%H:%M:%S')} {phase} {done}/{everything} {note}"
     click.echo(f"\r{line:<79}" if sys.stderr.isatty() else line, err=True, nl=not sys.stderr.isatty())

@@ -42,7 +42,7 @@ PARTS = ("table", "errors", "latent", "equal-margin")
 _PREDICTORS = ("car_learned", "car_simulated", "car_fix", "car_mix", "car")
 """Models whose predictions are measured, where they exist."""
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,15 @@ class CarExperiment:
         _ = self.filter_settings
 
 
-def car_experiment(experiment: CarExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def car_experiment(
+    experiment: CarExperiment, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """Runs it. ``tell(done, all)`` counts episodes and recorded drives. The same experiment gives the same figures."""
-    return _Run(experiment, tell).result()
+    return _Run(experiment, report_progress).result()
 
 
 class _Run:
-    def __init__(self, experiment: CarExperiment, tell: Tell) -> None:
+    def __init__(self, experiment: CarExperiment, report_progress: ReportProgress) -> None:
         self._experiment = experiment
         self._family = FAMILIES[experiment.family]
         self._settings = experiment.filter_settings
@@ -130,14 +132,14 @@ class _Run:
         self._equal = [method for method in self._methods if method.filter_model]
         if METHODS[OWN] not in self._equal or "equal-margin" not in experiment.parts:
             self._equal = []
-        self._tell, self._done = tell, 0
+        self._report, self._done = report_progress, 0
         self._all = self._work()
 
     def result(self) -> dict[str, Any]:
         experiment = self._experiment
         result: dict[str, Any] = {
             "experiment": "car",
-            "family": {"name": self._family.name, "words": self._family.words},
+            "family": {"name": self._family.name, "phrase": self._family.phrase},
             "seeds": [experiment.first_seed, experiment.first_seed + experiment.episodes - 1],
             "left_out": self._missing,
             "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in self._methods},
@@ -221,7 +223,7 @@ class _Run:
 
     def _advance(self, count: int) -> None:
         self._done += count
-        self._tell(self._done, self._all)
+        self._report(self._done, self._all)
 
     def _work(self) -> int:
         experiment = self._experiment

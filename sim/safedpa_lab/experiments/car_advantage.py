@@ -43,8 +43,8 @@ def _rows(place: str, outcomes: Outcomes, measures: Sequence[str]) -> Iterator[d
     for name, other in outcomes.items():
         for measure in measures if name != OWN else ():
             more, fewer, p = mcnemar_exact(_flags(outcomes[OWN], measure), _flags(other, measure))
-            told = {"place": place, "against": name, "title": METHODS[name].title, "measure": measure}
-            yield {**told, "episodes": len(other), "only_safedpa": more, "only_other": fewer, "mcnemar": p}
+            reported = {"place": place, "against": name, "title": METHODS[name].title, "measure": measure}
+            yield {**reported, "episodes": len(other), "only_safedpa": more, "only_other": fewer, "mcnemar": p}
 
 
 def _flags(outcomes: Sequence[Outcome], measure: str) -> BoolArray:
@@ -64,5 +64,5 @@ def advantage_entry(row: Mapping[str, Any]) -> str:
     more, fewer, p = row["only_safedpa"], row["only_other"], row["holm"]
     if not more + fewer:
         return "-"
-    told = f"{more} : {fewer}, p = {p:.2g}"
-    return f"**{told}**" if p < SIGNIFICANT else told
+    reported = f"{more} : {fewer}, p = {p:.2g}"
+    return f"**{reported}**" if p < SIGNIFICANT else reported

@@ -72,8 +72,8 @@ class Calibration:
         margins, rows = {}, {}
         for name, (margin, coverage) in zip(self.drivers, workers.map(_margin, work), strict=True):
             margins[name], rows[name] = margin, coverage
-        told = {"used": self.settings.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
-        return margins, {**told, "models": rows}
+        reported = {"used": self.settings.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
+        return margins, {**reported, "models": rows}
 
 
 def recorded(workers: Workers, orders: Sequence[DriveOrder], advance: Callable[[int], None]) -> list[Drive]:

@@ -40,10 +40,16 @@ class Cell:
         """Changes with everything that the outcomes depend on but the program itself."""
         models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
         epsilon = {} if self.margin is None else self.margin.chosen(self.settings.margin).epsilon
-        told: list[Any] = [self.method.name, self.load, *models, write_settings(self.settings), sorted(epsilon.items())]
+        reported: list[Any] = [
+            self.method.name,
+            self.load,
+            *models,
+            write_settings(self.settings),
+            sorted(epsilon.items()),
+        ]
         if self.conditions != Conditions():
-            told.append(asdict(self.conditions))
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+            reported.append(asdict(self.conditions))
+        return hashlib.sha256(json.dumps(reported).encode()).hexdigest()[:16]
 
     @property
     def _filter_model(self) -> str:
@@ -64,26 +70,26 @@ class Cell:
 
 
 def run_cells(
-    cells: Sequence[Cell], workers: Workers, out: Path | None, tell: Callable[[int], None]
+    cells: Sequence[Cell], workers: Workers, out: Path | None, report_progress: Callable[[int], None]
 ) -> Iterator[tuple[Cell, list[Outcome]]]:
     """Each cell with its outcomes; those that lie in ``out`` from before are read, not driven again.
 
-    ``tell`` gets the number of episodes that have just been done.
+    ``report_progress`` gets the number of episodes that have just been done.
     """
-    kept = {index: _read(cell, out) for index, cell in enumerate(cells)}
+    retained = {index: _read(cell, out) for index, cell in enumerate(cells)}
     work = [
         group
         for index, cell in enumerate(cells)
-        for group in cell.groups([seed for seed in cell.seeds if seed not in kept[index]])
+        for group in cell.groups([seed for seed in cell.seeds if seed not in retained[index]])
     ]
     driven = workers.map(run_group, work)
     for index, cell in enumerate(cells):
-        found = kept[index]
-        tell(len(found))
+        found = retained[index]
+        report_progress(len(found))
         for _ in cell.groups([seed for seed in cell.seeds if seed not in found]):
             outcomes = next(driven)
             found.update({item.seed: item for item in outcomes})
-            tell(len(outcomes))
+            report_progress(len(outcomes))
         _write(cell, found, out)
         yield cell, [found[seed] for seed in cell.seeds]
 

@@ -57,7 +57,7 @@ class Conditions:
     wheelbase (0.32 m), to the speed [m/s] this over 0.2 s."""
     delay: float = 0.0
     """s from the measurement of a state to the moment from which its action acts."""
-    told: bool = True
+    reported: bool = True
     """Whether the state says so (``until_action``), so that the filter reckons with it."""
 
     def __post_init__(self) -> None:
@@ -90,8 +90,8 @@ class Conditions:
         if self.towing in ("never", "from_a_third"):
             scene = dataclasses.replace(scene, load=None)
         late = DelayedCommands(self.delay, self.delay) if self.delay else None
-        told = self.delay if self.told else 0.0
-        return CarRobot(scene, PERIOD, late=late, until_action=told, parameters=self._parameters())
+        reported = self.delay if self.reported else 0.0
+        return CarRobot(scene, PERIOD, late=late, until_action=reported, parameters=self._parameters())
 
     def _parameters(self) -> CarParameters:
         own = CAR_PARAMETERS

@@ -35,7 +35,7 @@ METHODS_OF: Final[Mapping[str, tuple[str, ...]]] = {
 _COMPARED: Final = ("safe", "both")
 """Measures in which SafeDPA is compared with each other method."""
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 @final
@@ -74,7 +74,7 @@ class CarCurves:
         return drivable_methods(self.methods, self.models, known)
 
 
-def car_curves(curves: CarCurves, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def car_curves(curves: CarCurves, report_progress: ReportProgress = lambda _done, _all: None) -> dict[str, Any]:
     """Runs it. ``tell(done, all)`` counts episodes and recorded drives. The same curves give the same figures.
 
     In each sweep: a point for each value and method, and SafeDPA against each other method at each value, with Holm's
@@ -86,21 +86,21 @@ def car_curves(curves: CarCurves, tell: Tell = lambda _done, _all: None) -> dict
         tuple(methods), curves.models, family, family.settings("car"), tuple(CONFIGURATIONS), curves.drives, curves.date
     )
     places = list(dict.fromkeys(sweep.at(value) for sweep in sweeps for value in sweep.values))
-    count = _Count(calibration.size + len(places) * len(methods) * curves.episodes, tell)
+    count = _Count(calibration.size + len(places) * len(methods) * curves.episodes, report_progress)
     with Workers(curves.processes) as workers:
-        margins, told = calibration.margins(workers, count.advance)
+        margins, reported = calibration.margins(workers, count.advance)
         cells = _cells(curves, methods, places, calibration, margins)
         found: dict[Place, dict[str, list[Outcome]]] = {place: {} for place in places}
         for cell, outcomes in run_cells(cells, workers, curves.out, count.advance):
             found[Place(cell.load, cell.conditions)][cell.method.name] = outcomes
     return {
         "experiment": "car-curves",
-        "family": {"name": family.name, "words": family.words},
+        "family": {"name": family.name, "phrase": family.phrase},
         "load": LOAD,
         "seeds": [curves.first_seed, curves.first_seed + curves.episodes - 1],
         "left_out": missing,
         "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in methods},
-        "margin": told,
+        "margin": reported,
         "sweeps": {sweep.name: _along(sweep, methods, found) for sweep in sweeps},
     }
 
@@ -160,10 +160,10 @@ def _along(
 class _Count:
     """How much is done, for whoever looks on."""
 
-    def __init__(self, size: int, tell: Tell) -> None:
-        self._size, self._tell, self._done = size, tell, 0
+    def __init__(self, size: int, report_progress: ReportProgress) -> None:
+        self._size, self._report, self._done = size, report_progress, 0
 
     def advance(self, count: int) -> None:
         """So much more is."""
         self._done += count
-        self._tell(self._done, self._size)
+        self._report(self._done, self._size)

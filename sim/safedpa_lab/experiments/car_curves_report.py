@@ -29,7 +29,7 @@ def curves_markdown(result: Mapping[str, Any]) -> str:
     first, last = result["seeds"]
     parts = [
         "# The car, made harder",
-        f"Policies: {result['family']['words']}. Seeds of the scenes: {first} to {last}, the same for every method and "
+        f"Policies: {result['family']['phrase']}. Seeds of the scenes: {first} to {last}, the same for every method and "
         f"value. It tows a {result['load']} where the sweep is not about the load. Shares with 95 % Wilson intervals. "
         "Margins are those of the experiment, at every value.",
     ]
@@ -46,9 +46,9 @@ def _shares(sweep: Mapping[str, Any]) -> str:
     found = {(point["method"], point["shown"]): point for point in sweep["points"]}
     lines = [f"| {sweep['label']} | | {' | '.join(shown)} |", "|---|---|" + "---|" * len(shown)]
     for name in dict.fromkeys(point["method"] for point in sweep["points"]):
-        for measure, words in MEASURES.items():
+        for measure, phrase in MEASURES.items():
             entries = [share_with_interval(found[name, value][measure]) for value in shown]
-            lines.append(f"| {found[name, shown[0]]['title']} | {words} | {' | '.join(entries)} |")
+            lines.append(f"| {found[name, shown[0]]['title']} | {phrase} | {' | '.join(entries)} |")
     return "\n".join(lines)
 
 
@@ -57,9 +57,9 @@ def _changes(sweep: Mapping[str, Any]) -> list[str]:
     changed: dict[str, list[str]] = {}
     for point in sweep["points"]:
         if point["load_changed"]:
-            told = f"{point['title']} {point['load_changed']} of {point['episodes']}"
-            changed.setdefault(point["shown"], []).append(told)
-    return [f"Hitched {shown}, done in: {', '.join(words)}." for shown, words in changed.items()]
+            reported = f"{point['title']} {point['load_changed']} of {point['episodes']}"
+            changed.setdefault(point["shown"], []).append(reported)
+    return [f"Hitched {shown}, done in: {', '.join(phrase)}." for shown, phrase in changed.items()]
 
 
 def _significance(sweep: Mapping[str, Any]) -> list[str]:
@@ -72,8 +72,8 @@ def _significance(sweep: Mapping[str, Any]) -> list[str]:
     for name, measure in dict.fromkeys((row["against"], row["measure"]) for row in rows):
         entries = [advantage_entry(found[name, measure, value]) for value in shown]
         lines.append(f"| {found[name, measure, shown[0]]['title']} | {MEASURES[measure]} | {' | '.join(entries)} |")
-    told = (
+    reported = (
         "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over "
         "all comparisons of this sweep; bold below 0.05."
     )
-    return [told, "\n".join(lines)]
+    return [reported, "\n".join(lines)]

@@ -29,7 +29,7 @@ class Family:
     """Which models an experiment drives, and what their filters were calibrated on."""
 
     name: str
-    words: str
+    phrase: str
     """For the page of results."""
     models: Path
     """Folder where ``safedpa train`` leaves them."""
@@ -59,9 +59,9 @@ class Family:
         if not isinstance(base, LearnedBase):
             return "is no learned one, and physics knows of loads"
         table: Mapping[str, Any] = base.weights.description.trained_on.get("configuration", {})
-        told = sorted(path for path in table.get("environment", {}) if not path.startswith(_FORCE))
-        if not table or told:
-            return f"was trained with {', '.join(told) or 'nobody knows what'} in its environment"
+        reported = sorted(path for path in table.get("environment", {}) if not path.startswith(_FORCE))
+        if not table or reported:
+            return f"was trained with {', '.join(reported) or 'nobody knows what'} in its environment"
         practice = table.get("practice", {})
         wrong = [key for key, value in _PRACTICE.items() if practice.get(key) is not value]
         if wrong:

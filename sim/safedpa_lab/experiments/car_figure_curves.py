@@ -35,9 +35,9 @@ def curves_figure(result: Mapping[str, Any], path: Path) -> None:
     with figure(path, 0.8 + 3.1 * len(blocks)) as drawn:
         panels = drawn.subplots(len(_ROWS) * len(blocks), columns, sharey=True, squeeze=False)
         for index, block in enumerate(blocks):
-            for row, (measure, words) in enumerate(_ROWS):
+            for row, (measure, phrase) in enumerate(_ROWS):
                 line = panels[len(_ROWS) * index + row]
-                line[0].set_ylabel(words, fontsize=8.5)
+                line[0].set_ylabel(phrase, fontsize=8.5)
                 for axes, sweep in zip(line, block, strict=False):
                     _panel(axes, sweep, measure)
                     if row == len(_ROWS) - 1:

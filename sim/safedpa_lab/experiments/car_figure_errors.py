@@ -23,9 +23,9 @@ def errors_figure(result: dict[str, Any], path: Path) -> None:
     errors = result["errors"]
     with figure(path, 3.9) as drawn:
         panels = drawn.subplots(1, 2)
-        for axes, (horizon, words) in zip(panels, _HORIZONS.items(), strict=True):
+        for axes, (horizon, phrase) in zip(panels, _HORIZONS.items(), strict=True):
             _panel(axes, errors, horizon, result.get("ratios"))
-            axes.set_title(words, fontsize=10, fontweight="bold")
+            axes.set_title(phrase, fontsize=10, fontweight="bold")
         panels[0].set_ylabel("error over the scale of one step's change")
         handles, labels = panels[0].get_legend_handles_labels()
         drawn.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8.5)

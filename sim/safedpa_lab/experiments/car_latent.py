@@ -80,15 +80,17 @@ def latent_result(
     known, labels = _labelled(model, fitting)
     discriminant = LinearDiscriminant.fit(known, labels)
     tested, truth = _labelled(model, heldout)
-    said = discriminant.classify(tested)
+    notice = discriminant.classify(tested)
     band = _bands(model, fitting, scale)
     changes = [change for drive in hitching for change in _changes(model, drive, discriminant, band, scale)]
     return {
         "latents": list(model.latent_names),
-        "accuracy": _accuracy(said, truth),
-        "hitched_or_not": _accuracy([name != "none" for name in said], [name != "none" for name in truth]),
+        "accuracy": _accuracy(notice, truth),
+        "hitched_or_not": _accuracy([name != "none" for name in notice], [name != "none" for name in truth]),
         "confusion": {
-            load: {other: sum(1 for s, t in zip(said, truth, strict=True) if (t, s) == (load, other)) for other in band}
+            load: {
+                other: sum(1 for s, t in zip(notice, truth, strict=True) if (t, s) == (load, other)) for other in band
+            }
             for load in band
         },
         "changes": changes,
@@ -102,8 +104,8 @@ def _labelled(model: PhysicsModel, drives: Sequence[Drive]) -> tuple[FloatArray,
     return np.concatenate([latents for latents, _ in parts]), [load for _, loads in parts for load in loads]
 
 
-def _accuracy(said: Sequence[object], truth: Sequence[object]) -> dict[str, Any]:
-    right = sum(one == other for one, other in zip(said, truth, strict=True))
+def _accuracy(notice: Sequence[object], truth: Sequence[object]) -> dict[str, Any]:
+    right = sum(one == other for one, other in zip(notice, truth, strict=True))
     return {"right": right, "of": len(truth), "share": right / len(truth)}
 
 
@@ -125,14 +127,14 @@ def _changes(
     model: PhysicsModel, drive: Drive, discriminant: LinearDiscriminant, band: dict[str, float], scale: FloatArray
 ) -> list[dict[str, Any]]:
     """One row for each change of load: ticks until the latent is classified right, and until the error is in band."""
-    said = discriminant.classify(latents_along(model, drive))
+    notice = discriminant.classify(latents_along(model, drive))
     sizes = _error_sizes(model, drive, scale)
     ticks = [tick for tick in range(1, len(drive.loads)) if drive.loads[tick] != drive.loads[tick - 1]]
     rows = []
     for start, end in pairwise([*ticks, len(drive.loads)]):
         load = drive.loads[start]
-        right = np.array([name == load for name in said[start:end]])
-        before = [name == load for name in said[max(0, start - _LASTING[1]) : start]]
+        right = np.array([name == load for name in notice[start:end]])
+        before = [name == load for name in notice[max(0, start - _LASTING[1]) : start]]
         noticed = None if 2 * sum(before) > len(before) else _first_lasting(right)  # it said so before it was true
         calm = sizes[start : end - 1] <= band[load]
         rows.append(

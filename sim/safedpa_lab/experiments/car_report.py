@@ -38,7 +38,7 @@ def write_report(result: dict[str, Any], out: Path) -> None:
 def markdown_of(result: dict[str, Any]) -> str:
     """The tables of a result: success and safety, prediction errors, latents, margins, as far as they were run."""
     first, last = result["seeds"]
-    policies = f"Policies: {result['family']['words']}. " if "family" in result else ""
+    policies = f"Policies: {result['family']['phrase']}. " if "family" in result else ""
     parts = [f"{policies}Seeds of the episodes: {first} to {last}.\n"]
     if "cells" in result:
         parts.append(table_markdown(result["cells"]))
@@ -66,8 +66,8 @@ def advantages_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over "
         "all comparisons of this table; bold below 0.05.\n"
     ]
-    for measure, words in MEASURES.items():
-        lines = [f"| {words}: SafeDPA against | {' | '.join(titles)} |", "|---|" + "---|" * len(places)]
+    for measure, phrase in MEASURES.items():
+        lines = [f"| {phrase}: SafeDPA against | {' | '.join(titles)} |", "|---|" + "---|" * len(places)]
         for name, title in {row["against"]: row["title"] for row in rows if row["measure"] == measure}.items():
             entries = [advantage_entry(found[measure, name, place]) for place in places]
             lines.append(f"| {title} | {' | '.join(entries)} |")
@@ -85,8 +85,8 @@ def _errors_markdown(result: dict[str, Any]) -> str:
     loads = list(next(iter(result["errors"].values())))
     titles = [CONFIGURATIONS.get(load, load) for load in loads]
     blocks = []
-    for horizon, words in (("one_step", "one step"), ("one_second", "one second")):
-        lines = [f"| error over {words} | {' | '.join(titles)} |", "|---|" + "---|" * len(loads)]
+    for horizon, phrase in (("one_step", "one step"), ("one_second", "one second")):
+        lines = [f"| error over {phrase} | {' | '.join(titles)} |", "|---|" + "---|" * len(loads)]
         for name, rows in result["errors"].items():
             numbers = [f"{rows[load][horizon]['number']:.3g}" for load in loads]
             lines.append(f"| {MODEL_TITLES[name]} | {' | '.join(numbers)} |")
@@ -132,8 +132,8 @@ def margin_markdown(margin: Mapping[str, Any]) -> str:
         covered = ", ".join(f"{100 * row['conformal']['share']:.1f} %" for row in kinds.values())
         lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(cells)} | {covered} |")
     loads = ", ".join(margin.get("calibrated_with", ()))
-    told = f"Used by every filter: {margin['used']}{f', calibrated with {loads}' if loads else ''}."
-    return "\n".join([*lines, "", told]) + "\n"
+    reported = f"Used by every filter: {margin['used']}{f', calibrated with {loads}' if loads else ''}."
+    return "\n".join([*lines, "", reported]) + "\n"
 
 
 def _epsilons(row: dict[str, Any]) -> str:

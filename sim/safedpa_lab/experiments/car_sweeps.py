@@ -67,12 +67,12 @@ def _changed(name: str, value: float) -> Conditions:
     if name == "row":
         return Conditions(passage=value, row=True)
     if name == "delay_untold":
-        return Conditions(delay=value, told=False)
+        return Conditions(delay=value, reported=False)
     changed: dict[str, Any] = {name: value}
     return Conditions(**changed)
 
 
-def _told(values: tuple[float, ...], scale: float = 1.0) -> tuple[str, ...]:
+def _reported(values: tuple[float, ...], scale: float = 1.0) -> tuple[str, ...]:
     return tuple(f"{scale * value:g}" for value in values)
 
 
@@ -86,9 +86,9 @@ _TOWING: Final = ("never", "to_a_third", "from_a_third", "always")
 SWEEPS: Final[Mapping[str, Sweep]] = {
     sweep.name: sweep
     for sweep in (
-        Sweep("passage", "room in a passage [m]", _PASSAGES, _told(_PASSAGES), PASSAGE),
-        Sweep("row", "room, no way around [m]", _PASSAGES, _told(_PASSAGES), None),
-        Sweep("load", "load / car, by mass", tuple(_MASSES), _told(tuple(_MASSES)), LOADS[LOAD].mass_ratio),
+        Sweep("passage", "room in a passage [m]", _PASSAGES, _reported(_PASSAGES), PASSAGE),
+        Sweep("row", "room, no way around [m]", _PASSAGES, _reported(_PASSAGES), None),
+        Sweep("load", "load / car, by mass", tuple(_MASSES), _reported(tuple(_MASSES)), LOADS[LOAD].mass_ratio),
         Sweep(
             "towing",
             f"{LOAD} hitched",
@@ -96,11 +96,11 @@ SWEEPS: Final[Mapping[str, Sweep]] = {
             ("never", "up to 1/3", "from 1/3", "always"),
             float(TOWING.index("always")),
         ),
-        Sweep("speed", "speed, x 2 m/s at most", _SPEEDS, _told(_SPEEDS), 1.0),
-        Sweep("friction", "grip of the tyres, x 0.9", _FRICTIONS, _told(_FRICTIONS), 1.0),
-        Sweep("noise", "noise of x and y [cm]", _NOISES, _told(_NOISES, 100.0), 0.0),
-        Sweep("delay", "delay, filter told [ms]", _DELAYS, _told(_DELAYS, 1000.0), 0.0),
-        Sweep("delay_untold", "delay, nobody told [ms]", _DELAYS, _told(_DELAYS, 1000.0), 0.0),
+        Sweep("speed", "speed, x 2 m/s at most", _SPEEDS, _reported(_SPEEDS), 1.0),
+        Sweep("friction", "grip of the tyres, x 0.9", _FRICTIONS, _reported(_FRICTIONS), 1.0),
+        Sweep("noise", "noise of x and y [cm]", _NOISES, _reported(_NOISES, 100.0), 0.0),
+        Sweep("delay", "delay, filter told [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
+        Sweep("delay_untold", "delay, nobody told [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
     )
 }
 """Each from easy to hard."""

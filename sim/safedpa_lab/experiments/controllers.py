@@ -55,8 +55,8 @@ def controllers_experiment(
     chosen = tuple(seeds)
     drives: dict[tuple[str, str], list[_Drive]] = {(load, name): [] for load in LOADS for name in controllers}
     for done, seed in enumerate(chosen, start=1):
-        for (load, name), kept in drives.items():
-            kept.append(timed_drive(model, settings, name, load, seed, seconds))
+        for (load, name), retained in drives.items():
+            retained.append(timed_drive(model, settings, name, load, seed, seconds))
         on_scene(done, len(chosen), _result(drives, chosen[:done], seconds))
     return _result(drives, chosen, seconds)
 
@@ -90,7 +90,7 @@ class _Stopwatch:
 
 
 def _result(drives: dict[tuple[str, str], list[_Drive]], seeds: Sequence[int], seconds: float) -> dict[str, Any]:
-    rows = [{"load": load, "controller": name, **_summary(kept)} for (load, name), kept in drives.items()]
+    rows = [{"load": load, "controller": name, **_summary(retained)} for (load, name), retained in drives.items()]
     return {"experiment": "controllers", "seeds": list(seeds), "seconds": seconds, "rows": rows}
 
 

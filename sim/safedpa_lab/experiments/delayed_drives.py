@@ -48,28 +48,28 @@ class Lateness:
 
     seconds: float
     channel: str = "both"
-    told: str = "model"
+    reported: str = "model"
     """``model``: an effect of the services' model; ``clock``: the robot measures it and says so with every state, as
-    the time until its action acts; ``nobody``."""
+    the time until its action acts; ``no_one``."""
 
     def __post_init__(self) -> None:
         if self.channel not in CHANNELS:
             raise InputError(f"channel: got {self.channel!r}, wanted one of {', '.join(CHANNELS)}")
-        if self.told not in ("model", "clock", "nobody"):
-            raise InputError(f"told: got {self.told!r}, wanted one of model, clock, nobody")
-        if self.told == "clock" and self.channel != "both":
+        if self.reported not in ("model", "clock", "no_one"):
+            raise InputError(f"told: got {self.reported!r}, wanted one of model, clock, nobody")
+        if self.reported == "clock" and self.channel != "both":
             raise InputError(f"channel: got {self.channel!r}, wanted both: what the clock tells holds for all commands")
 
     def robot(self, seed: int, load: str) -> CarRobot:
         """The car, its commands late."""
         drive_seconds, steer_seconds = (self.seconds if self.channel in ("both", one) else 0.0 for one in CHANNELS[1:])
-        told = self.seconds if self.told == "clock" else 0.0
+        reported = self.seconds if self.reported == "clock" else 0.0
         late = DelayedCommands(drive_seconds, steer_seconds)
-        return CarRobot(Scene.random(seed, load), _PERIOD, late=late, until_action=told)
+        return CarRobot(Scene.random(seed, load), _PERIOD, late=late, until_action=reported)
 
     def model(self, name: str) -> PhysicsModel:
         """The services' model."""
-        known = self.told == "model" and self.seconds > 0.0
+        known = self.reported == "model" and self.seconds > 0.0
         return model_with_delay(load_model(name), self.seconds, self.channel) if known else load_model(name)
 
 

@@ -21,7 +21,7 @@ from safedpa.effects.law import law_of
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
-__all__ = ["HORIZON", "beside_the_truth", "diagnosed", "oracle_error"]
+__all__ = ["HORIZON", "alongside_the_truth", "diagnosed", "oracle_error"]
 
 HORIZON = 1.0
 """s, as the command has it."""
@@ -61,8 +61,8 @@ def _with_law(model: PhysicsModel, name: str, law: str | None) -> AbstractEffect
     item = effect(model.system.name, name)
     if law is None:
         return item
-    key, words = law.split(" ", 1)
-    return conditioned(item, law_of(key, words, _EDGE if key == Where.key else None, name), model.system)
+    key, phrase = law.split(" ", 1)
+    return conditioned(item, law_of(key, phrase, _EDGE if key == Where.key else None, name), model.system)
 
 
 def _begun(
@@ -78,7 +78,7 @@ def _loaded(model: Path, runs: Sequence[Path]) -> tuple[PhysicsModel, list[Run]]
     return given, [load_run(path, given.system) for path in runs]
 
 
-def beside_the_truth(report: Report, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+def alongside_the_truth(report: Report, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
     """What was hidden, and what diagnosis said: what it added, every number, the held-out error of each stage."""
     return {
         "true": {name: dict(values) for name, values in effects.items()},

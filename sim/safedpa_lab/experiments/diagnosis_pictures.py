@@ -36,11 +36,11 @@ _CARPET = {"deceleration": 0.9, "x_above": 1.0}
 _SIMULATED = "four simulated drives of 40 s, seed 7; dashed: where the carpet begins; coloured: where it was found"
 _DECIDED = {"accepted": GREEN, "suspected": ORANGE, "rejected": GREY}
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 def diagnosis_pictures(
-    data: Path, out: Path, names: Sequence[str] = PICTURES, tell: Tell = lambda _done, _all: None
+    data: Path, out: Path, names: Sequence[str] = PICTURES, report_progress: ReportProgress = lambda _done, _all: None
 ) -> list[Path]:
     """Draws the named pictures into a folder; ``data`` holds the recordings of docs/real-logs.md.
 
@@ -48,11 +48,11 @@ def diagnosis_pictures(
     """
     drawn = []
     for number, name in enumerate(names):
-        tell(number, len(names))
+        report_progress(number, len(names))
         path = out / f"diagnosis_{name}.png"
         {"missing": _missing, "undecided": _undecided, "rehearse": _rehearse, "condition": _condition}[name](data, path)
         drawn.append(path)
-    tell(len(names), len(names))
+    report_progress(len(names), len(names))
     return drawn
 
 
@@ -164,7 +164,7 @@ def _condition(data: Path, path: Path) -> None:
         model = load_model(log.model)
         runs = [load_run(one, model.system) for one in log.runs]
     report = diagnose(model, runs, 1.0)
-    (told,) = report.conditions
+    (reported,) = report.conditions
     border = report.parameters["rolling_resistance.x_above"]
     with figure(path, 3.6) as drawn:
         left, right = drawn.subplots(1, 2, width_ratios=(3, 2))
@@ -181,4 +181,4 @@ def _condition(data: Path, path: Path) -> None:
         right.bar_label(bars, [f"{value:.3f}" for value in errors], padding=2, fontsize=8)
         right.set_ylabel("held-out error after 1 s")
         bare(right)
-        heading(drawn, told.sentence[0].upper() + told.sentence[1:], _SIMULATED)
+        heading(drawn, reported.sentence[0].upper() + reported.sentence[1:], _SIMULATED)

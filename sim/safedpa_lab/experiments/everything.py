@@ -22,7 +22,7 @@ from safedpa_lab.provenance.check import Standing, standings
 __all__ = ["ELSEWHERE", "PARTS", "Part", "chosen", "is_made", "make"]
 
 _ACCOUNT: Final = "all.json"
-_LAST_WORDS: Final = 500
+_LAST_TEXT: Final = 500
 
 
 @final
@@ -31,7 +31,7 @@ class Part:
     """One command ``safedpa experiment ...`` whose result stands in one file."""
 
     name: str
-    words: tuple[str, ...]
+    phrase: tuple[str, ...]
     """After ``safedpa experiment``."""
     small: tuple[str, ...]
     """Options that make it short: to see that it runs, no more."""
@@ -54,8 +54,8 @@ class Part:
     def command(self, out: Path, data: Path | None, *, small: bool) -> list[str]:
         """As one types it, after ``safedpa``."""
         place = out / self.name if self.file else self.result(out)
-        words = ["experiment", *self.words, *(self.small if small else ()), self.where, str(place)]
-        return [*words, "--data", str(data)] if self.data and data is not None else words
+        phrase = ["experiment", *self.phrase, *(self.small if small else ()), self.where, str(place)]
+        return [*phrase, "--data", str(data)] if self.data and data is not None else phrase
 
 
 PARTS: Final = (
@@ -255,8 +255,8 @@ def _is_trained(part: Part) -> bool:
 
 def is_made(part: Part, out: Path, account: Mapping[str, Any], *, small: bool) -> bool:
     """Whether its result is there, whole, of this size, and made by the code of today."""
-    told, path = account.get(part.name), part.result(out)
-    if not isinstance(told, dict) or told.get("exit_code") != 0 or told.get("small") is not small:
+    reported, path = account.get(part.name), part.result(out)
+    if not isinstance(reported, dict) or reported.get("exit_code") != 0 or reported.get("small") is not small:
         return False
     return path.is_file() and all(_of_today(found) for found in standings(path.parent) if found.name == path.name)
 
@@ -267,7 +267,7 @@ def make(
     data: Path | None = None,
     *,
     small: bool = False,
-    tell: Callable[[Part, str], None] = lambda _part, _said: None,
+    report_progress: Callable[[Part, str], None] = lambda _part, _message: None,
 ) -> dict[str, Any]:
     """Runs what is not made yet, and returns the account: of each part what it took [s] and its exit code.
 
@@ -276,13 +276,17 @@ def make(
     account = _read(out / _ACCOUNT)
     for part in parts:
         if is_made(part, out, account, small=small):
-            tell(part, "made before, by the code of today")
+            report_progress(part, "made before, by the code of today")
             continue
-        tell(part, f"runs; about {1.0 if small else part.minutes:g} minutes")
-        account[part.name] = told = _run(part, out, data, small=small)
+        report_progress(part, f"runs; about {1.0 if small else part.minutes:g} minutes")
+        account[part.name] = reported = _run(part, out, data, small=small)
         _write(out / _ACCOUNT, account)
-        words = f"done in {told['seconds']:.0f} s" if told["exit_code"] == 0 else f"failed: {told['last_words']}"
-        tell(part, words)
+        phrase = (
+            f"done in {reported['seconds']:.0f} s"
+            if reported["exit_code"] == 0
+            else f"failed: {reported['last_words']}"
+        )
+        report_progress(part, phrase)
     return {part.name: account[part.name] for part in parts}
 
 
@@ -290,15 +294,15 @@ def _run(part: Part, out: Path, data: Path | None, *, small: bool) -> dict[str, 
     part.result(out).parent.mkdir(parents=True, exist_ok=True)
     log = out / f"{part.name}.log"
     began = time.monotonic()
-    with log.open("wb") as words:
+    with log.open("wb") as phrase:
         command = [sys.executable, "-m", "safedpa_services", *part.command(out, data, small=small)]
-        code = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=words, stderr=words, check=False).returncode
+        code = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=phrase, stderr=phrase, check=False).returncode
     seconds = time.monotonic() - began
     last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
     if code == 0 and not part.result(out).is_file():
         code, last = 1, [f"it left no {part.result(out).name}"]
-    told = {"seconds": round(seconds, 1), "exit_code": code, "small": small}
-    return told if code == 0 else {**told, "last_words": last[0][:_LAST_WORDS]}
+    reported = {"seconds": round(seconds, 1), "exit_code": code, "small": small}
+    return reported if code == 0 else {**reported, "last_text": last[0][:_LAST_TEXT]}
 
 
 def _of_today(found: Standing) -> bool:

@@ -22,7 +22,7 @@ from safedpa_lab.hidden.fleet import fleet_truth, write_fleet
 
 __all__ = ["fleet_diagnosis_experiment", "judged_fleet", "page_of"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 def fleet_diagnosis_experiment(
@@ -35,7 +35,7 @@ def fleet_diagnosis_experiment(
     common: bool = False,
     runs: int = 4,
     seconds: float = 40.0,
-    tell: Tell = lambda _done, _all: None,
+    report_progress: ReportProgress = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Writes a fleet into ``folder``, diagnoses it into ``folder/diagnosis``, opens the truth, and judges.
 
@@ -46,7 +46,7 @@ def fleet_diagnosis_experiment(
     out.mkdir(exist_ok=True)
     begin = time.perf_counter()
     fleet = Fleet(robots_in_folder(logs.recordings), Options(str(logs.model)), out)
-    document = diagnose_fleet(fleet, partial(_pool, jobs), tell)
+    document = diagnose_fleet(fleet, partial(_pool, jobs), report_progress)
     return {
         "experiment": "fleet-diagnosis",
         "format": 1,
@@ -117,8 +117,8 @@ def _robot(
     named = [each for each in named if not each & shared]
     missing = group["kind"] == "missing"
     nothing = group["kind"] == "nothing" or (missing and not named)
-    told = all(any(effect in each for each in named) for effect in hidden)
-    right = told and len(hidden) == len(named) and not any(each.isdisjoint(hidden) for each in named)
+    reported = all(any(effect in each for each in named) for effect in hidden)
+    right = reported and len(hidden) == len(named) and not any(each.isdisjoint(hidden) for each in named)
     return {
         "robot": name,
         "hidden": list(hidden),
@@ -231,8 +231,8 @@ def _rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _common_rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     if not result["common_hidden"] and not result["common_named"]:
         return []
-    words = [", ".join(result[key]) or "nothing" for key in ("common_hidden", "common_named")]
-    return [(f"hidden in all robots: {words[0]}; written into the model of all", words[1])]
+    phrase = [", ".join(result[key]) or "nothing" for key in ("common_hidden", "common_named")]
+    return [(f"hidden in all robots: {phrase[0]}; written into the model of all", phrase[1])]
 
 
 def _group_line(group: Mapping[str, Any]) -> str:

@@ -27,7 +27,11 @@ _LIMIT = 0.95
 
 
 def fleet_screen(
-    seed: int, healthy: int = 24, *, hard: bool = False, tell: Callable[[int, int], None] = lambda _done, _all: None
+    seed: int,
+    healthy: int = 24,
+    *,
+    hard: bool = False,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Errors of healthy cars, and of cars with each effect; how many of these a limit would miss.
 
@@ -41,7 +45,7 @@ def fleet_screen(
     ]
     drives = sorted({item.drive for item in weak})
     quiet = [Case("screen", seed + n, {}, drive=drives[n % len(drives)], hard=hard) for n in range(healthy)]
-    errors = _errors([*quiet, *weak], tell)
+    errors = _errors([*quiet, *weak], report_progress)
     limits = {
         drive: float(np.quantile([e for case, e in zip(quiet, errors, strict=False) if case.drive == drive], _LIMIT))
         for drive in drives
@@ -67,13 +71,13 @@ def _drawn(name: str, seed: int, hard: bool) -> dict[str, float]:
     return CAR_EFFECTS[name].drawn(np.random.default_rng(seed), _SHARE[hard])
 
 
-def _errors(cases: Sequence[Case], tell: Callable[[int, int], None]) -> list[float]:
+def _errors(cases: Sequence[Case], report_progress: Callable[[int, int], None]) -> list[float]:
     """Held-out error of the given model in each case, with its free parameters refitted."""
     found = []
     with tempfile.TemporaryDirectory(prefix="safedpa-screen-") as folder:
         logs = write_cases(cases, [Path(folder) / str(number) for number in range(len(cases))])
         for number, log in enumerate(logs):
-            tell(number, len(logs))
+            report_progress(number, len(logs))
             found.append(_error(log))
     return found
 

@@ -31,7 +31,7 @@ def hidden_effects_experiment(
     count: int,
     seed: int = 0,
     processes: int = 2,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
     record: Path | None = None,
 ) -> dict[str, Any]:
     """``count`` cases of each suite, diagnosed and judged; one row a suite and effect, and every case.
@@ -50,7 +50,7 @@ def hidden_effects_experiment(
         found = document_of(outcomes, seeds)
         if record is not None:
             write_document(found, record)
-        tell(len(outcomes) - len(known), len(cases))
+        report_progress(len(outcomes) - len(known), len(cases))
     return found
 
 

@@ -24,14 +24,14 @@ def hidden_horizons(
     count: int,
     seed: int = 0,
     horizons: Sequence[float] = HORIZONS,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """``count`` cases of each suite, each diagnosed once for each of the ``horizons`` [s]: verdict, names, numbers."""
     cases = [case for suite in suites for case in cases_of(suite, count, seed)]
     rows = []
     for case in cases:
         rows.append(_row(case, horizons))
-        tell(len(rows), len(cases))
+        report_progress(len(rows), len(cases))
     return {
         "experiment": "hidden-horizons",
         "seed": seed,
@@ -45,12 +45,12 @@ def hidden_horizons(
 
 def _row(case: Case, horizons: Sequence[float]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="safedpa-horizons-") as folder:
-        said = [_said(write_case(case, Path(folder)), horizon) for horizon in horizons]
-    same = all((own["verdict"], own["added"]) == (said[0]["verdict"], said[0]["added"]) for own in said)
-    return {"case": case.name, "hidden": list(case.effects), "equal": same, "said": said}
+        notice = [_message(write_case(case, Path(folder)), horizon) for horizon in horizons]
+    same = all((own["verdict"], own["added"]) == (notice[0]["verdict"], notice[0]["added"]) for own in notice)
+    return {"case": case.name, "hidden": list(case.effects), "equal": same, "notice": notice}
 
 
-def _said(log: Log, horizon: float) -> dict[str, Any]:
+def _message(log: Log, horizon: float) -> dict[str, Any]:
     """What a diagnosis says whose errors are shown after ``horizon`` [s]."""
     model = load_model(log.model)
     report = diagnose(model, [load_run(path, model.system) for path in log.runs], horizon)

@@ -20,7 +20,7 @@ from safedpa_lab.provenance.record import write_result
 __all__ = ["document_of", "read_outcomes", "write_document"]
 
 _FORMAT = 1
-_LISTS = ("hidden", "added", "wrong", "told", "false_laws")
+_LISTS = ("hidden", "added", "wrong", "reported", "false_laws")
 _PACKAGES = ("safedpa", "numpy", "pymunk")
 
 
@@ -80,6 +80,6 @@ def _outcome(row: Mapping[str, Any]) -> Outcome:
     return Outcome(**values)
 
 
-def _number(told: float | None) -> float:
+def _number(reported: float | None) -> float:
     """What was not finite stands as null."""
-    return float("nan") if told is None else float(told)
+    return float("nan") if reported is None else float(reported)

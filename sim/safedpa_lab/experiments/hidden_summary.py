@@ -26,7 +26,12 @@ def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any
 
 
 def _missed(item: Outcome) -> dict[str, Any]:
-    return {"case": item.case, "hidden": list(item.hidden), "verdict": item.verdict, "added": [*item.added, *item.told]}
+    return {
+        "case": item.case,
+        "hidden": list(item.hidden),
+        "verdict": item.verdict,
+        "added": [*item.added, *item.reported],
+    }
 
 
 def _row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:

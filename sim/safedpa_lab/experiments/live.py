@@ -46,7 +46,7 @@ class _Job:
 
 
 def live_experiment(
-    experiment: LiveExperiment, tell: Callable[[int, int], None] = lambda _done, _all: None
+    experiment: LiveExperiment, report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> dict[str, Any]:
     """One row a case with every drive in it, and the drives in which nothing changed."""
     jobs = [
@@ -63,7 +63,7 @@ def live_experiment(
     drives = []
     for found in _driven(jobs, experiment.processes):
         drives.append(found)
-        tell(len(drives), len(jobs))
+        report_progress(len(drives), len(jobs))
     rows = [_row(case, [item for item in drives if item.case == case]) for case in experiment.cases if case != NOTHING]
     quiet = [item for item in drives if item.case == NOTHING]
     return {**dataclasses.asdict(experiment), "rows": rows, "quiet": _quiet(quiet) if quiet else None}

@@ -76,12 +76,12 @@ def run_long_drive(long: LongDrive) -> LongOutcome:
     nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named(driver.settings), margin_for(model))]
     robot: Any = driver.robot(long.seed) if long.driver else _car(long)
     statuses: Counter[str] = Counter()
-    told: list[Stand] = []
+    reported: list[Stand] = []
     places = [robot.values[:2]]
     longest, since, place = 0.0, 0.0, robot.values[:2]
     for tick in drive(robot, nodes, round(long.seconds / model.period)):
         statuses[tick.verdict.status] += 1
-        record_deadlock(told, tick.verdict)
+        record_deadlock(reported, tick.verdict)
         x, y = tick.state.values[:2]
         places.append((x, y))
         if math.hypot(x - place[0], y - place[1]) > _STILL:
@@ -93,7 +93,7 @@ def run_long_drive(long: LongDrive) -> LongOutcome:
         long.seconds,
         len(robot.collisions),
         robot.goals_reached,
-        tuple(told),
+        tuple(reported),
         longest,
         dict(statuses),
         _least_way(places, model.period),

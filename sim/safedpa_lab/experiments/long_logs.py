@@ -48,7 +48,7 @@ def write_long_logs(
     logs: LongLogs,
     folder: Path,
     kinds: tuple[str, ...] = ("csv",),
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, list[Path]]:
     """Writes ``model.toml``, which knows nothing of what is hidden, and the runs in each kind of file; their paths."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -69,7 +69,7 @@ def write_long_logs(
             path = folder / f"run_{run + 1}.{kind}"
             _write(path, kind, t, shown, actions)
             found[kind].append(path)
-        tell(run + 1, logs.runs)
+        report_progress(run + 1, logs.runs)
     return found
 
 

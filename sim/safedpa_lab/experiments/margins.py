@@ -41,7 +41,7 @@ KINDS = ("conformal", "drive")
 SHIPPED = "shipped"
 """The margin that ships now, to hold the new ones against."""
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 _COVERAGE: Final = 0.99
 
@@ -94,11 +94,13 @@ class MarginCases:
         return self.first + len(KINDS) * self.drives + len(self.kinds) * self.fresh
 
 
-def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def margins_experiment(
+    cases: MarginCases, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
     ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
     total = len(cases.robots) * cases.total
-    count = _Count(total, tell)
+    count = _Count(total, report_progress)
     rows = {}
     with Workers(cases.processes) as workers:
         for name in cases.robots:
@@ -109,12 +111,12 @@ def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None
 @dataclass
 class _Count:
     total: int
-    tell: Tell
+    report_progress: ReportProgress
     done: int = 0
 
     def more(self, number: int) -> None:
         self.done += number
-        self.tell(self.done, self.total)
+        self.report_progress(self.done, self.total)
 
 
 def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
@@ -140,17 +142,17 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
     tables = {kind: _calibrated(cases, name, seconds, results, behind) for kind, results in second.items()}
     margin = _joined(tables)
     row: dict[str, Any] = {"drives": cases.drives, "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
-    ceiling = _ceiling(name)
+    clip = _clip(name)
     for kind, results in second.items():
-        row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), ceiling)
+        row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), clip)
         row[f"calibration_{kind}"] |= _driving(results, seconds)
     for kind in cases.kinds:
         ahead, which = (margin, kind) if kind in KINDS else (_shipped(name), KINDS[0])
         if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh, cases.skip)):
             spoken_of = _spoken_of(margin, ahead, kind)
-            row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
+            row[f"fresh_{kind}"] = _counted(fresh, spoken_of, clip) | _driving(fresh, seconds)
             if kind in spoken_of:
-                row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], ceiling.eta)
+                row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], clip.eta)
     _with_the_rest(margin, _shipped(name), row).save(folder / "margin.toml")
     return row
 
@@ -166,10 +168,10 @@ def _shipped(name: str) -> MarginCalibration | None:
 
 def _shipped_alone(name: str, fresh: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
     """How often the margin that ships, or the one that the settings assume, held on these drives behind it."""
-    shipped, ceiling = _shipped(name), _ceiling(name)
+    shipped, clip = _shipped(name), _clip(name)
     table = dict(settings_named(DRIVERS[name].settings).epsilon) if shipped is None else shipped.epsilon
-    row = _counted(fresh, {SHIPPED: table}, ceiling) | _driving(fresh, seconds)
-    row["layer"] = _layers(fresh, seconds, table, ceiling.eta)
+    row = _counted(fresh, {SHIPPED: table}, clip) | _driving(fresh, seconds)
+    row["layer"] = _layers(fresh, seconds, table, clip.eta)
     return {"drives": 0, "seconds": seconds, "epsilon": table, "drive": {}, f"fresh_{SHIPPED}": row}
 
 
@@ -224,12 +226,12 @@ def _calibrated(
     heights = [item.heights for item in made]
     asked_for = cases.coverage if coverage is None else coverage
     found = calibration_from_drives(
-        heights, asked_for, time.strftime("%Y-%m-%d"), fingerprint(model), _ceiling(name), origin
+        heights, asked_for, time.strftime("%Y-%m-%d"), fingerprint(model), _clip(name), origin
     )
     return replace(found, period=DRIVERS[name].period or model.period)
 
 
-def _ceiling(name: str) -> ErrorClip:
+def _clip(name: str) -> ErrorClip:
     return ErrorClip.of_settings(settings_named(DRIVERS[name].settings))
 
 
@@ -243,7 +245,7 @@ def _driven(
     for result, order in zip(workers.map(driven, _until(missing, ends)), missing, strict=False):
         _keep(_path(folder, order), result)
         count.more(1)
-    return [_kept(path) for path in (_path(folder, order) for order in orders) if path.exists()]
+    return [_retained(path) for path in (_path(folder, order) for order in orders) if path.exists()]
 
 
 def _until(orders: Sequence[DriveOrder], ends: float) -> Iterator[DriveOrder]:
@@ -283,7 +285,7 @@ def _keep(path: Path, result: DriveResult) -> None:
     whole.replace(path)
 
 
-def _kept(path: Path) -> DriveResult:
+def _retained(path: Path) -> DriveResult:
     check_archive(path)
     with np.load(path) as table:
         about, heights = json.loads(str(table["about"])), np.array(table["heights"])
@@ -293,16 +295,16 @@ def _kept(path: Path) -> DriveResult:
 
 
 def _counted(
-    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: ErrorClip
+    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], clip: ErrorClip
 ) -> dict[str, Any]:
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     drives = [item.heights for item in results]
     rows: dict[str, Any] = {}
     for kind in next(iter(tables.values())):
-        near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
+        near = sum(len(clip.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
         rows[kind] = {"drives": len(drives), "drives_near": near}
         for name, table in tables.items():
-            rows[kind][name] = coverage_row(covered_shares(drives, kind, table[kind], ceiling), table[kind])
+            rows[kind][name] = coverage_row(covered_shares(drives, kind, table[kind], clip), table[kind])
     return {"covered": rows}
 
 

@@ -1,6 +1,6 @@
 """Several cars on one field, each with a laser alone and a filter of its own: who touches whom, and what is reached.
 
-A contact of two cars counts once. It is one in which a car moves where either was at ``STANDS`` or faster: among cars
+A contact of two cars counts once. It is one in which a car moves where either was at ``IS_STATIONARY`` or faster: among cars
 that all keep passive safety there is none, since whoever can be touched stands before.
 """
 
@@ -23,19 +23,19 @@ from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa_lab.experiments.meeting_scenes import meeting_field, pieces_of
 from safedpa_lab.experiments.sensing_peers import NoFilter
-from safedpa_lab.experiments.sensing_told import TellsEverything
+from safedpa_lab.experiments.sensing_reported import ReportsEverything
 from safedpa_lab.experiments.statistics import clopper_pearson_interval
 from safedpa_sim.closed_loop import drive_together
 from safedpa_sim.robots.shared_field import SharedField
 
 __all__ = ["GUARDS", "Meeting", "meeting_experiment", "run_meeting", "stuck_pairs"]
 
-GUARDS: Final = ("safedpa", "told", "nothing")
+GUARDS: Final = ("safedpa", "reported", "nothing")
 """The filter with the laser alone; the filter that is told where everything is; the same controller and perception as
 the first, and no filter."""
 _PERIOD: Final = 0.05
@@ -71,8 +71,8 @@ def _nodes(wanted: Meeting, model: PhysicsModel, field: SharedField, index: int)
     settings, robot = _settings(wanted.fastest), field.robots[index]
     others = [piece for one in field.robots if one is not robot for piece in pieces_of(one)]
     perception: AbstractNode = PerceptionNode(settings)
-    if wanted.guard == "told":
-        perception = TellsEverything(robot.scene, others, settings)
+    if wanted.guard == "reported":
+        perception = ReportsEverything(robot.scene, others, settings)
     guard: AbstractNode = NoFilter()
     if wanted.guard != "nothing":
         guard = SafetyFilterNode(model, settings_named("car"), margin_for(model))
@@ -87,16 +87,16 @@ def run_meeting(wanted: Meeting) -> dict[str, Any]:
         [tick.state.values for tick in ticks] for ticks in drive_together(field, nodes, round(wanted.seconds / _PERIOD))
     ]
     path = np.array(states)
-    touches = [touch for touch in field.touches if max(touch.speeds) >= STANDS]
-    solid = [hit for index in range(wanted.robots) for hit in field.collisions(index) if hit.speed >= STANDS]
+    touches = [touch for touch in field.touches if max(touch.speeds) >= IS_STATIONARY]
+    solid = [hit for index in range(wanted.robots) for hit in field.collisions(index) if hit.speed >= IS_STATIONARY]
     return {
         **asdict(wanted),
         "moving": [str(touch) for touch in touches],
-        "into_standing": sum(min(touch.speeds) < STANDS for touch in touches),
+        "into_standing": sum(min(touch.speeds) < IS_STATIONARY for touch in touches),
         "both_standing": len(field.touches) - len(touches),
         "solid": [str(hit) for hit in solid],
         "goals": [robot.goals_reached for robot in field.robots],
-        "standing_share": float((np.abs(path[:, :, 3]) < STANDS).mean()),
+        "standing_share": float((np.abs(path[:, :, 3]) < IS_STATIONARY).mean()),
         "fastest_driven": float(np.abs(path[:, :, 3]).max()),
         "stuck": stuck_pairs(path),
         "trajectory": hashlib.sha256("".join(robot.trajectory_hash for robot in field.robots).encode()).hexdigest(),

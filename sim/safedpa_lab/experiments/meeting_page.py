@@ -9,7 +9,7 @@ __all__ = ["page_of"]
 
 _GUARDS = {
     "safedpa": "this filter, laser alone",
-    "told": "this filter, told where all are",
+    "reported": "this filter, told where all are",
     "nothing": "no filter, the same controller",
 }
 

@@ -13,7 +13,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.shared_field import SharedField
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 from safedpa_sim.sensing.shapes import Point
 
 __all__ = ["LASER", "MOST_ROBOTS", "Piece", "meeting_field", "meeting_scenes", "pieces_of"]
@@ -47,7 +47,7 @@ def meeting_scenes(seed: int, robots: int, load: str = "none") -> tuple[Scene, .
 def meeting_field(seed: int, robots: int, load: str = "none") -> SharedField:
     """The cars of these scenes, each with a laser of its own noise."""
     scenes = meeting_scenes(seed, robots, load)
-    return SharedField([CarRobot(one, senses=SimulatedSensors((Laser(LASER, one.seed),))) for one in scenes])
+    return SharedField([CarRobot(one, sensor_inputs=SimulatedSensors((Laser(LASER, one.seed),))) for one in scenes])
 
 
 @final

@@ -30,7 +30,7 @@ class Misjudges:
         self._stretch, self._turning = 1.0 + stretch, 1.0 + turning
         x, y, yaw, _ = car.values
         self._true: Pose = (x, y, yaw)
-        self._told: Pose = (x, y, yaw)
+        self._reported: Pose = (x, y, yaw)
 
     @property
     def true_pose(self) -> Pose:
@@ -39,32 +39,32 @@ class Misjudges:
         return x, y, yaw
 
     @property
-    def told_pose(self) -> Pose:
+    def reported_pose(self) -> Pose:
         """Where it believes to be."""
         now = self.true_pose
         if now != self._true:
             (x, y, yaw), (before_x, before_y, before_yaw) = now, self._true
-            aside = self._told[2] - before_yaw
+            aside = self._reported[2] - before_yaw
             way_x, way_y = self._stretch * (x - before_x), self._stretch * (y - before_y)
-            self._told = (
-                self._told[0] + way_x * cos(aside) - way_y * sin(aside),
-                self._told[1] + way_x * sin(aside) + way_y * cos(aside),
-                self._told[2] + self._turning * (yaw - before_yaw),
+            self._reported = (
+                self._reported[0] + way_x * cos(aside) - way_y * sin(aside),
+                self._reported[1] + way_x * sin(aside) + way_y * cos(aside),
+                self._reported[2] + self._turning * (yaw - before_yaw),
             )
             self._true = now
-        return self._told
+        return self._reported
 
-    def in_told_frame(self, places: FloatArray) -> FloatArray:
+    def in_reported_frame(self, places: FloatArray) -> FloatArray:
         """(n, 2) m; where true ``places`` (n, 2) [m] lie in the frame that it believes in, as seen from it now."""
-        told, true = self.told_pose, self.true_pose
-        believed: FloatArray = placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
+        reported, true = self.reported_pose, self.true_pose
+        believed: FloatArray = placed(places - np.array(true[:2]), reported[2] - true[2]) + np.array(reported[:2])
         return believed
 
     def state_message(self) -> StateMessage:
         """State k as it is told; the pose of a load is for pictures only, and left out."""
         message = self.car.state_message()
-        goal = self.in_told_frame(np.array([message.goal]))[0]
-        values = (*self.told_pose, self._stretch * message.values[3])
+        goal = self.in_reported_frame(np.array([message.goal]))[0]
+        values = (*self.reported_pose, self._stretch * message.values[3])
         return replace(message, values=values, goal=tuple(goal.tolist()), load_pose=())
 
     def scans(self) -> Sequence[ScanMessage]:

@@ -31,7 +31,7 @@ from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, 
 
 __all__ = ["TABLES", "PendulumExperiment", "pendulum_experiment"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 _FITTED = 5
 """Episodes of each direction whose histories are fitted."""
 TABLES: Final = ("own", "same")
@@ -70,9 +70,11 @@ class PendulumExperiment:
         return Episodes(seeds_for("evaluation", 1, self.seed)[0], self.directions, self.episodes)
 
 
-def pendulum_experiment(experiment: PendulumExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def pendulum_experiment(
+    experiment: PendulumExperiment, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """Runs both questions for every method; the same winds, starts and draws for each."""
-    count = _Count(experiment, tell)
+    count = _Count(experiment, report_progress)
     with Workers(experiment.processes) as workers:
         margins = measured_margins(FILTERED, experiment.models, experiment.drives)
         epsilon = {name: margin["epsilon"] for name, margin in margins.items()}
@@ -100,16 +102,16 @@ def pendulum_experiment(experiment: PendulumExperiment, tell: Tell = lambda _don
 class _Count:
     """How much of the work is done."""
 
-    def __init__(self, experiment: PendulumExperiment, tell: Tell) -> None:
+    def __init__(self, experiment: PendulumExperiment, report_progress: ReportProgress) -> None:
         everyone = [method for methods in _METHODS.values() for method in methods]
         filtered = sum(bool(method.filter) for method in everyone)
         sweeps = Sweeps(experiment.models, 1, 1, 0, {}, experiment.axes) if experiment.sweep_episodes else None
         self._all = len(everyone) + (len(TABLES) - 1) * filtered + (0 if sweeps is None else sweeps.size)
-        self._tell, self._done = tell, 0
+        self._report, self._done = report_progress, 0
 
     def more(self) -> None:
         self._done += 1
-        self._tell(self._done, self._all)
+        self._report(self._done, self._all)
 
 
 def _of_each(epsilon: Mapping[str, float]) -> dict[str, float]:

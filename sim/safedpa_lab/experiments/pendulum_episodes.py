@@ -69,8 +69,8 @@ def _account(work: Work) -> dict[str, Any]:
             account[f"interval_{outcome}"] = list(wilson_interval(account[outcome], account["episodes"]))
     account |= {"title": method.title, "epsilon": None, "covered": None}
     if method.filter:
-        told = method, work.models, swings, episodes.winds(), work.edges, work.epsilon
-        account |= {"epsilon": work.epsilon, "covered": covered_share(*told)}
+        reported = method, work.models, swings, episodes.winds(), work.edges, work.epsilon
+        account |= {"epsilon": work.epsilon, "covered": covered_share(*reported)}
     return account
 
 

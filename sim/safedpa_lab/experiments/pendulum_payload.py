@@ -60,7 +60,9 @@ def identified_pendulum(data: Path) -> PhysicsModel:
     return found.with_settings({path: Setting(item.value) for path, item in found.settings.items()})
 
 
-def payload_cases(cases: PayloadCases, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
+def payload_cases(
+    cases: PayloadCases, report_progress: Callable[[int, int], None] = lambda _done, _all: None
+) -> dict[str, Any]:
     """The identified numbers; for each payload and seed what was named first, the mass and its deviation; how many."""
     identified = identified_pendulum(cases.data)
     text = write_model(identified)
@@ -69,7 +71,7 @@ def payload_cases(cases: PayloadCases, tell: Callable[[int, int], None] = lambda
     with Workers(cases.processes) as workers:
         for row in workers.map(diagnosed_payload, work):
             rows.append(row)
-            tell(len(rows), len(work))
+            report_progress(len(rows), len(work))
     loaded = [row for row in rows if row["mass"] > 0.0]
     return {
         "identified": {path: item.value for path, item in identified.settings.items()},

@@ -133,8 +133,8 @@ def advantages_table(result: Mapping[str, Any], table: str) -> str:
     for (question, name), outcomes in rows.items():
         title = result["tables"][table][question][name]["title"]
         asked = "within 45 degrees" if question == "balancing" else "past the hazard"
-        told = " | ".join(_advantage(outcomes.get(outcome)) for outcome in _OUTCOMES)
-        lines.append(f"| {title}, {asked} | {told} |")
+        reported = " | ".join(_advantage(outcomes.get(outcome)) for outcome in _OUTCOMES)
+        lines.append(f"| {title}, {asked} | {reported} |")
     return "\n".join(lines)
 
 
@@ -161,8 +161,8 @@ def margins_table(result: Mapping[str, Any]) -> str:
     ]
     rows = result["tables"]["own"]["balancing"]
     for name, margin in result["margins"].items():
-        told = " | ".join(f"{1000 * margin[key]:.1f}" for key in ("epsilon", "of_a_drive", "first"))
-        lines.append(f"| {rows[name]['title']} | {told} | {margin['drives']}, {margin['transitions']} |")
+        reported = " | ".join(f"{1000 * margin[key]:.1f}" for key in ("epsilon", "of_a_drive", "first"))
+        lines.append(f"| {rows[name]['title']} | {reported} | {margin['drives']}, {margin['transitions']} |")
     return "\n".join(lines)
 
 

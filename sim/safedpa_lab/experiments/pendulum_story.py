@@ -26,7 +26,7 @@ from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import settings_named
 from safedpa.safety.margins.calibration import MarginCalibration
 from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.diagnosing import beside_the_truth
+from safedpa_lab.experiments.diagnosing import alongside_the_truth
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_lab.pendulum.hidden import HIDDEN, PERIOD, oracle_model, swings_all_around
 from safedpa_sim.closed_loop import drive
@@ -35,7 +35,7 @@ from safedpa_sim.robots import PendulumRobot, task_named, wind_towards
 
 __all__ = ["PendulumStory", "pendulum_story"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 _SETTINGS = "pendulum"
 _HORIZON = 0.3
 """s; over which predictions are compared."""
@@ -88,14 +88,14 @@ class _Episode:
     ticks: int
 
 
-def pendulum_story(story: PendulumStory, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def pendulum_story(story: PendulumStory, report_progress: ReportProgress = lambda _done, _all: None) -> dict[str, Any]:
     """For each hidden thing what diagnosis said of it, and one row for each model: safety, margin, room."""
-    everything, told = len(story.hidden) * 2, 0
+    everything, reported = len(story.hidden) * 2, 0
     cases: dict[str, Any] = {}
     with Workers(story.processes) as workers:
         for hidden in story.hidden:
-            prepared, said = _prepared(hidden, story)
-            tell(told := told + 1, everything)
+            prepared, notice = _prepared(hidden, story)
+            report_progress(reported := reported + 1, everything)
             episodes = [
                 (name, episode) for name, given in prepared.items() for episode in _episodes(hidden, given, story)
             ]
@@ -106,8 +106,8 @@ def pendulum_story(story: PendulumStory, tell: Tell = lambda _done, _all: None) 
                 )
                 for name in prepared
             }
-            cases[hidden] = {**said, "rows": rows}
-            tell(told := told + 1, everything)
+            cases[hidden] = {**notice, "rows": rows}
+            report_progress(reported := reported + 1, everything)
     asked = {name: getattr(story, name) for name in ("directions", "episodes", "seconds", "wind", "seed", "coverage")}
     return {**asked, "cases": cases}
 
@@ -131,13 +131,13 @@ def _prepared(
     given = {key: (model, _margin(model, calibrating, story.coverage)) for key, model in models.items()}
     same = given["diagnosed"][1]
     given["shipped, margin of the diagnosed"] = (shipped, _belonging(same, given["shipped"][1]))
-    return given, beside_the_truth(found, hidden.effects)
+    return given, alongside_the_truth(found, hidden.effects)
 
 
-def _forgetting(mended: PhysicsModel, shipped: PhysicsModel) -> PhysicsModel:
+def _forgetting(corrected: PhysicsModel, shipped: PhysicsModel) -> PhysicsModel:
     """The mended model with the wind of the shipped one: tomorrow's is not that of the recording."""
     unknown = {path: item for path, item in shipped.settings.items() if item.free}
-    return mended.with_settings({**mended.settings, **unknown})
+    return corrected.with_settings({**corrected.settings, **unknown})
 
 
 def _added(model: PhysicsModel, effects: Sequence[str], runs: Sequence[Run]) -> PhysicsModel:

@@ -22,7 +22,16 @@ BEST_PENALTY: Final = "rma_p"
 """RMA-P with the penalty that was chosen for the difficulty."""
 _LEFT_OUT: Final = ("goal_seeker_unfiltered", "unfiltered", *(method.name for method in PENALISED))
 _UNCHANGED: Final = tuple(method for method in HAZARD_METHODS if method.name not in _LEFT_OUT)
-_KEPT: Final = ("safe", "success", "both", "interval_safe", "interval_success", "interval_both", "covered", "relaxed")
+_RETAINED: Final = (
+    "safe",
+    "success",
+    "both",
+    "interval_safe",
+    "interval_success",
+    "interval_both",
+    "covered",
+    "relaxed",
+)
 
 
 @final
@@ -51,7 +60,7 @@ class Sweeps:
         return (axis for axis in self.axes if question in axis.questions)
 
 
-def swept(sweeps: Sweeps, workers: Workers, tell: Callable[[], None] = lambda: None) -> dict[str, Any]:
+def swept(sweeps: Sweeps, workers: Workers, report_progress: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """By axis its values and, by question and method, what was counted at each value."""
     hard = sweeps.cells(2)
     choices = {}
@@ -68,7 +77,7 @@ def swept(sweeps: Sweeps, workers: Workers, tell: Callable[[], None] = lambda: N
     found = {}
     for (key, _), account in zip(work, accounts((item for _, item in work), workers), strict=True):
         found[key] = account
-        tell()
+        report_progress()
     return {axis.name: _along(axis, found, choices) for axis in sweeps.axes}
 
 
@@ -81,7 +90,7 @@ def _methods(question: int, choice: Mapping[str, Any] | None) -> list[tuple[str,
 
 
 def _along(axis: Axis, found: Mapping[Any, Any], choices: Mapping[Difficulty, Any]) -> dict[str, Any]:
-    told: dict[str, Any] = {"label": axis.label, "values": list(axis.values), "shown": list(axis.ticks)}
+    reported: dict[str, Any] = {"label": axis.label, "values": list(axis.values), "shown": list(axis.ticks)}
     at = [axis.at(value) for value in axis.values]
     for question in axis.questions:
         rows: dict[str, Any] = {}
@@ -89,8 +98,8 @@ def _along(axis: Axis, found: Mapping[Any, Any], choices: Mapping[Difficulty, An
             if own == question and difficulty == at[0]:
                 every = [found[question, one, name] for one in at]
                 rows[name] = {"title": every[0]["title"], "episodes": every[0]["episodes"]}
-                rows[name] |= {key: [row[key] for row in every] for key in _KEPT if key in every[0]}
+                rows[name] |= {key: [row[key] for row in every] for key in _RETAINED if key in every[0]}
         if BEST_PENALTY in rows:
             rows[BEST_PENALTY] |= {"title": "RMA-P, best beta", "chosen": [choices[one]["chosen"] for one in at]}
-        told[QUESTIONS[question]] = rows
-    return told
+        reported[QUESTIONS[question]] = rows
+    return reported

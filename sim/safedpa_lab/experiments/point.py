@@ -17,8 +17,8 @@ import numpy as np
 from safedpa.errors import InputError
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa_lab.experiments.advantages import advantages
-from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.point_episodes import DEVELOPMENT, Work, account_of, best_penalty, over_seeds
+from safedpa_lab.experiments.retained_drives import check_record, driven
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
@@ -29,7 +29,7 @@ from safedpa_sim.point.task import EPISODE_STEPS
 
 __all__ = ["TABLES", "PointExperiment", "point_experiment"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 TABLES: Final = ("own", "same")
 """Each filter's own margin; SafeDPA's for all."""
 _OWN: Final = "safedpa"
@@ -72,7 +72,9 @@ _CALIBRATING_STEPS: Final = 250
 """Of each drive that calibrates a margin, where episodes are no shorter."""
 
 
-def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def point_experiment(
+    experiment: PointExperiment, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """Drives every method through the same layouts, winds and goals.
 
     Raises InputError where a method's weights are neither in the folder nor among those that ship.
@@ -81,17 +83,17 @@ def point_experiment(experiment: PointExperiment, tell: Tell = lambda _done, _al
     margins = _margins(experiment)
     choice = _choice(experiment)
     work = _everything(experiment, {name: row["epsilon"] for name, row in margins.items()}, choice)
-    done = driven(account_of, list(work), experiment.processes, tell, experiment.record)
+    done = driven(account_of, list(work), experiment.processes, report_progress, experiment.record)
     accounts: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
     for (item, places), outcome in zip(work.items(), done, strict=True):
         for table, name in places:
             accounts.setdefault((table, name), {})[item.training_seed or 0] = _row(name, item, outcome["account"])
     tables = {table: _rows(accounts, table) for table in TABLES}
-    _beside_ppo(tables)
+    _alongside_ppo(tables)
     names = ("date", "seed", "directions", "episodes", "steps", "force", "drives")
-    told = {name: getattr(experiment, name) for name in names}
+    reported = {name: getattr(experiment, name) for name in names}
     return {
-        **told,
+        **reported,
         "evaluation_seed": experiment.evaluation,
         "margins": margins,
         "penalty": choice,
@@ -168,8 +170,8 @@ def _work(experiment: PointExperiment, name: str, seed: int | None, epsilon: flo
 
 def _row(name: str, work: Work, account: Mapping[str, Any]) -> dict[str, Any]:
     method = METHODS[name]
-    told = {"title": method.title, "told": method.told, "filter": method.filter, "epsilon": work.epsilon}
-    return {**told, **account}
+    reported = {"title": method.title, "reported": method.reported, "filter": method.filter, "epsilon": work.epsilon}
+    return {**reported, **account}
 
 
 def _rows(accounts: Mapping[tuple[str, str], dict[int, dict[str, Any]]], table: str) -> dict[str, Any]:
@@ -184,7 +186,7 @@ def _rows(accounts: Mapping[tuple[str, str], dict[int, dict[str, Any]]], table: 
     return rows
 
 
-def _beside_ppo(tables: Mapping[str, Mapping[str, Any]]) -> None:
+def _alongside_ppo(tables: Mapping[str, Mapping[str, Any]]) -> None:
     """Goals over PPO's, with the benchmark's inputs, in the same episodes; in both tables."""
     ppo = np.array(tables["own"].get("ppo", {}).get("goals_each", ()), dtype=np.float64)
     if ppo.any():

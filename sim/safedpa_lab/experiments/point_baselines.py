@@ -43,13 +43,13 @@ def markdown_of(found: dict[str, dict[str, Any]]) -> str:
     ]
     for name in BASELINES:
         rows = [found.get(f"{name}_{task}") for task in TASKS]
-        told = [f"{row['reward']:.1f} / {row['cost']:.1f}" if row else "" for row in rows]
+        reported = [f"{row['reward']:.1f} / {row['cost']:.1f}" if row else "" for row in rows]
         known = [row for row in rows if row]
         steps = ", ".join(sorted({f"{row['plan']['steps'] / 1e6:g}" for row in known}))
         minutes = ", ".join(f"{row['processor_seconds'] / 60:.1f}" for row in known)
         reward, cost = PUBLISHED[name]
         lines.append(
-            f"| {BASELINE_TITLES[name]} | {told[0]} | {reward:.1f} / {cost:.1f} | {told[1]} | {steps} | {minutes} |"
+            f"| {BASELINE_TITLES[name]} | {reported[0]} | {reward:.1f} / {cost:.1f} | {reported[1]} | {steps} | {minutes} |"
         )
     others = {key: row for key, row in found.items() if key not in _plain()}
     return "\n".join([*lines, *(("", *_others(others)) if others else ())]) + "\n"
@@ -68,10 +68,10 @@ def _others(found: dict[str, dict[str, Any]]) -> list[str]:
     ]
     for key, row in found.items():
         plan = row["plan"]
-        told = f"{row['reward']:.1f} | {row['cost']:.1f} | {row['goals']:.1f} | {row['multiplier']:.2f}"
-        kept = f"{row['chosen']['steps'] / 1e6:.2f} | {plan['steps'] / 1e6:g}"
+        reported = f"{row['reward']:.1f} | {row['cost']:.1f} | {row['goals']:.1f} | {row['multiplier']:.2f}"
+        retained = f"{row['chosen']['steps'] / 1e6:.2f} | {plan['steps'] / 1e6:g}"
         limit = f"{plan['limit']:g}" if plan["name"] in LIMITED else ""
-        lines.append(f"| {key} | {plan['inputs']} | {limit} | {told} | {kept} | {plan['seed']} |")
+        lines.append(f"| {key} | {plan['inputs']} | {limit} | {reported} | {retained} | {plan['seed']} |")
     return lines
 
 

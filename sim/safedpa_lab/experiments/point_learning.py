@@ -13,7 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa_lab.experiments.kept_drives import check_record, driven
+from safedpa_lab.experiments.retained_drives import check_record, driven
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import seeds_interval, wilson_interval
 from safedpa_lab.point.baseline_set import LARGEST_FORCE
@@ -22,7 +22,7 @@ from safedpa_lab.point.online_learning import STARTS, Learning, learned
 
 __all__ = ["BEHIND", "MARGIN", "PointLearning", "point_learning"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 MARGIN: Final = 0.0013749980236822945
 """m; 99 % of a step of SafeDPA's filter, conformal over 400 drives, calibration seeds 1000100 and 1000101, as
@@ -74,14 +74,16 @@ class PointLearning:
         seeds_for("evaluation", _JUDGED + 1, self.seed)
 
 
-def point_learning(experiment: PointLearning, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def point_learning(
+    experiment: PointLearning, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """By start and by what the policy learns behind: a curve over the steps, sums over all of them, the end's drives.
 
     Raises InputError where a start's weights are neither in a folder nor among those that ship.
     """
     check_record(experiment.record, Learning, learned)
     work = _work(experiment)
-    done = driven(learned, [one for _, _, one in work], experiment.processes, tell, experiment.record)
+    done = driven(learned, [one for _, _, one in work], experiment.processes, report_progress, experiment.record)
     names = ("date", "seed", "steps", "seeds", "robots", "episodes", "margin", "force")
     found: dict[str, dict[str, Any]] = {name: {} for name in experiment.starts}
     for start in experiment.starts:

@@ -58,11 +58,11 @@ def driven_table(result: Mapping[str, Any]) -> str:
     for start, behind, row in _each(result):
         goals, gained, changed = (_ends(row["rows"], name) for name in ("goals", "reward", "corrected"))
         safe = f"{row['safe_episodes']:.0f} of {row['episodes']:.0f}"
-        told = [f"{value:.1f}" for value in (*goals, *gained)]
-        told += [f"{value / 10:.1f}" if behind == "filter" else "" for value in changed]
+        reported = [f"{value:.1f}" for value in (*goals, *gained)]
+        reported += [f"{value / 10:.1f}" if behind == "filter" else "" for value in changed]
         lines.append(
             f"| {STARTS[start].title} | {BEHIND[behind]} | {row['steps']:,} | {row['unsafe']:.0f} "
-            f"| {1e3 * row['unsafe'] / row['steps']:.2f} | {safe} | {' | '.join(told)} |"
+            f"| {1e3 * row['unsafe'] / row['steps']:.2f} | {safe} | {' | '.join(reported)} |"
         )
     return "\n".join(lines)
 

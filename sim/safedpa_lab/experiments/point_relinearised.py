@@ -16,8 +16,8 @@ import numpy as np
 from safedpa.arrays import FloatArray
 from safedpa.errors import InputError
 from safedpa.safety.margins.conformal import margins_over_drives, smallest_sample
-from safedpa_lab.experiments.kept_drives import check_record, driven
 from safedpa_lab.experiments.paired import holm, mcnemar_exact
+from safedpa_lab.experiments.retained_drives import check_record, driven
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.statistics import mean_interval, wilson_interval
 from safedpa_lab.point.driven import driven as drive
@@ -29,7 +29,7 @@ from safedpa_sim.point.task import EPISODE_STEPS
 
 __all__ = ["FILTERS", "PLACES", "Relinearised", "Row", "point_relinearised", "row_of"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 PLACES: Final = (("clean", "policy"), ("stock", "disturbed"))
 """Thrust and nominal action. A disturbance of the clean thrust would tell little: it is affine all over its range; the policy
@@ -95,14 +95,18 @@ class Relinearised:
         return [Row(thrust, name, nominal, *plain, *seeds) for thrust, nominal in PLACES for name in FILTERS]
 
 
-def point_relinearised(asked: Relinearised, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def point_relinearised(
+    asked: Relinearised, report_progress: ReportProgress = lambda _done, _all: None
+) -> dict[str, Any]:
     """``rows``, with margins and what was counted, and ``against``: tests between the forms on the same episodes."""
     check_record(asked.record, Row, row_of)
-    rows = driven(row_of, asked.rows(), asked.processes, tell, asked.record)
-    told = {name: getattr(asked, name) for name in ("directions", "episodes", "steps", "drives", "drive_steps", "seed")}
+    rows = driven(row_of, asked.rows(), asked.processes, report_progress, asked.record)
+    reported = {
+        name: getattr(asked, name) for name in ("directions", "episodes", "steps", "drives", "drive_steps", "seed")
+    }
     seeds = {"evaluation_seed": rows[0]["seed"], "calibration_seed": rows[0]["calibration"]}
     plain = [{key: value for key, value in row.items() if key != "models"} for row in rows]
-    return {**told, **seeds, "coverage": COVERAGE, "force": LARGEST_FORCE, "rows": plain, "against": _against(rows)}
+    return {**reported, **seeds, "coverage": COVERAGE, "force": LARGEST_FORCE, "rows": plain, "against": _against(rows)}
 
 
 def row_of(row: Row) -> dict[str, Any]:
@@ -161,7 +165,7 @@ def _against(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             pair = [np.array([flag == "1" for flag in one["safe_each"]]) for one in (row, affine)]
             more, fewer, p = mcnemar_exact(*pair)
             goals = np.array(row["goals_each"], dtype=np.float64) - np.array(affine["goals_each"], dtype=np.float64)
-            told = {
+            reported = {
                 "thrust": thrust,
                 "nominal": nominal,
                 "filter": name,
@@ -169,7 +173,7 @@ def _against(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "only_affine": fewer,
                 "mcnemar": p,
             }
-            found.append({**told, "goals_less": mean_interval(goals)})
+            found.append({**reported, "goals_less": mean_interval(goals)})
     for line, p in zip(found, holm([line["mcnemar"] for line in found]), strict=True):
         line["holm"] = p
     return found

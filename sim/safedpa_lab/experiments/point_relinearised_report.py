@@ -60,9 +60,9 @@ def rows_table(result: Mapping[str, Any]) -> str:
     ]
     for row in result["rows"]:
         low, high = row["safe_interval"]
-        told = " / ".join(_millimetres(row[name]) for name in ("median_error", "error_99"))
+        reported = " / ".join(_millimetres(row[name]) for name in ("median_error", "error_99"))
         lines.append(
-            f"| {row['thrust']} | {row['nominal']} | {_TITLES[row['filter']]} | {told} | {_millimetres(row['epsilon'])} "
+            f"| {row['thrust']} | {row['nominal']} | {_TITLES[row['filter']]} | {reported} | {_millimetres(row['epsilon'])} "
             f"| {100 * row['safe'] / row['count']:.1f} ({100 * low:.1f} to {100 * high:.1f}) | {row['goals'][0]:.1f} "
             f"| {100 * row['corrected']:.1f} | {row['microseconds']:.0f} |"
         )

@@ -64,7 +64,7 @@ def short_table(result: Mapping[str, Any], table: str) -> str:
         safe = _share(row["safe_episodes"], row["episodes"], row["safe_episodes_interval"])
         ratio = f"{row['of_ppo'][0]:.2f}" if "of_ppo" in row else ""
         goals = _interval(row["goals"], 1, 1)
-        lines.append(f"| {row['title']} | {row['told']} | {margin} | {safe} | {goals} | {ratio} |")
+        lines.append(f"| {row['title']} | {row['reported']} | {margin} | {safe} | {goals} | {ratio} |")
     return "\n".join(lines)
 
 
@@ -76,7 +76,9 @@ def against_table(result: Mapping[str, Any]) -> str:
             other = result["methods"][row["against"]]
             found = f"+{row['only_safedpa']} -{row['only_other']}"
             p = f"{row['mcnemar_holm']:.1g} | {row['directions_holm']:.1g}"
-            lines.append(f"| {other['title']} | {other['told']} | {found} | {p} | {_interval(row['goals'], 1, 1)} |")
+            lines.append(
+                f"| {other['title']} | {other['reported']} | {found} | {p} | {_interval(row['goals'], 1, 1)} |"
+            )
     return "\n".join(lines)
 
 
@@ -90,7 +92,7 @@ def _safety(rows: Mapping[str, Any]) -> str:
         count = row["episodes"]
         margin = "" if row["epsilon"] is None else f"{1e3 * row['epsilon']:.1f}"
         lines.append(
-            f"| {row['title']} | {row['told']} | {margin} | {_interval(row['safe_steps'], 100, 2, 100.0)} "
+            f"| {row['title']} | {row['reported']} | {margin} | {_interval(row['safe_steps'], 100, 2, 100.0)} "
             f"| {_share(row['safe_episodes'], count, row['safe_episodes_interval'])} "
             f"| {100 * min(row['directions_safe_steps']):.2f} "
             f"| {_interval(row['goals'], 1, 2)} | {_interval(row['of_ppo'], 1, 2) if 'of_ppo' in row else ''} "
@@ -110,8 +112,8 @@ def margins_table(result: Mapping[str, Any]) -> str:
     ]
     for name, row in result["margins"].items():
         lengths = (row["epsilon"], row["first"], row["of_a_drive"], row["median_error"])
-        told = " | ".join("none" if length is None else f"{1e3 * length:.2f}" for length in lengths)
-        lines.append(f"| {FILTERS[name]} | {told} | {row['transitions']} |")
+        reported = " | ".join("none" if length is None else f"{1e3 * length:.2f}" for length in lengths)
+        lines.append(f"| {FILTERS[name]} | {reported} | {row['transitions']} |")
     return "\n".join(lines)
 
 
@@ -139,10 +141,10 @@ def _advantages(result: Mapping[str, Any]) -> str:
     tables = {"own": result["methods"], "same": result["same_margin"]}
     for row in result["advantages"]:
         title = tables[row["question"]][row["against"]]["title"]
-        told = tables[row["question"]][row["against"]]["told"]
+        reported = tables[row["question"]][row["against"]]["reported"]
         outcome = {"success": "reached"}.get(row["outcome"], row["outcome"])
         lines.append(
-            f"| {row['question']} | {title} ({told}) | {outcome} | {row['only_safedpa']} | {row['only_other']} "
+            f"| {row['question']} | {title} ({reported}) | {outcome} | {row['only_safedpa']} | {row['only_other']} "
             f"| {row['mcnemar_holm']:.2g} | {row['directions_holm']:.2g} | {_interval(row['goals'], 1, 2)} |"
         )
     return "\n".join(lines)
@@ -159,7 +161,7 @@ def seeds_table(result: Mapping[str, Any]) -> str:
         if (found := row.get("over_seeds")) is not None:
             seeds = ", ".join(map(str, found["training_seeds"]))
             lines.append(
-                f"| {row['title']} ({row['told']}) | {seeds} | {_interval(found['safe'], 100, 1, 100.0, 0.0)} "
+                f"| {row['title']} ({row['reported']}) | {seeds} | {_interval(found['safe'], 100, 1, 100.0, 0.0)} "
                 f"| {_interval(found['goals'], 1, 2)} | {_interval(found['cost'], 1, 1, None, 0.0)} |"
             )
     return "\n".join(lines)
@@ -175,7 +177,7 @@ def _gained(rows: Mapping[str, Any]) -> str:
         filtered = f"{100 * row['corrected']:.1f} | {100 * row['relaxed']:.1f}" if row["filter"] else " | "
         first = row["first_goal_median"]
         lines.append(
-            f"| {row['title']} | {row['told']} | {_interval(row['reward'], 1, 1)} "
+            f"| {row['title']} | {row['reported']} | {_interval(row['reward'], 1, 1)} "
             f"| {_interval(row['cost'], 1, 1, None, 0.0)} "
             f"| {row['unsafe_steps']} | {row['least_room']:.3f} | {'never' if first is None else f'{first:.1f}'} "
             f"| {filtered} | {row['milliseconds_per_episode']:.0f} | {row['microseconds_per_decision']:.0f} |"

@@ -15,7 +15,7 @@ import numpy as np
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError, did_you_mean
-from safedpa_lab.experiments.diagnosing import beside_the_truth
+from safedpa_lab.experiments.diagnosing import alongside_the_truth
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_lab.point.beliefs import ModelBelief
 from safedpa_lab.point.hidden import HIDDEN, HiddenPoint, hide, point_logs
@@ -25,7 +25,7 @@ from safedpa_sim.point.task import PointTask
 
 __all__ = ["PointStory", "point_story", "point_story_markdown"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 _HORIZON: Final = 0.5
 """s; over which predictions are compared."""
 _HELD: Final = 50
@@ -54,7 +54,7 @@ class PointStory:
                 raise InputError(f"--{name.replace('_', '-')}: got {getattr(self, name)}, wanted {low} or more")
 
 
-def point_story(story: PointStory, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+def point_story(story: PointStory, report_progress: ReportProgress = lambda _done, _all: None) -> dict[str, Any]:
     """For each hidden thing what diagnosis said of it, and one row for each model: safety and room."""
     cases: dict[str, Any] = {}
     for number, name in enumerate(story.hidden):
@@ -63,13 +63,13 @@ def point_story(story: PointStory, tell: Tell = lambda _done, _all: None) -> dic
         found = diagnose(given, point_logs(hidden, story.seed, story.logs, story.log_seconds), _HORIZON)
         models = {"shipped": given, "diagnosed": found.models[-1]}
         cases[name] = {
-            **beside_the_truth(found, hidden.effects),
+            **alongside_the_truth(found, hidden.effects),
             "rows": {
                 **{title: _row(hidden, model, story) for title, model in models.items()},
                 "oracle": _row(hidden, None, story),
             },
         }
-        tell(number + 1, len(story.hidden))
+        report_progress(number + 1, len(story.hidden))
     asked = {name: getattr(story, name) for name in ("robots", "seconds", "logs", "log_seconds", "seed")}
     return {**asked, "epsilon": EPSILON, "cases": cases}
 

@@ -29,7 +29,7 @@ from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.records.run import Run
 from safedpa.report.diagnosis_story import report_text
-from safedpa_lab.experiments.real_logs_cover import told_windows, uncovered
+from safedpa_lab.experiments.real_logs_cover import reported_windows, uncovered
 from safedpa_lab.experiments.real_logs_data import BALLS, CAR, OTHER_DAY, PENDULUM, ball_runs, mapped_runs, paths_of
 from safedpa_lab.experiments.real_logs_targets import folds_target, targets_of
 
@@ -65,7 +65,7 @@ class _Job:
 
 
 def real_logs_experiment(
-    experiment: RealLogs, tell: Callable[[int, int], None] = lambda _done, _all: None
+    experiment: RealLogs, report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> dict[str, Any]:
     """Diagnoses each robot's recordings; for the car also every three of the four logs, judged by the fourth.
 
@@ -79,7 +79,7 @@ def real_logs_experiment(
     rows = []
     for done, row in enumerate(_rows(jobs, experiment.processes)):
         rows.append(row)
-        tell(done + 1, len(jobs))
+        report_progress(done + 1, len(jobs))
     left_out = [row for row in rows if row["part"] == "car" and row["name"]]
     together = _together(left_out)
     return {
@@ -141,11 +141,11 @@ def _unseen(report: Report, run: Run) -> dict[str, Any]:
     """Errors on a log that neither model saw; both have the free gains of the logs that they did see."""
     windows = windows_of([run], report.horizon, every=_EVERY)
     before, after = (rollout_error(model, windows) for model in (report.models[0], report.models[-1]))
-    told = np.flatnonzero(told_windows(report.coverage, windows))
-    part = windows.select(told)
+    reported = np.flatnonzero(reported_windows(report.coverage, windows))
+    part = windows.select(reported)
     covered = (
         [round(rollout_error(model, part).value, 4) for model in (report.models[0], report.models[-1])]
-        if len(told) >= _FEWEST
+        if len(reported) >= _FEWEST
         else None
     )
     names = run.system.state_names
@@ -153,7 +153,7 @@ def _unseen(report: Report, run: Run) -> dict[str, Any]:
         "unseen_before": round(before.value, 4),
         "unseen_after": round(after.value, 4),
         "unseen_change": round(after.value / before.value - 1.0, 4),
-        "unseen_told": round(len(told) / max(len(windows), 1), 4),
+        "unseen_told": round(len(reported) / max(len(windows), 1), 4),
         "unseen_where_told": covered,
         "unseen_per_state": {
             name: [round(float(one), 4), round(float(other), 4)]

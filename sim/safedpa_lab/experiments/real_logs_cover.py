@@ -12,7 +12,7 @@ from safedpa.diagnosis.coverage import within_coverage
 from safedpa.diagnosis.report_schema import CoveredRange
 from safedpa.records.run import Run
 
-__all__ = ["VARIABLES", "told_windows", "uncovered"]
+__all__ = ["VARIABLES", "reported_windows", "uncovered"]
 
 VARIABLES = ("speed", "throttle")
 """What drives: laws of drive and drag that agree at some pairs of these differ at others."""
@@ -35,7 +35,7 @@ def uncovered(seen: Sequence[Run], unseen: Run) -> float:
     return float((found * period < _LEAST).mean())
 
 
-def told_windows(coverage: Sequence[CoveredRange], windows: Windows) -> NDArray[np.bool_]:
+def reported_windows(coverage: Sequence[CoveredRange], windows: Windows) -> NDArray[np.bool_]:
     """Windows (windows,) that begin, end and for nine tenths of their rows stay where a report says that it holds."""
     good = within_coverage(coverage, windows.system, windows.states, windows.actions)
     spans = zip(windows.start.tolist(), windows.end.tolist(), strict=True)

@@ -18,7 +18,7 @@ def targets_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         if row["part"] == "car":
             found.append(_car(row))
             if row.get("unseen_where_told"):
-                found.append(_car_where_told(row))
+                found.append(_car_where_reported(row))
         elif row["part"] == "pendulum":
             found += _pendulum(row)
         elif (wanted := _ball(row)) is not None:
@@ -47,11 +47,11 @@ def _car(row: dict[str, Any]) -> dict[str, Any]:
     )
 
 
-def _car_where_told(row: dict[str, Any]) -> dict[str, Any]:
+def _car_where_reported(row: dict[str, Any]) -> dict[str, Any]:
     """Of the part of a log that the diagnosis of the others says it holds for, in its first sentence."""
-    log, told, errors = row["name"].removesuffix(".csv")[-8:], row["unseen_told"], row["unseen_where_told"]
+    log, reported, errors = row["name"].removesuffix(".csv")[-8:], row["unseen_told"], row["unseen_where_told"]
     change = errors[1] / errors[0] - 1.0
-    measured = f"{100 * change:+.1f} %; {100 * told:.0f} % of its predictions lie there"
+    measured = f"{100 * change:+.1f} %; {100 * reported:.0f} % of its predictions lie there"
     return _target(f"car, without {log}, where told", "-30 % where it says that it holds", measured, change <= -0.30)
 
 
@@ -78,6 +78,6 @@ def _ball(row: dict[str, Any]) -> dict[str, Any] | None:
     if "bowling" in name:
         return _target(row["name"], "nothing missing", ", ".join(added) or row["verdict"], not added)
     if "whiffle" in name:
-        said = ", ".join(added) or row["verdict"]
-        return _target(row["name"], "quadratic drag first", said, added[:1] == ["quadratic_drag"])
+        notice = ", ".join(added) or row["verdict"]
+        return _target(row["name"], "quadratic drag first", notice, added[:1] == ["quadratic_drag"])
     return None

@@ -18,7 +18,7 @@ from safedpa_lab.point.relinearised_drives import affine_weights, free_model
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.explained_motion import affine_floor
 from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import draw_transitions
 
@@ -38,12 +38,14 @@ def thrust_configuration(thrust: str, pairs: int | None = None) -> Configuration
     return replace(plain, action={**plain.action, "thrust": (-largest, largest)}, phase_1a=phase)
 
 
-def train_networks(out: Path, pairs: int | None = None, tell: Tell = silent) -> None:
+def train_networks(out: Path, pairs: int | None = None, report_progress: ReportProgress = silent) -> None:
     """Trains ``safedpa_lab.point.relinearised_drives.NETWORKS`` into the folder, with the same pairs for both forms."""
     out.mkdir(parents=True, exist_ok=True)
     for thrust in COMMANDS:
-        save_free(train_free(thrust_configuration(thrust, pairs), tell)[0], out / f"free_{thrust}.safetensors")
-    stock, _ = train_affine(thrust_configuration("stock", pairs), out, tell)
+        save_free(
+            train_free(thrust_configuration(thrust, pairs), report_progress)[0], out / f"free_{thrust}.safetensors"
+        )
+    stock, _ = train_affine(thrust_configuration("stock", pairs), out, report_progress)
     save_weights(stock, out / "affine_stock.safetensors")
 
 
@@ -60,11 +62,11 @@ def point_errors(models: Path) -> list[dict[str, Any]]:
         affine, free = affine_weights(thrust, models), free_model(thrust, models)
         networks = LearnedNetworks(affine)
         f, g = networks.increment(state, networks.encode(environment))
-        told = {
+        reported = {
             "affine": (f + np.einsum("nsa,na->ns", g, action), affine.digest[:16], affine.description),
             "free": (free.increment(state, free.encode(environment), action), free.digest, free.description),
         }
-        for form, (predicted, digest, described) in told.items():
+        for form, (predicted, digest, described) in reported.items():
             rows.append(
                 {
                     "thrust": thrust,

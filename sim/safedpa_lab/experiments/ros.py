@@ -36,7 +36,7 @@ def ros_experiment(
     seeds: Sequence[int],
     seconds: float,
     faults: Sequence[str] = tuple(FAULTS),
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """A drive with the filter and one without for each seed, the bare chain between them, then each fault once."""
     count = 2 * len(seeds) + len(faults)
@@ -47,12 +47,12 @@ def ros_experiment(
             if index % _CHAIN_EVERY == 0:
                 chain += bare_times(_CHAIN_SECONDS, _RATE)
             driven.append(_undisturbed(loop, Path(name), seed, seconds))
-            tell(len(driven), count)
-    blind = unfiltered_drives(seeds, seconds, lambda done: tell(len(driven) + done, count))
+            report_progress(len(driven), count)
+    blind = unfiltered_drives(seeds, seconds, lambda done: report_progress(len(driven) + done, count))
     broken = []
     for position, fault in enumerate(faults):
         broken.append(run_fault(fault, seeds[position % len(seeds)]))
-        tell(2 * len(seeds) + len(broken), count)
+        report_progress(2 * len(seeds) + len(broken), count)
     return {
         "seeds": [seeds[0], seeds[-1]],
         "seconds": seconds,
@@ -80,15 +80,15 @@ def filtered_drive(loop: Loop, folder: Path, seed: int, seconds: float) -> dict[
         loop.start("ros_gateway", str(robot_file(folder / "robot.toml", robot.endpoint, seed)))
         try:
             loop.wait_for("ros_gateway", "robot is on the bus")
-            car.say("go")
-            found = car.told(seconds + 60.0)
+            car.send("go")
+            found = car.reported(seconds + 60.0)
         finally:
             loop.stop("ros_gateway")
     return {"seed": seed, **found}
 
 
 def unfiltered_drives(
-    seeds: Sequence[int], seconds: float, tell: Callable[[int], None] = lambda _done: None
+    seeds: Sequence[int], seconds: float, report_progress: Callable[[int], None] = lambda _done: None
 ) -> list[dict[str, Any]]:
     """The same policy straight on the driver's topic, a few cars at a time."""
     found: list[dict[str, Any]] = []
@@ -100,9 +100,9 @@ def unfiltered_drives(
                     robot: Side = stack.enter_context(side(Path(name)))
                     cars.append((seed, robot.car(seconds, seed, "--straight")))
                 for _, car in cars:
-                    car.say("go")
-                found += [{"seed": seed, **car.told(seconds + 60.0)} for seed, car in cars]
-            tell(len(found))
+                    car.send("go")
+                found += [{"seed": seed, **car.reported(seconds + 60.0)} for seed, car in cars]
+            report_progress(len(found))
     return found
 
 

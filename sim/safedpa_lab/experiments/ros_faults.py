@@ -29,10 +29,10 @@ def _killed(name: str) -> Act:
     return act
 
 
-def _said(word: str) -> Act:
+def _message(word: str) -> Act:
     def act(robot: Side, loop: Loop, car: Node) -> None:
         del robot, loop
-        car.say(word)
+        car.send(word)
 
     return act
 
@@ -49,7 +49,7 @@ def _policy(robot: Side, loop: Loop, car: Node) -> None:
 
 def _speaks(robot: Side, loop: Loop, car: Node) -> None:
     del loop, car
-    robot.nodes[-1].say("go")
+    robot.nodes[-1].send("go")
 
 
 FAULTS: Final[Mapping[str, tuple[Act, str, str]]] = {
@@ -59,8 +59,8 @@ FAULTS: Final[Mapping[str, tuple[Act, str, str]]] = {
     "router of the services killed": (_killed("router"), "", "gateway: the gateway brakes: no action of the filter"),
     "router of the robot killed": (_router, "", "the driver's own timeout"),
     "policy killed": (_policy, "policy", "safety filter"),
-    "odometry ends": (_said("freeze"), "", "gateway: the gateway brakes: the odometry is"),
-    "clock jumps back by 1000 s": (_said("rewind"), "", ""),
+    "odometry ends": (_message("freeze"), "", "gateway: the gateway brakes: the odometry is"),
+    "clock jumps back by 1000 s": (_message("rewind"), "", ""),
     "another publisher on /drive": (_speaks, "named", "publishes on /drive too"),
     "another publisher, without a token": (_speaks, "quiet", "who shows no token"),
 }
@@ -71,27 +71,27 @@ def run_fault(name: str, seed: int) -> dict[str, Any]:
     """One drive in which it happens while the car drives. Raises InputError for a fault that is not known."""
     if name not in FAULTS:
         raise InputError(f"fault '{name}': {did_you_mean(name, FAULTS)}")
-    act, beside, teller = FAULTS[name]
+    act, alongside, teller = FAULTS[name]
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         robot = stack.enter_context(side(Path(folder)))
         loop = stack.enter_context(services(Path(folder), router=True))
-        car = robot.car(_LONGEST, seed, *(("--no-policy",) if beside == "policy" else ()))
-        if beside == "policy":
-            robot.speaker("/drive_in").say("go")
+        car = robot.car(_LONGEST, seed, *(("--no-policy",) if alongside == "policy" else ()))
+        if alongside == "policy":
+            robot.speaker("/drive_in").send("go")
         loop.start("ros_gateway", str(robot_file(Path(folder) / "robot.toml", robot.endpoint, seed)))
         loop.wait_for("ros_gateway", "robot is on the bus")
-        car.say("go")
+        car.send("go")
         loop.wait_for("ros_gateway", "the filter drives")
-        if beside == "named":
+        if alongside == "named":
             _late_speaker(robot)
-        elif beside == "quiet":
+        elif alongside == "quiet":
             robot.speaker("/drive", "--without-token")
         time.sleep(_BEFORE)
-        car.say("mark")
+        car.send("mark")
         act(robot, loop, car)
         time.sleep(_AFTER)
-        car.say("end")
-        found = car.told(_STARTS)
+        car.send("end")
+        found = car.reported(_STARTS)
     return _judged(name, seed, found, teller)
 
 
@@ -106,9 +106,9 @@ class _Later(Node):
     def __init__(self, robot: Side) -> None:
         self._robot = robot
 
-    def say(self, word: str) -> None:
+    def send(self, word: str) -> None:
         """Starts it, and lets it speak."""
-        self._robot.speaker("/drive").say(word)
+        self._robot.speaker("/drive").send(word)
 
     def kill(self) -> None:
         """Nothing is there to be ended."""
@@ -118,7 +118,7 @@ def _judged(name: str, seed: int, found: Mapping[str, Any], teller: str) -> dict
     mark = found.get("mark")
     if mark is None:
         raise SafedpaError(f"{name}: the car was not told when it happened")
-    said = [one for one in mark["said"] if teller in one] if teller else []
+    notice = [one for one in mark["notice"] if teller in one] if teller else []
     own = teller.startswith("the driver's") and found["driver_brakes"] > 0
     return {
         "fault": name,
@@ -127,8 +127,8 @@ def _judged(name: str, seed: int, found: Mapping[str, Any], teller: str) -> dict
         "stood_after": mark["stood_after"],
         "stopping_way": mark["stopping_way"],
         "told_after": mark["told_after"],
-        "told": said[0] if said else (teller if own else ""),
+        "reported": notice[0] if notice else (teller if own else ""),
         "periods_braked_by_the_driver": found["driver_brakes"],
         "collisions": found["collisions"],
-        "held": not found["collisions"] and (not teller or bool((said or own) and mark["stood_after"] is not None)),
+        "held": not found["collisions"] and (not teller or bool((notice or own) and mark["stood_after"] is not None)),
     }

@@ -61,5 +61,5 @@ def _number(value: float) -> str:
 def _fault(one: Mapping[str, Any]) -> str:
     stood = "" if one["stood_after"] is None else f"{one['stood_after']:.2f}"
     way = "" if one["stopping_way"] is None else f"{one['stopping_way']:.2f}"
-    told = one["told"] or "nothing; it drives on"
-    return f"| {one['fault']} | {one['speed_before']:.2f} | {stood} | {way} | {told} | {one['collisions']} |"
+    reported = one["reported"] or "nothing; it drives on"
+    return f"| {one['fault']} | {one['speed_before']:.2f} | {stood} | {way} | {reported} | {one['collisions']} |"

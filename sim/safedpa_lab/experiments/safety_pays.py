@@ -70,7 +70,9 @@ class _Episode:
     """As TOML."""
 
 
-def safety_pays(experiment: SafetyPays, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
+def safety_pays(
+    experiment: SafetyPays, report_progress: Callable[[int, int], None] = lambda _done, _all: None
+) -> dict[str, Any]:
     """One row for each hidden effect and model: safe episodes with 95 % interval, margin, interventions, goals."""
     settings = settings_named("car")
     everything = len(experiment.hidden) * (1 + len(MODELS) * len(experiment.seeds))
@@ -78,7 +80,7 @@ def safety_pays(experiment: SafetyPays, tell: Callable[[int, int], None] = lambd
     for hidden in experiment.hidden:
         prepared[hidden] = _models(hidden, experiment, settings)
         done += 1
-        tell(done, everything)
+        report_progress(done, everything)
     episodes = [
         _Episode(hidden, name, seed, experiment.seconds, write_model(model), margin.write())
         for hidden, models in prepared.items()
@@ -89,7 +91,7 @@ def safety_pays(experiment: SafetyPays, tell: Callable[[int, int], None] = lambd
     for outcome in _driven(episodes, experiment.processes):
         outcomes.append(outcome)
         done += 1
-        tell(done, everything)
+        report_progress(done, everything)
     rows = [
         _row(
             hidden, name, *prepared[hidden][name], [o for o in outcomes if (o["hidden"], o["model"]) == (hidden, name)]

@@ -1,6 +1,6 @@
 """Drives with a laser alone, beside the same drives told everything: who touches whom, and what is reached.
 
-A collision counts as the car's where it moved (``STANDS`` and faster); who walks into a standing car is counted apart.
+A collision counts as the car's where it moved (``IS_STATIONARY`` and faster); who walks into a standing car is counted apart.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
-from safedpa_lab.experiments.kept_drives import driven
+from safedpa_lab.experiments.retained_drives import driven
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
+from safedpa_lab.experiments.sensing_reported import ReportsAllButWhoHides, ReportsEverything
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
-from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS as TOWED
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 __all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "row_of", "run_drive", "sensing_experiment"]
 
-GUARDS = ("safedpa", "told", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
+GUARDS = ("safedpa", "reported", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
 """Who stands between policy and car: the filter with the laser alone; the filter that is told everything; told
 everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with
 more time; the F1TENTH course's brake; nobody. The last four hear the same scans."""
@@ -80,13 +80,13 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
     if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
         looks = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
         return [AdaptationNode(model), *looks, policy, peers[wanted.guard]()]
-    told: dict[str, Callable[[], AbstractNode]] = {
-        "told": lambda: TellsEverything(scene, people),
-        "told-but-hiding": lambda: TellsAllButWhoHides(scene, people, settings),
+    reported: dict[str, Callable[[], AbstractNode]] = {
+        "reported": lambda: ReportsEverything(scene, people),
+        "told-but-hiding": lambda: ReportsAllButWhoHides(scene, people, settings),
     }
     return [
         AdaptationNode(model),
-        told[wanted.guard]() if wanted.guard in told else PerceptionNode(settings),
+        reported[wanted.guard]() if wanted.guard in reported else PerceptionNode(settings),
         policy,
         SafetyFilterNode(model, settings_named("car"), margin_for(model)),
     ]
@@ -97,27 +97,27 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
     model = load_model("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking)
     laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
-    robot = CarRobot(scene, senses=SimulatedSensors((Laser(laser, wanted.seed),), people))
+    robot = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
-    way, microseconds, nominal_way, kept = 0.0, [], 0.0, 0.0
+    way, microseconds, nominal_way, retained = 0.0, [], 0.0, 0.0
     for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
         if tick.verdict.nominal:
             nominal_way += abs(tick.verdict.nominal[0])
-            kept += min(
+            retained += min(
                 max(tick.verdict.action[0] * np.sign(tick.verdict.nominal[0]), 0.0), abs(tick.verdict.nominal[0])
             )
         way += abs(tick.state.values[3]) * _PERIOD
         microseconds.append(tick.verdict.microseconds)
-    moving = [hit for hit in robot.collisions if hit.speed >= STANDS]
+    moving = [hit for hit in robot.collisions if hit.speed >= IS_STATIONARY]
     return {
         **asdict(wanted),
         "moving": [str(hit) for hit in moving],
-        "run_into": sum(hit.towards < STANDS for hit in moving),
+        "run_into": sum(hit.towards < IS_STATIONARY for hit in moving),
         "standing": len(robot.collisions) - len(moving),
         "stepped_out": any(isinstance(person, StepsOut) and person.stepped for person in people),
         "goals": robot.goals_reached,
         "way": way,
-        "kept": kept / max(nominal_way, 1e-9),
+        "retained": retained / max(nominal_way, 1e-9),
         "microseconds": float(np.median(microseconds)),
         "trajectory": robot.trajectory_hash,
     }
@@ -161,7 +161,7 @@ def _result(
     found: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
     by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
-    rows = [row_of(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
+    rows = [row_of(kind, drives, by_kind.get((kind[0], "reported"), []), seconds) for kind, drives in by_kind.items()]
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
     by_load = [_of_load(kind, load, drives, seconds) for kind, drives in by_kind.items() for load in loads]
     return {**chosen, "rows": rows, "by_load": by_load}
@@ -174,12 +174,12 @@ def _of_load(kind: tuple[str, str], load: str, drives: list[dict[str, Any]], sec
 
 
 def row_of(
-    kind: tuple[str, str], drives: list[dict[str, Any]], told: list[dict[str, Any]], seconds: float
+    kind: tuple[str, str], drives: list[dict[str, Any]], reported: list[dict[str, Any]], seconds: float
 ) -> dict[str, Any]:
-    """What drives of a scene behind a guard come to; ``told``: the same with perfect knowledge, in the same order."""
+    """What drives of a scene behind a guard come to; ``reported``: the same with perfect knowledge, in the same order."""
     hit = sum(bool(one["moving"]) for one in drives)
     goals = np.array([float(one["goals"]) for one in drives])
-    others = np.array([float(one["goals"]) for one in told])
+    others = np.array([float(one["goals"]) for one in reported])
     return {
         "scene": kind[0],
         "guard": kind[1],
@@ -192,7 +192,7 @@ def row_of(
         "drives_in_which_somebody_stepped_out": sum(one["stepped_out"] for one in drives),
         "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * len(drives)),
         "goals_beside_perfect_knowledge": ratio_interval(goals, others) if others.sum() > 0.0 else None,
-        "share_of_nominal_speed": float(np.mean([one["kept"] for one in drives])),
+        "share_of_nominal_speed": float(np.mean([one["retained"] for one in drives])),
         "metres_a_minute": 60.0 * sum(one["way"] for one in drives) / (seconds * len(drives)),
         "median_microseconds": float(np.median([one["microseconds"] for one in drives])),
     }

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from safedpa_lab.experiments.car_style import BLUE, GREY, RED, bare, figure, heading
-from safedpa_lab.experiments.kept_drives import driven
+from safedpa_lab.experiments.retained_drives import driven
 from safedpa_lab.experiments.sensing import Drive, row_of, run_drive
 
 __all__ = ["CURVES", "curves_experiment", "curves_page", "draw_curves"]
@@ -54,14 +54,14 @@ def curves_experiment(
     points = [(name, float(value)) for name, values in curves.items() for value in values]
     changed: list[dict[str, Any]] = [{name: value} for name, value in points]
     wanted = [replace(plain, seed=seed, **change) for change in changed for seed in seeds]
-    known = [replace(plain, seed=one.seed, walking=one.walking, guard="told") for one in wanted]
+    known = [replace(plain, seed=one.seed, walking=one.walking, guard="reported") for one in wanted]
     found = driven(run_drive, [*wanted, *known], processes, on_drive, record)
     rows = []
     for index, (name, value) in enumerate(points):
         first, past = index * len(seeds), (index + 1) * len(seeds)
-        drives, told = found[first:past], found[len(wanted) + first : len(wanted) + past]
-        row = {"curve": name, "value": value, **row_of((scene, plain.guard), drives, told, seconds)}
-        goals = sum(one["goals"] for one in told)
+        drives, reported = found[first:past], found[len(wanted) + first : len(wanted) + past]
+        row = {"curve": name, "value": value, **row_of((scene, plain.guard), drives, reported, seconds)}
+        goals = sum(one["goals"] for one in reported)
         rows.append({**row, "goals_a_minute_told_everything": 60.0 * goals / (seconds * len(seeds))})
     return {"scene": scene, "seconds": seconds, "seeds": list(seeds), "rows": rows}
 
@@ -91,8 +91,8 @@ def curves_page(result: Mapping[str, Any]) -> str:
 
 def _line(row: Mapping[str, Any], unit: float) -> str:
     low, high = row["share_95"]
-    beside = row["goals_beside_perfect_knowledge"]
-    share = "" if beside is None else f"{beside[0]:.2f} ({max(beside[1], 0.0):.2f} to {beside[2]:.2f})"
+    alongside = row["goals_beside_perfect_knowledge"]
+    share = "" if alongside is None else f"{alongside[0]:.2f} ({max(alongside[1], 0.0):.2f} to {alongside[2]:.2f})"
     return (
         f"| {unit * row['value']:g} | {row['drives']} | {row['drives_in_which_the_car_moved_into_something']} | "
         f"{100.0 * low:.1f} to {100.0 * high:.1f} % | {row['touched_while_it_stood']} | {row['goals_a_minute']:.1f} | "

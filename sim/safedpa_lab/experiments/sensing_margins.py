@@ -23,13 +23,13 @@ from safedpa.dynamics import PhysicsModel, fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
-from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.runtime.node import SafetyFilterNode
 from safedpa.safety.defaults import margin_for, settings_named
 from safedpa.safety.margins.conformal import smallest_sample
 from safedpa.safety.margins.error_clipping import NO_CLIP, HSample
-from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.misjudging import Misjudges
+from safedpa_lab.experiments.retained_drives import driven
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.sensing import LOADS
 from safedpa_lab.experiments.sensing_scenes import scene_and_people
@@ -38,7 +38,7 @@ from safedpa_lab.experiments.statistics import coverage_row
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 __all__ = ["SCENES", "SensedDrive", "margins_of_sensing", "order", "run_sensed"]
 
@@ -77,7 +77,7 @@ def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
     """Drives it behind the filter as it ships; the same drive gives the same numbers."""
     model, settings = load_model("car"), settings_named("car")
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
-    car = CarRobot(scene, senses=SimulatedSensors((Laser(LaserSettings(), wanted.seed),), people))
+    car = CarRobot(scene, sensor_inputs=SimulatedSensors((Laser(LaserSettings(), wanted.seed),), people))
     robot = Misjudges(car, wanted.stretch, wanted.turning)
     sensing = PerceptionSettings()
     scores = Scores(robot, people, settings, sensing)
@@ -91,7 +91,7 @@ def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
         scores.after(tick)
     return {
         **asdict(wanted),
-        "moving": [str(hit) for hit in car.collisions if hit.speed >= STANDS],
+        "moving": [str(hit) for hit in car.collisions if hit.speed >= IS_STATIONARY],
         "goals": car.goals_reached,
         "scores": [list(one) for one in scores.found],
     }
@@ -216,7 +216,7 @@ def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[s
         max(group, key=lambda pair: _error(pair[1])) for _, group in groupby(scores, lambda pair: _named(pair[0]))
     ]
     for one, score in sorted(by_drive, key=lambda pair: -_error(pair[1]))[:_WORST]:
-        told = zip(("points", "movers", "hidden"), score.apart, strict=True)
+        reported = zip(("points", "movers", "hidden"), score.apart, strict=True)
         yield {
             "drive": _named(one),
             "time": round(score.time, 3),
@@ -225,5 +225,5 @@ def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[s
             "true": score.true,
             "speed": score.speed,
             "seen_for": score.seen_for,
-            "apart": {name: away for name, away in told if away < 100.0},
+            "apart": {name: away for name, away in reported if away < 100.0},
         }

@@ -9,7 +9,7 @@ __all__ = ["page_of"]
 
 _GUARDS = {
     "safedpa": "this filter, laser alone",
-    "told": "this filter, told everything",
+    "reported": "this filter, told everything",
     "told-but-hiding": "this filter, told everything but who hides",
     "monitor": "nav2's collision monitor, its defaults (1.2 s, 6 points)",
     "monitor-2s": "the same with 2 s, 3 points",
@@ -60,8 +60,8 @@ def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> list[s
 
 def _line(row: Mapping[str, Any]) -> str:
     low, high = row["share_95"]
-    beside = row["goals_beside_perfect_knowledge"]
-    ratio = "" if beside is None else f"{beside[0]:.2f} ({beside[1]:.2f} to {beside[2]:.2f})"
+    alongside = row["goals_beside_perfect_knowledge"]
+    ratio = "" if alongside is None else f"{alongside[0]:.2f} ({alongside[1]:.2f} to {alongside[2]:.2f})"
     cells = (
         row["scene"],
         _GUARDS[row["guard"]],

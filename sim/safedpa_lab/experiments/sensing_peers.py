@@ -145,11 +145,11 @@ class TimeToCollision(_Brake):
         length = np.hypot(points[:, 0], points[:, 1])
         ahead = points[:, 0] / np.maximum(length, 1e-9)
         closing = state.values[3] * ahead
-        beside = np.abs(points[:, 1]) < radius
+        alongside = np.abs(points[:, 1]) < radius
         edge = np.where(closing > 0.0, (front if state.values[3] > 0.0 else rear) + radius, 0.0)
-        left = np.where(beside, np.maximum(np.abs(points[:, 0]) - edge, 0.0), inf)
+        left = np.where(alongside, np.maximum(np.abs(points[:, 0]) - edge, 0.0), inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            seconds = np.where((closing > 0.0) & beside, left / closing, inf)
+            seconds = np.where((closing > 0.0) & alongside, left / closing, inf)
         least = float(seconds.min()) if len(seconds) else inf
         same_way = nominal[0] * state.values[3] > 0.0
         return 0.0 if isfinite(least) and least < self._least and same_way else 1.0

@@ -23,7 +23,7 @@ whatever comes between: noise, age, lost rays, cells, who was seen too late, odo
   Who has to walk around something is as far away as his shortest way there is long (``WaysAround``).
 - ``model``: j are the told discs themselves: what of ``mover`` and ``hidden`` is the error of the model.
 
-A tick counts for a kind if a true thing of it is near, h_j < ``NEAR``, and the car moves in x[k+1]: below ``STANDS``
+A tick counts for a kind if a true thing of it is near, h_j < ``NEAR``, and the car moves in x[k+1]: below ``IS_STATIONARY``
 it keeps every promise. What is told counts as no farther than ``NEAR`` then.
 """
 
@@ -48,7 +48,7 @@ from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import ObstacleBarrier, braking_of
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import STANDS
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY
 from safedpa.robots.car.scenes.sensed import reversal_braking
 from safedpa.safety.settings import FilterSettings
 from safedpa_lab.experiments.misjudging import Misjudges, placed
@@ -62,7 +62,7 @@ __all__ = ["NEAR", "Score", "Scores"]
 
 NEAR: Final = {"obstacle": 0.5, "mover": 1.0, "hidden": 1.0, "model": 0.5, "stood": 1.0}
 """By kind, m of h: farther from the boundary no margin has to cover anything."""
-_KEPT_FROM: Final = 1.5
+_RETAINED_FROM: Final = 1.5
 """m of h, below which steps are told at all."""
 _FAR: Final = 1e3
 _APART: Final = 0.02
@@ -71,7 +71,7 @@ _HIT: Final = 0.1
 """m that a ray's end lies off somebody's outline at most, five deviations of its noise."""
 _WALKS: Final = 0.1
 """m from where somebody was first seen, beyond which he walks: a cell."""
-_KEPT: Final = 40
+_RETAINED: Final = 40
 """Ticks whose people are remembered: 2 s."""
 
 
@@ -126,9 +126,9 @@ class Scores:
         self._rest = np.vstack([outline.discs, *map(_along, outline.edges)])
         self._ways = WaysAround(scene, min(self._radii)) if len(people) else None
         self._way = ReverseOdometer()
-        self._past: deque[_Then] = deque(maxlen=_KEPT)
+        self._past: deque[_Then] = deque(maxlen=_RETAINED)
         self._scans: dict[float, ScanMessage] = {}
-        self._told: SurroundingsMessage | None = None
+        self._reported: SurroundingsMessage | None = None
         self._since = np.full(len(people), inf)
         """s; when each was seen first without a break."""
         self._first = np.zeros((len(people), 2))
@@ -145,16 +145,16 @@ class Scores:
         if isinstance(item.message, ScanMessage):
             self._scans[item.message.robot_time] = item.message
         elif isinstance(item.message, SurroundingsMessage):
-            self._told = item.message
+            self._reported = item.message
 
     def after(self, tick: Tick) -> None:
         """Compares what was told and predicted at a tick with what is there after it."""
-        state, told, came = tick.state, self._told, self._robot.state_message()
+        state, reported, came = tick.state, self._reported, self._robot.state_message()
         self._way.follow(state)
-        if told is not None and told.tick == state.tick and not told.problems and told.ages[0] >= 0.0:
-            self._look(state, told.ages[0])
-            if tick.verdict.predicted and came.applied_by == "filter" and abs(came.values[3]) >= STANDS:
-                self._score(state, told, tick.verdict.predicted[0], came)
+        if reported is not None and reported.tick == state.tick and not reported.problems and reported.ages[0] >= 0.0:
+            self._look(state, reported.ages[0])
+            if tick.verdict.predicted and came.applied_by == "filter" and abs(came.values[3]) >= IS_STATIONARY:
+                self._score(state, reported, tick.verdict.predicted[0], came)
         self._remember(came)
 
     def _remember(self, state: StateMessage) -> None:
@@ -179,55 +179,57 @@ class Scores:
             ],
             dtype=bool,
         )
-        anew = self._seen & (self._since == inf)
-        self._first[anew] = then.people[anew]
+        again = self._seen & (self._since == inf)
+        self._first[again] = then.people[again]
         self._since = np.where(self._seen, np.minimum(self._since, time), inf)
         self._walked = self._seen & (self._walked | (np.hypot(*(then.people - self._first).T) > _WALKS))
         self._looked = time
         self._scans = {moment: one for moment, one in self._scans.items() if moment > time}
 
     def _score(
-        self, state: StateMessage, told: SurroundingsMessage, hoped: tuple[float, ...], came: StateMessage
+        self, state: StateMessage, reported: SurroundingsMessage, hoped: tuple[float, ...], came: StateMessage
     ) -> None:
         towed = self._way.reach(state)
         bodies = _Bodies(self._settings, state, towed)
-        points, movers, places = (_table(rows, width) for rows, width in _rows(told))
+        points, movers, places = (_table(rows, width) for rows, width in _rows(reported))
         discs = np.vstack([movers[:, [0, 1, 2, 5]], places])
         unseen = np.arange(len(discs)) >= len(movers)
-        told_h = _least(bodies.moving(discs, unseen, hoped))
-        self._add("model", told_h, _least(bodies.moving(discs, unseen, came.values)), came)
-        rest = np.column_stack([self._robot.in_told_frame(self._rest[:, :2]), self._rest[:, 2]])
+        reported_h = _least(bodies.moving(discs, unseen, hoped))
+        self._add("model", reported_h, _least(bodies.moving(discs, unseen, came.values)), came)
+        rest = np.column_stack([self._robot.in_reported_frame(self._rest[:, :2]), self._rest[:, 2]])
         at_rest = bodies.resting(rest, came.values)
-        told_rest = _least(bodies.resting(np.vstack([points, movers[:, :3]]), hoped))
+        reported_rest = _least(bodies.resting(np.vstack([points, movers[:, :3]]), hoped))
         nearest = int(np.argmin(at_rest))
         here = _facing(rest[nearest], came.values)
         apart = tuple(_to(table, here) for table in (points, movers, places))
-        self._add("obstacle", told_rest, float(at_rest[nearest]), came, apart=apart)
+        self._add("obstacle", reported_rest, float(at_rest[nearest]), came, apart=apart)
         if not len(self._people):
             return
-        then = self._then(state.robot_time - told.ages[0])
+        then = self._then(state.robot_time - reported.ages[0])
         grown = self._radii + self._fastest * (state.robot_time - then.time)
-        people = np.column_stack([self._robot.in_told_frame(then.people), grown, np.full(len(grown), self._fastest)])
+        people = np.column_stack(
+            [self._robot.in_reported_frame(then.people), grown, np.full(len(grown), self._fastest)]
+        )
         h = bodies.moving(people, ~self._seen, came.values)
-        for who in np.flatnonzero(~self._seen & (h < _KEPT_FROM)).tolist():
+        for who in np.flatnonzero(~self._seen & (h < _RETAINED_FROM)).tolist():
             h[who] = self._around(bodies, people[who], then.people[who], came.values, float(h[who]))
         stood = self._seen & ~self._walked & (state.robot_time - self._since >= self._still_after)
         for kind, wanted in (("mover", self._seen & ~stood), ("hidden", ~self._seen), ("stood", stood)):
             if (one := _nearest(h, wanted)) is not None:
                 here = _facing((*people[one, :2], self._radii[one]), came.values)
                 apart = tuple(_to(table, here) for table in (points, movers, places))
-                self._add(kind, told_h, float(h[one]), came, one, apart, float(grown[one] - self._radii[one]))
+                self._add(kind, reported_h, float(h[one]), came, one, apart, float(grown[one] - self._radii[one]))
 
     def _around(
         self, bodies: _Bodies, person: FloatArray, place: FloatArray, values: tuple[float, ...], straight: float
     ) -> float:
         """h of somebody who walks around what is at rest: his disc is smaller by as much as his way is longer."""
         assert self._ways is not None
-        cells = self._robot.in_told_frame(self._ways.places)
+        cells = self._robot.in_reported_frame(self._ways.places)
         there = np.column_stack([cells, np.full(len(cells), person[2]), np.zeros(len(cells))])
         touches = bodies.moving(there, np.zeros(len(cells), dtype=bool), values) <= 0.0
         direct = max(float(bodies.moving(np.array([[*person[:3], 0.0]]), np.array([False]), values)[0]), 0.0)
-        way = self._ways.to((float(place[0]), float(place[1])), touches, direct + _KEPT_FROM - straight + 0.1)
+        way = self._ways.to((float(place[0]), float(place[1])), touches, direct + _RETAINED_FROM - straight + 0.1)
         smaller = np.array([[*person[:2], person[2] - max(way - direct, 0.0), person[3]]])
         return float(bodies.moving(smaller, np.array([True]), values)[0])
 
@@ -241,7 +243,7 @@ class Scores:
         apart: tuple[float, ...] = (_FAR, _FAR, _FAR),
         grown: float = 0.0,
     ) -> None:
-        if true >= _KEPT_FROM:
+        if true >= _RETAINED_FROM:
             return
         since = float(self._since[who]) if who >= 0 else inf
         seen_for = came.robot_time - since if since < inf else 0.0
@@ -278,8 +280,8 @@ class _Bodies:
         return np.asarray(ObstacleBarrier.h(given, NUMPY)[0])
 
 
-def _rows(told: SurroundingsMessage) -> tuple[tuple[Any, int], ...]:
-    return (told.points, 3), (told.movers, 6), (told.hidden, 4)
+def _rows(reported: SurroundingsMessage) -> tuple[tuple[Any, int], ...]:
+    return (reported.points, 3), (reported.movers, 6), (reported.hidden, 4)
 
 
 def _table(rows: Any, width: int) -> FloatArray:

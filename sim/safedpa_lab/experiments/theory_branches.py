@@ -78,8 +78,8 @@ def _driven(
     states, actions = [state], []
     memory = model.initial_memory(action, environment)
     for _ in range(steps):
-        anew = draw.random((len(state), 1)) < _CHANGE
-        action = np.where(anew, draw.uniform(low, high, action.shape), action)
+        again = draw.random((len(state), 1)) < _CHANGE
+        action = np.where(again, draw.uniform(low, high, action.shape), action)
         state, memory = model.advance(state, action, memory, environment)
         states.append(state)
         actions.append(action)

@@ -22,9 +22,9 @@ from safedpa_lab.experiments.car_drives import DriveOrder, cut_at_contact, recor
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.tuning_errors import HORIZONS, errors_of_drive, metrics_of, ratios_of
-from safedpa_lab.experiments.tuning_kept import Kept, key_of
 from safedpa_lab.experiments.tuning_models import ROWS, TunedModels
-from safedpa_lab.provenance.code import without_words
+from safedpa_lab.experiments.tuning_retained import Retained, key_of
+from safedpa_lab.provenance.code import without_text
 from safedpa_sim.training.online_tuning import OnlineTuning, tuned_online
 from safedpa_sim.training.predictors import AbstractPredictor
 from safedpa_sim.training.tuning_data import TuningDrive
@@ -43,7 +43,7 @@ _SEEDS: Final = 300
 """Seeds that can be asked for."""
 _OWN: Final = 2
 """Drives with its load that a robot tunes itself on."""
-_MEASURE: Final = without_words(Path(__file__).with_name("tuning_errors.py").read_text(encoding="utf-8"))
+_MEASURE: Final = without_text(Path(__file__).with_name("tuning_errors.py").read_text(encoding="utf-8"))
 """What errors are: part of the key under which they are kept."""
 
 
@@ -75,18 +75,18 @@ class CarTuning:
                 raise InputError(f"row '{row}': {did_you_mean(row, ROWS)}")
 
 
-def car_tuning(experiment: CarTuning, tell: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
+def car_tuning(experiment: CarTuning, report_progress: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
     """Metrics by row, load and horizon, and their ratios to both untuned rows. The same seed gives the same figures."""
-    kept = Kept(None if experiment.out is None else experiment.out / "kept")
-    models = TunedModels(experiment.models, kept, experiment.seed, experiment.small, tell)
+    retained = Retained(None if experiment.out is None else experiment.out / "retained")
+    models = TunedModels(experiment.models, retained, experiment.seed, experiment.small, report_progress)
     scale = models.untuned["increment_scale"].astype(np.float64)
     fresh = seeds_for("evaluation", experiment.drives, _SKIP + _A_SEED * experiment.seed)
     own = seeds_for("calibration", _OWN, _SKIP + _A_SEED * experiment.seed)
-    run = _Run(experiment, models, kept, tell)
+    run = _Run(experiment, models, retained, report_progress)
     names = tuple(dict.fromkeys((*BASES, *experiment.rows)))
     errors = {}
     for name in names:
-        tell(ROWS[name])
+        report_progress(ROWS[name])
         errors[name] = run.errors(name, fresh, own, torch.from_numpy(scale).float())
     return {
         "increment_scale": scale.tolist(),
@@ -113,8 +113,8 @@ def car_tuning(experiment: CarTuning, tell: Callable[[str], None] = lambda _what
 class _Run:
     experiment: CarTuning
     models: TunedModels
-    kept: Kept
-    tell: Callable[[str], None]
+    retained: Retained
+    report_progress: Callable[[str], None]
 
     def errors(self, row: str, fresh: Sequence[int], own: Sequence[int], scale: torch.Tensor) -> dict[str, Any]:
         """By load: the errors of each fresh drive, and for a row tuned online what was taken."""
@@ -125,8 +125,8 @@ class _Run:
             learned: list[TuningDrive] = []
             if row.startswith("online_"):
                 learned = [self._drive(seed, load, self.experiment.own_ticks) for seed in own]
-            key = key_of(__name__, _MEASURE, *_told(base), *_digests([*drives, *learned]), row)
-            found[load] = self.kept.table(f"{row}-{load}", key, partial(_measured, base, drives, learned, scale))
+            key = key_of(__name__, _MEASURE, *_reported(base), *_digests([*drives, *learned]), row)
+            found[load] = self.retained.table(f"{row}-{load}", key, partial(_measured, base, drives, learned, scale))
         return found
 
     def _base(self, row: str) -> AbstractPredictor:
@@ -139,7 +139,7 @@ class _Run:
             return drive.states, drive.actions
 
         key = key_of("safedpa_lab.experiments.car_drives", seed, load, ticks)
-        return TuningDrive(*self.kept.arrays(f"drive-{load}-{seed}", key, make))
+        return TuningDrive(*self.retained.arrays(f"drive-{load}-{seed}", key, make))
 
 
 def _measured(
@@ -180,7 +180,7 @@ def _taken(errors: dict[str, Any]) -> dict[str, Any]:
     return {"taken": found} if found else {}
 
 
-def _told(predictor: AbstractPredictor) -> list[str]:
+def _reported(predictor: AbstractPredictor) -> list[str]:
     """Numbers of the networks, and what else shapes a prediction, as text."""
     parts = (*predictor.networks.state_dict().values(), *predictor.encoder.state_dict().values())
     point = getattr(predictor, "point", None)

@@ -67,14 +67,14 @@ def ratios_of(
         raise ValueError(f"got {len(base)} and {len(row)} groups of drives, wanted pairs of the same drives")
     picked = np.random.default_rng(seed).integers(0, len(base), (_DRAWS, len(base)))
     whole = np.arange(len(base))[np.newaxis]
-    told = {}
+    reported = {}
     for name in METRICS:
         point, drawn = (
             _metrics(_means(base, index), scale)[name] / _metrics(_means(row, index), scale)[name]
             for index in (whole, picked)
         )
-        told[name] = [float(point[0]), *np.quantile(drawn, (0.025, 0.975)).tolist()]
-    return told
+        reported[name] = [float(point[0]), *np.quantile(drawn, (0.025, 0.975)).tolist()]
+    return reported
 
 
 def _means(groups: Sequence[Sequence[Mapping[str, Any]]], picked: NDArray[np.int64]) -> FloatArray:

@@ -14,13 +14,13 @@ from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.records import Run
 from safedpa_lab.experiments.car_methods import named_model
-from safedpa_lab.experiments.tuning_kept import Kept, key_of
+from safedpa_lab.experiments.tuning_retained import Retained, key_of
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.grounded_simulator import ground_simulator
 from safedpa_sim.training.paper_tuning import PaperTuning, tune_as_written
 from safedpa_sim.training.phase_3 import tune
 from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor
-from safedpa_sim.training.reference_point import ReferencePoint, weights_told_of_axle
+from safedpa_sim.training.reference_point import ReferencePoint, weights_reported_of_axle
 from safedpa_sim.training.residual_networks import (
     ResidualTuning,
     learn_residual,
@@ -54,7 +54,7 @@ REFUSED: Final = "refused"
 _SMALL: Final = {"pairs": 2000, "run_pairs": 500, "cars": 0, "updates": 30, "batch": 64, "rollouts": 4}
 _STREAM: Final = 7
 _TRAINING: Final = "safedpa_sim.training"
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 @final
@@ -64,11 +64,11 @@ class TunedModels:
 
     models: Path
     """Folder of ``car_simulated`` and ``car_learned``; those that ship where it has none."""
-    kept: Kept
+    retained: Retained
     seed: int = 0
     small: bool = False
     """Trainings of seconds, to see that all runs."""
-    tell: Tell = lambda _what: None
+    report_progress: ReportProgress = lambda _what: None
 
     def predictor(self, row: str) -> AbstractPredictor:
         """The model of a row that is not tuned online."""
@@ -80,15 +80,15 @@ class TunedModels:
             "paper": lambda: NetworkPredictor(self._paper(row, self.untuned)),
             "paper_point": lambda: NetworkPredictor(self._paper(row, self.at_axle)),
             "tuned_point": lambda: NetworkPredictor(self._tuned()),
-            "physics": lambda: untrained_residual(self.configuration, self.mended, self.untuned),
-            "residual": lambda: residual_predictor(self.configuration, self.mended, self._residual()),
+            "physics": lambda: untrained_residual(self.configuration, self.corrected, self.untuned),
+            "residual": lambda: residual_predictor(self.configuration, self.corrected, self._residual()),
         }
         return make[row]()
 
     def refusal(self, row: str) -> str:
         """Why a tuning was not taken; empty where it was."""
-        told = self._tuned().description.trained_on if row in ("tuned_point", "online_tuned") else {}
-        return str(told.get(REFUSED, ""))
+        reported = self._tuned().description.trained_on if row in ("tuned_point", "online_tuned") else {}
+        return str(reported.get(REFUSED, ""))
 
     @cached_property
     def untuned(self) -> Weights:
@@ -98,7 +98,7 @@ class TunedModels:
     @cached_property
     def at_axle(self) -> Weights:
         """The same told of the rear axle, where tuning from the right point begins."""
-        return weights_told_of_axle(self.untuned, AHEAD)
+        return weights_reported_of_axle(self.untuned, AHEAD)
 
     @cached_property
     def configuration(self) -> Configuration:
@@ -107,15 +107,15 @@ class TunedModels:
         return replace(found, phase_3=replace(found.phase_3, **_SMALL)) if self.small else found
 
     @cached_property
-    def mended(self) -> PhysicsModel:
+    def corrected(self) -> PhysicsModel:
         """The training simulator, mended by a diagnosis of the circles."""
 
         def make() -> str:
-            self.tell("diagnosis of the simulator")
+            self.report_progress("diagnosis of the simulator")
             fitted = max(1, round(0.8 * len(self._circles)))
             return write_model(ground_simulator(self.configuration, self._circles[:fitted]).model)
 
-        return parse_model(self.kept.text("mended", self._key("grounded_simulator"), make))
+        return parse_model(self.retained.text("corrected", self._key("grounded_simulator"), make))
 
     @cached_property
     def _circles(self) -> tuple[Run, ...]:
@@ -129,22 +129,22 @@ class TunedModels:
         tuning = PaperTuning(updates=30, batch=64) if self.small else PaperTuning(seed=self.seed)
 
         def make() -> Weights:
-            self.tell(ROWS[row])
+            self.report_progress(ROWS[row])
             return tune_as_written(begun, split(self._drives(), begun.description.history)[0], tuning)
 
-        return self.kept.weights(row, self._key("paper_tuning", begun.digest, tuning), make)
+        return self.retained.weights(row, self._key("paper_tuning", begun.digest, tuning), make)
 
     def _tuned(self) -> Weights:
         def make() -> Weights:
-            self.tell(ROWS["tuned_point"])
+            self.report_progress(ROWS["tuned_point"])
             begun = self.at_axle
             try:
                 return tune(self.configuration, begun, self.models)[0]
             except InputError as error:  # no better on what was held out: the row is the model that it began with
-                told = {**begun.description.trained_on, REFUSED: str(error)}
-                return begun.with_tensors({}, replace(begun.description, trained_on=told))
+                reported = {**begun.description.trained_on, REFUSED: str(error)}
+                return begun.with_tensors({}, replace(begun.description, trained_on=reported))
 
-        return self.kept.weights("tuned_point", self._key("phase_3", self.at_axle.digest), make)
+        return self.retained.weights("tuned_point", self._key("phase_3", self.at_axle.digest), make)
 
     def _residual(self) -> Weights:
         small = ResidualTuning(
@@ -153,11 +153,13 @@ class TunedModels:
         tuning = small if self.small else ResidualTuning(seed=self.seed)
 
         def make() -> Weights:
-            self.tell(ROWS["residual"])
-            found = learn_residual(self.configuration, self.mended, self.untuned, self._drives(), tuning)
+            self.report_progress(ROWS["residual"])
+            found = learn_residual(self.configuration, self.corrected, self.untuned, self._drives(), tuning)
             return residual_weights(found, self.untuned)
 
-        return self.kept.weights("residual", self._key("residual_networks", write_model(self.mended), tuning), make)
+        return self.retained.weights(
+            "residual", self._key("residual_networks", write_model(self.corrected), tuning), make
+        )
 
     def _key(self, module: str, *settings: object) -> str:
         phase = self.configuration.phase_3

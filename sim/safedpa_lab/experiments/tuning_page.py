@@ -56,7 +56,9 @@ def _car(car: Mapping[str, Any]) -> list[str]:
 
 def _table(car: Mapping[str, Any], metric: str, horizon: str) -> list[str]:
     head = [
-        f"{told}: {word}" for told in _GROUPS.values() for word in ("error", *(f"times, {b}" for b in _BASES.values()))
+        f"{reported}: {word}"
+        for reported in _GROUPS.values()
+        for word in ("error", *(f"times, {b}" for b in _BASES.values()))
     ]
     lines = ["| | " + " | ".join(head) + " |", "|---" * (1 + len(head)) + "|"]
     for row in car["rows"].values():
@@ -73,8 +75,8 @@ def _states(car: Mapping[str, Any]) -> list[str]:
     lines = []
     for horizon in HORIZONS:
         head = [
-            f"{told}: {state}, {unit}"
-            for told in ("without a load", "with loads")
+            f"{reported}: {state}, {unit}"
+            for reported in ("without a load", "with loads")
             for state, unit in zip(OWN_STATES, _UNITS, strict=True)
         ]
         lines += [f"## By state, {_HORIZONS[horizon]}", "", "Root mean square.", ""]
@@ -124,8 +126,8 @@ def _taken(car: Mapping[str, Any]) -> list[str]:
         for load, taken in row["taken"].items():
             after = taken["after"] or ("refused: not better", "refused")
             cells = [cell for pair in zip(taken["before"], after, strict=True) for cell in pair]
-            told = " | ".join(cell if isinstance(cell, str) else f"{cell:.3g}" for cell in cells)
-            lines.append(f"| {row['title']} | {load} | {taken['ridge'] or ''} | {told} |")
+            reported = " | ".join(cell if isinstance(cell, str) else f"{cell:.3g}" for cell in cells)
+            lines.append(f"| {row['title']} | {load} | {taken['ridge'] or ''} | {reported} |")
     return [*lines, ""]
 
 
@@ -152,8 +154,8 @@ def _real(real: Mapping[str, Any]) -> list[str]:
                     _short(1000.0 * one["margin"]),
                     f"{100.0 * one['covered']:.1f}",
                 ]
-            said = f" ({fold['said'][name]})" if name in fold["said"] else ""
-            lines.append(f"| {fold['log']}{day} | {real['titles'][name]}{said} | " + " | ".join(cells) + " |")
+            notice = f" ({fold['notice'][name]})" if name in fold["notice"] else ""
+            lines.append(f"| {fold['log']}{day} | {real['titles'][name]}{notice} | " + " | ".join(cells) + " |")
     return [*lines, ""]
 
 

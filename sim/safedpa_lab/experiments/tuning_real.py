@@ -24,7 +24,7 @@ from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa_lab.experiments.car_errors import STEPS
 from safedpa_lab.experiments.real_logs_data import CAR, OTHER_DAY, mapped_runs, paths_of
 from safedpa_lab.experiments.tuning_errors import HORIZONS, errors_of_drive, metrics_of
-from safedpa_lab.experiments.tuning_kept import Kept, key_of
+from safedpa_lab.experiments.tuning_retained import Retained, key_of
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.online_tuning import tuned_online
 from safedpa_sim.training.paper_tuning import PaperTuning, lived_of, tune_as_written
@@ -73,7 +73,7 @@ class RealTuning:
             raise InputError(f"--data {self.data}: got {len(found)} logs of the real car, wanted two or more {CAR}")
 
 
-def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
+def real_tuning(experiment: RealTuning, report_progress: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
     """Errors, margins and coverage by log left out, or a sentence why there are none.
 
     Raises InputError for logs that are too short or do not fit; the message names the log.
@@ -81,20 +81,20 @@ def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _wh
     if experiment.data is None:
         return {"left_out": f"logs of the real car: no --data was given; wanted two or more files {CAR}"}
     logs = paths_of(experiment.data, CAR)
-    kept = Kept(None if experiment.out is None else experiment.out / "kept")
+    retained = Retained(None if experiment.out is None else experiment.out / "retained")
     configuration = _configuration(experiment)
-    untuned = _untuned(configuration, kept, tell)
+    untuned = _untuned(configuration, retained, report_progress)
     own, other = _logs(logs), _logs(paths_of(experiment.data, OTHER_DAY))
     drives_of(mapped_runs(logs, load_model("dart_car"), "dart_car_columns"), untuned)  # refuses what cannot be learned
     rows = []
     for name in own:
         rest = {key: drives for key, drives in own.items() if key != name}
-        tell(f"real car, without {name}")
-        rows.append(_fold(name, own[name], list(rest.values()), untuned, configuration, kept))
+        report_progress(f"real car, without {name}")
+        rows.append(_fold(name, own[name], list(rest.values()), untuned, configuration, retained))
     if other:
-        tell("real car, another day")
+        report_progress("real car, another day")
         drives = [drive for log in other.values() for drive in log]
-        fold = _fold(min(other)[:10], drives, list(own.values()), untuned, configuration, kept)
+        fold = _fold(min(other)[:10], drives, list(own.values()), untuned, configuration, retained)
         rows.append({**fold, "other_day": True})
     return {"coverage": _COVERAGE, "titles": REAL_ROWS, "folds": rows}
 
@@ -114,7 +114,7 @@ def _fold(
     others: list[list[TuningDrive]],
     untuned: Weights,
     configuration: Configuration,
-    kept: Kept,
+    retained: Retained,
 ) -> dict[str, Any]:
     """Every row on the second half of one log, tuned and calibrated on the others."""
     fitted, calibrated = parts_of([drive for drives in others for drive in drives], _FITTED)
@@ -123,13 +123,17 @@ def _fold(
     key = key_of(__name__, untuned.digest, configuration.phase_3, *(len(drive.actions) for drive in fitted), name)
 
     def make() -> dict[str, Any]:
-        models, said = _models(untuned, configuration, fitted, own, torch.from_numpy(scale).float())
+        models, notice = _models(untuned, configuration, fitted, own, torch.from_numpy(scale).float())
         return {
             "rows": {row: _judged(model, calibrated, judged, scale) for row, model in models.items()},
-            "said": said,
+            "notice": notice,
         }
 
-    return {"log": name, "transitions": sum(len(drive.actions) for drive in judged), **kept.table("real", key, make)}
+    return {
+        "log": name,
+        "transitions": sum(len(drive.actions) for drive in judged),
+        **retained.table("real", key, make),
+    }
 
 
 def _models(
@@ -140,20 +144,20 @@ def _models(
     scale: torch.Tensor,
 ) -> tuple[dict[str, AbstractPredictor], dict[str, str]]:
     """The model of each row, and why one was not taken."""
-    updates, said = configuration.phase_3.updates, {}
+    updates, notice = configuration.phase_3.updates, {}
     paper = tune_as_written(untuned, fitted, PaperTuning(updates, 512, seed=configuration.seed))
     try:
         ours, _ = tune_on_drives(configuration, untuned, fitted)
     except InputError as error:
-        ours, said["ours"] = untuned, f"refused: {error}"
+        ours, notice["ours"] = untuned, f"refused: {error}"
     models = {"untuned": untuned, "paper": paper, "ours": ours}
     found: dict[str, AbstractPredictor] = {name: NetworkPredictor(weights) for name, weights in models.items()}
     try:
         found["online"], taken = tuned_online(found["ours"], own, scale)
-        said["online"] = "refused" if taken.refused else f"ridge {taken.ridge:g}"
+        notice["online"] = "refused" if taken.refused else f"ridge {taken.ridge:g}"
     except InputError as error:
-        said["online"] = f"refused: {error}"
-    return found, said
+        notice["online"] = f"refused: {error}"
+    return found, notice
 
 
 def _judged(
@@ -219,9 +223,9 @@ def _configuration(experiment: RealTuning) -> Configuration:
     )
 
 
-def _untuned(configuration: Configuration, kept: Kept, tell: Callable[[str], None]) -> Weights:
+def _untuned(configuration: Configuration, retained: Retained, report_progress: Callable[[str], None]) -> Weights:
     def make() -> Weights:
-        tell("real car: networks in its nominal simulator")
+        report_progress("real car: networks in its nominal simulator")
         with TemporaryDirectory() as folder:  # of checkpoints, which nobody goes on from
             affine, _ = train_affine(configuration, Path(folder))
             return train_history_encoder(configuration, affine, Path(folder))[0]
@@ -229,4 +233,4 @@ def _untuned(configuration: Configuration, kept: Kept, tell: Callable[[str], Non
     key = key_of(
         "safedpa_sim.training.phase_2", configuration.seed, configuration.phase_1a, configuration.phase_2, _ENVIRONMENT
     )
-    return kept.weights("real_untuned", key, make)
+    return retained.weights("real_untuned", key, make)

@@ -75,7 +75,7 @@ def wheels_experiment(
     seeds: Sequence[int],
     seconds: float,
     processes: int = 1,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Every world, seed and policy with the filter, some without; one row a world and policy."""
     wanted = [
@@ -89,12 +89,12 @@ def wheels_experiment(
     if processes == 1:
         for one in wanted:
             found.append(run_drive(one))
-            tell(len(found), len(wanted))
+            report_progress(len(found), len(wanted))
     else:
         with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
             for outcome in pool.map(run_drive, wanted, chunksize=4):
                 found.append(outcome)
-                tell(len(found), len(wanted))
+                report_progress(len(found), len(wanted))
     rows = [
         {
             "world": world,

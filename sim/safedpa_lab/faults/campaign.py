@@ -58,16 +58,16 @@ def run_faults(
     faults: Sequence[Fault],
     seed: int = DEFAULT_SEED,
     folder: Path | None = None,
-    tell: Callable[[str, int, int], None] = lambda _name, _done, _all: None,
+    report_progress: Callable[[str, int, int], None] = lambda _name, _done, _all: None,
     *,
     is_hasty: bool = False,
     seconds: float = math.inf,
-    beside: Callable[[World], AbstractContextManager[object]] = nullcontext,
+    alongside: Callable[[World], AbstractContextManager[object]] = nullcontext,
 ) -> Campaign:
     """Every fault in turn, on one fleet as long as it drives on; a fleet that does not recover is replaced.
 
     ``folder`` keeps what the processes wrote. ``is_hasty``: faults last at most 1.5 s and hardly wait for the car to be
-    fast. After so many ``seconds`` no other fault begins. ``beside`` is entered with each fleet. Raises SafedpaError
+    fast. After so many ``seconds`` no other fault begins. ``alongside`` is entered with each fleet. Raises SafedpaError
     when a fleet does not come up at all.
     """
     end = time.monotonic() + seconds
@@ -81,11 +81,11 @@ def run_faults(
             )
             world = World((folder or Path(own)) / f"world-{len(parts)}", settings)
             lived: list[_Lived] = []
-            with world, beside(world):
+            with world, alongside(world):
                 for fault in _of_one_world(waiting):
                     if lived and time.monotonic() >= end:
                         break
-                    tell(fault.name, done + len(lived), len(faults))
+                    report_progress(fault.name, done + len(lived), len(faults))
                     lived.append(_run(fault, world, is_hasty=is_hasty))
                     if lived[-1].back is None or not world.drives():
                         break
@@ -116,17 +116,17 @@ def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
         world.listen(fault.seconds)
         seen = fault.look(world)
     finally:  # whatever happens here, nothing that a fault started stays on the machine
-        mended = time.monotonic()
-        fault.mend(world)
-    whole = world.until(lambda: not world.missing(mended), fault.recovers_within)
-    absent = [] if whole else [f"{name} is not back, {world.members[name].fate()}" for name in world.missing(mended)]
-    back = time.monotonic() - mended if whole else None
-    world.until(lambda: world.drives(mended), fault.recovers_within)
-    checked = fault.check(world, Episode(struck, mended, time.monotonic()))
+        corrected = time.monotonic()
+        fault.repair(world)
+    whole = world.until(lambda: not world.missing(corrected), fault.recovers_within)
+    absent = [] if whole else [f"{name} is not back, {world.members[name].fate()}" for name in world.missing(corrected)]
+    back = time.monotonic() - corrected if whole else None
+    world.until(lambda: world.drives(corrected), fault.recovers_within)
+    checked = fault.check(world, Episode(struck, corrected, time.monotonic()))
     world.listen(_AFTERWARDS_SECONDS)
     # Where the machine held everyone up just now, the end of that is still to be seen: else it would look as for good.
     world.until(world.drives_steadily, fault.recovers_within)
-    lived = _Lived(fault, Episode(struck, mended, time.monotonic()), speed, back, (*absent, seen, checked))
+    lived = _Lived(fault, Episode(struck, corrected, time.monotonic()), speed, back, (*absent, seen, checked))
     world.listen(_FLUSH_SECONDS)  # what the recorder has heard of this fault must not be lost by the next one
     fault.clean_up(world)
     world.until(world.drives, _DRIVING_PATIENCE_SECONDS)
@@ -179,7 +179,7 @@ def _outcome(lived: _Lived, evidence: Evidence, recorded: Recorded) -> Outcome:
     broken += stale[:3]
     if recovery is None or recovery > fault.recovers_within:
         broken.append(f"does not drive {fault.recovers_within:.0f} s after the recovery")
-    broken += [words for words in (*lived.troubles, _meanwhile(fault, episode, evidence)) if words]
+    broken += [phrase for phrase in (*lived.troubles, _meanwhile(fault, episode, evidence)) if phrase]
     return Outcome(
         name=fault.name,
         sentence=fault.sentence,
@@ -200,7 +200,7 @@ def _outcome(lived: _Lived, evidence: Evidence, recorded: Recorded) -> Outcome:
 
 def _meanwhile(fault: Fault, episode: Episode, evidence: Evidence) -> str:
     """How what the loop had to do during the fault was missed; empty when it was not."""
-    end = episode.ended if fault.meanwhile == "undisturbed" else episode.mended
+    end = episode.ended if fault.meanwhile == "undisturbed" else episode.corrected
     during: list[TracedPeriod] = evidence.within(episode.struck, end)
     if fault.meanwhile == "anything" or not during:
         return ""

@@ -14,7 +14,7 @@ from typing import final
 from safedpa_lab.benchmarks.usage import usage_of
 from safedpa_lab.faults.world import World
 
-__all__ = ["Kept", "Resources", "Sample", "kept_by"]
+__all__ = ["Resources", "Retained", "Sample", "retained_by"]
 
 _EVERY_SECONDS = 5.0
 _WARM_SECONDS = 30.0
@@ -40,7 +40,7 @@ class Sample:
 
 @final
 @dataclass(frozen=True)
-class Kept:
+class Retained:
     """What the processes of one name held in the first quarter of the time, and in the last one."""
 
     name: str
@@ -61,7 +61,7 @@ class Kept:
         return not (last > _GROWN * first and last > first + _GROWN_MIB) and many <= few + _MORE_HANDLES
 
 
-def kept_by(samples: Sequence[Sample]) -> list[Kept]:
+def retained_by(samples: Sequence[Sample]) -> list[Retained]:
     """By name, in order of the names; of processes that live for less than half a minute nothing is said.
 
     The quarters are those of the time from the first to the last warm sample of a name. Where one of them has none,
@@ -72,17 +72,17 @@ def kept_by(samples: Sequence[Sample]) -> list[Kept]:
         born.setdefault((sample.name, sample.pid), sample.at)
     warm = [sample for sample in samples if sample.at - born[sample.name, sample.pid] >= _WARM_SECONDS]
     return [
-        _kept(name, [sample for sample in warm if sample.name == name], born)
+        _retained(name, [sample for sample in warm if sample.name == name], born)
         for name in sorted({sample.name for sample in warm})
     ]
 
 
-def _kept(name: str, samples: Sequence[Sample], born: dict[tuple[str, int], float]) -> Kept:
+def _retained(name: str, samples: Sequence[Sample], born: dict[tuple[str, int], float]) -> Retained:
     begin, end = samples[0].at, samples[-1].at
     quarter = 0.25 * (end - begin)
     first = [sample for sample in samples if sample.at <= begin + quarter]
     last = [sample for sample in samples if sample.at >= end - quarter]
-    return Kept(
+    return Retained(
         name,
         len({sample.pid for sample in samples}),
         round(max(sample.at - born[name, sample.pid] for sample in samples), 1),
@@ -108,7 +108,7 @@ class Resources:
         self.samples: list[Sample] = []
 
     @contextmanager
-    def beside(self, world: World) -> Iterator[None]:
+    def alongside(self, world: World) -> Iterator[None]:
         """As long as this lasts."""
         ended = threading.Event()
 

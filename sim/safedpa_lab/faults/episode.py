@@ -26,7 +26,7 @@ class Episode:
     """When a fault began, when it was mended, when the loop was left to itself again; monotonic, s."""
 
     struck: float
-    mended: float
+    corrected: float
     ended: float
 
 
@@ -97,9 +97,9 @@ def recovery_of(evidence: Evidence, episode: Episode) -> float | None:
     driven = [one.applied_at for one in evidence.within(episode.struck, episode.ended) if evidence.is_driven(one)]
     starts = [episode.struck, *driven]
     ends = [*driven, episode.ended]
-    over = [end for start, end in zip(starts, ends, strict=True) if end - start > limit and end > episode.mended]
+    over = [end for start, end in zip(starts, ends, strict=True) if end - start > limit and end > episode.corrected]
     if not over:
         return 0.0
     if sum(at >= over[-1] for at in driven) < _IN_A_ROW:
         return None
-    return over[-1] - episode.mended
+    return over[-1] - episode.corrected

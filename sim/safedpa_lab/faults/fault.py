@@ -47,7 +47,7 @@ class Fault:
     """What happens, and for how long."""
     strike: Work
     """The fault; called while the robot drives."""
-    mend: Work = nothing
+    repair: Work = nothing
     """The recovery: what a supervisor, a network or a person would do."""
     seconds: float = 0.0
     """Between both."""

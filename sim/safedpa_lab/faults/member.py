@@ -87,9 +87,9 @@ class Member:
     def fate(self) -> str:
         """Whether it runs, or how it ended: a negative number is the signal that ended it."""
         code = None if self._process is None else self._process.poll()
-        return "its process lives" if code is None else f"its process ended with {code}: {self.last_words()}"
+        return "its process lives" if code is None else f"its process ended with {code}: {self.last_text()}"
 
-    def last_words(self) -> str:
+    def last_text(self) -> str:
         """The last line that it wrote."""
         lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
         return lines[-1] if lines else "it said nothing"

@@ -35,7 +35,7 @@ def partitioned_changes() -> list[Fault]:
             f"change-{moment} {name}",
             f"{name} has no network for {_PARTITION_SECONDS:.0f} s, {_MOMENTS[moment]}",
             strike=_change(name, moment),
-            mend=_reconnect(name),
+            repair=_reconnect(name),
             seconds=_PARTITION_SECONDS,
             check=_agreed_and_never_mixed,
             diagnosis="ready",
@@ -51,7 +51,7 @@ def _change(name: str, moment: Moment) -> Work:
     def strike(world: World) -> None:
         if moment == "asked":
             world.bend(STALLED, name)
-        before = len(world.observer.said)
+        before = len(world.observer.notice)
         world.until(lambda: _ask(world), _PATIENCE_SECONDS)
         if moment != "asked":
             world.until(lambda: _came(world.observer, before, name, moment), _PATIENCE_SECONDS)
@@ -75,12 +75,12 @@ def _ask(world: World) -> bool:
 
 
 def _came(observer: Observer, before: int, name: str, moment: Moment) -> bool:
-    said = [message for _, message in observer.said[before:]]
+    notice = [message for _, message in observer.notice[before:]]
     if moment == "take":
-        return any(isinstance(message, ModelMessage) and message.step == "take" for message in said)
+        return any(isinstance(message, ModelMessage) and message.step == "take" for message in notice)
     return any(
         isinstance(message, TakeoverMessage) and message.state == "ready" and name in (message.service, "diagnosis")
-        for message in said
+        for message in notice
     )
 
 
@@ -91,7 +91,9 @@ def agreed(world: World) -> bool:
         return False
     newest = [world.observer.health.get(name) for name in LOOP]
     soon = time.monotonic() - 1.0
-    return all(told is not None and told[1] > soon and told[0].model == status.fingerprint for told in newest)
+    return all(
+        reported is not None and reported[1] > soon and reported[0].model == status.fingerprint for reported in newest
+    )
 
 
 def _agreed_and_never_mixed(world: World, episode: Episode) -> str:

@@ -11,7 +11,7 @@ from safedpa_lab.faults.world import SERVICES
 __all__ = ["bent", "cut", "disconnected"]
 
 _LINKS = (*SERVICES, "robot")
-_BESIDE = ("diagnosis", "recorder")
+_ALONGSIDE = ("diagnosis", "recorder")
 _PARTITION_SECONDS = 3.0
 _CUT_SECONDS = 1.0
 _LOSS = 0.3
@@ -69,7 +69,7 @@ def _late_filter() -> Fault:
 
 
 def _meanwhile(name: str) -> Meanwhile:
-    return "undisturbed" if name in _BESIDE else "anything"
+    return "undisturbed" if name in _ALONGSIDE else "anything"
 
 
 def _bend(
@@ -79,7 +79,7 @@ def _bend(
         return lambda world: world.bend(how, *links)
 
     return Fault(
-        name, f"{sentence}, for {seconds:.0f} s", work(conduct), mend=work(PASS), seconds=seconds, meanwhile=meanwhile
+        name, f"{sentence}, for {seconds:.0f} s", work(conduct), repair=work(PASS), seconds=seconds, meanwhile=meanwhile
     )
 
 

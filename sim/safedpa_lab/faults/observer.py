@@ -42,7 +42,7 @@ class Observer:
     """Fingerprint of the model to which the latent of a state belongs."""
     acknowledged: dict[int, int] = field(default_factory=dict)
     """By process of a recorder: how many messages it said were on the disk."""
-    said: list[tuple[float, ModelMessage | TakeoverMessage]] = field(default_factory=list)
+    notice: list[tuple[float, ModelMessage | TakeoverMessage]] = field(default_factory=list)
     """When it came (monotonic, s), and every step of every change of the model."""
     heard: dict[Stamp, float] = field(default_factory=dict)
     """When each state came first; monotonic, s."""
@@ -82,7 +82,7 @@ class Observer:
             case LatentMessage():
                 self.latent_models[stamp] = message.model
             case ModelMessage() | TakeoverMessage():
-                self.said.append((at, message))
+                self.notice.append((at, message))
             case _:
                 return
 

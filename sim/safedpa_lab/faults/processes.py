@@ -14,7 +14,7 @@ from safedpa_lab.faults.world import LOOP, ROBOT, SERVICES, World
 __all__ = ["hung", "killed", "paused", "twins"]
 
 _EVERYONE = (*SERVICES, "robot", "router")
-_BESIDE = ("diagnosis", "recorder")
+_ALONGSIDE = ("diagnosis", "recorder")
 """The loop must not even notice their end."""
 _PAUSE_SECONDS = 2.0
 _START_SECONDS = 20.0
@@ -31,7 +31,7 @@ def killed() -> list[Fault]:
             f"kill {name}",
             f"SIGKILL of {name}; a new one is started at once",
             strike=_restart(name),
-            meanwhile="undisturbed" if name in _BESIDE else "anything",
+            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
             small=name == "safety_filter",
         )
         for name in _EVERYONE
@@ -51,10 +51,10 @@ def paused() -> list[Fault]:
             f"stop {name}",
             f"SIGSTOP of {name} for {_PAUSE_SECONDS:.0f} s",
             strike=_stop_with_an_action if name == "robot" else _send(name, signal.SIGSTOP),
-            mend=_send(name, signal.SIGCONT),
+            repair=_send(name, signal.SIGCONT),
             seconds=_PAUSE_SECONDS,
             look=nothing_to_see if name == "router" else _shows(name, alive=False),
-            meanwhile="undisturbed" if name in _BESIDE else "anything",
+            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
             small=name == "robot",
         )
         for name in _EVERYONE
@@ -76,12 +76,12 @@ def _twin(name: str) -> Fault:
         world.until(lambda: world.observer.health[name][0].pid == twins[-1].pid, _START_SECONDS)
         world.members[name].send(signal.SIGCONT)
 
-    def mend(world: World) -> None:
+    def repair(world: World) -> None:
         del world
         twins.pop().kill()
 
     sentence = f"{name} is paused and replaced, wakes up, and both serve the robot for {_PAUSE_SECONDS:.0f} s"
-    return Fault(f"twin {name}", sentence, strike, mend=mend, seconds=_PAUSE_SECONDS)
+    return Fault(f"twin {name}", sentence, strike, repair=repair, seconds=_PAUSE_SECONDS)
 
 
 def hung() -> list[Fault]:
@@ -91,10 +91,10 @@ def hung() -> list[Fault]:
             f"hang {name}",
             f"the loop of {name} hangs for {_PAUSE_SECONDS:.0f} s, its network threads live on",
             strike=_send(name, HANG),
-            mend=_send(name, GO_ON),
+            repair=_send(name, GO_ON),
             seconds=_PAUSE_SECONDS,
             look=_shows(name, alive=True),
-            meanwhile="undisturbed" if name in _BESIDE else "anything",
+            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
             small=name == "safety_filter",
         )
         for name in SERVICES
@@ -105,7 +105,7 @@ def hung() -> list[Fault]:
             f"a C call of {name} keeps the interpreter's lock for {GRIPPED_SECONDS} s",
             strike=_send(name, GRIP),
             seconds=float(GRIPPED_SECONDS),
-            meanwhile="undisturbed" if name in _BESIDE else "anything",
+            meanwhile="undisturbed" if name in _ALONGSIDE else "anything",
         )
         for name in ("policy", "safety_filter", "recorder")
     ]

@@ -109,9 +109,9 @@ class _Link:
         now = asyncio.get_running_loop().time
         batches = Batches()
         while chunk := await reader.read(_CHUNK_BYTES):
-            kept = b"".join(batch for batch in batches.feed(chunk) if not self._loses(batch))
-            if kept:
-                await waiting.put((now(), kept))
+            retained = b"".join(batch for batch in batches.feed(chunk) if not self._loses(batch))
+            if retained:
+                await waiting.put((now(), retained))
 
     def _loses(self, batch: bytes) -> bool:
         lost = self.conduct.loss > 0.0 and carries_data(batch) and self._chance.random() < self.conduct.loss

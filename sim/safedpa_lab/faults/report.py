@@ -71,9 +71,9 @@ def _resources(resources: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
     for row in resources:
         cells = [f"{row[name][0]} to {row[name][1]}" for name in ("mib", "handles", "threads")]
-        told = "flat" if row["flat"] else "**grew**"
+        reported = "flat" if row["flat"] else "**grew**"
         life = f"{row['processes']} | {row['longest_life_seconds']:.0f}"
-        lines.append(f"| {row['name']} | {life} | {' | '.join(cells)} | {told} |")
+        lines.append(f"| {row['name']} | {life} | {' | '.join(cells)} | {reported} |")
     return lines
 
 
@@ -95,8 +95,8 @@ def _kind_line(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _range(seconds: Sequence[float | None]) -> str:
     known = [value for value in seconds if value is not None]
-    told = f"{min(known):.2f} to {max(known):.2f}" if len(known) > 1 else _seconds(known[0] if known else None)
-    return told if len(known) == len(seconds) else f"{told}, {len(seconds) - len(known)} never"
+    reported = f"{min(known):.2f} to {max(known):.2f}" if len(known) > 1 else _seconds(known[0] if known else None)
+    return reported if len(known) == len(seconds) else f"{reported}, {len(seconds) - len(known)} never"
 
 
 def _line(row: Mapping[str, Any]) -> str:

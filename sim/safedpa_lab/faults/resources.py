@@ -41,9 +41,9 @@ def disks() -> list[Fault]:
             "disk recorder",
             f"the disk of the recorder is full for {_SECONDS:.0f} s (no file may grow, where none could be mounted)",
             strike=_fill,
-            mend=_make_room,
+            repair=_make_room,
             seconds=_SECONDS,
-            look=_says_so,
+            look=_reports_it,
             meanwhile="undisturbed",
             check=_goes_on,
             small=True,
@@ -72,7 +72,7 @@ def _limit(world: World, size: int) -> None:
     resource.prlimit(world.members["recorder"].pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
-def _says_so(world: World) -> str:
+def _reports_it(world: World) -> str:
     health, _ = world.observer.health["recorder"]
     return "" if health.state == "failing" and health.detail else f"the recorder's health is '{health.state}'"
 
@@ -89,16 +89,16 @@ def clocks() -> list[Fault]:
     By libfaketime (Debian: libfaketime), which reaches the network library, too; where it is not installed, and for the
     recorder, whose sleep that library breaks, only as far as Python tells the time.
     """
-    told = [_told_clock_fault("recorder"), *([] if _faketime() else [_told_clock_fault("safety_filter")])]
-    return [*([_clock_fault(name, step) for name, step in _JUMPS] if _faketime() else []), *told]
+    reported = [_reported_clock_fault("recorder"), *([] if _faketime() else [_reported_clock_fault("safety_filter")])]
+    return [*([_clock_fault(name, step) for name, step in _JUMPS] if _faketime() else []), *reported]
 
 
-def _told_clock_fault(name: str) -> Fault:
+def _reported_clock_fault(name: str) -> Fault:
     def jump(world: World) -> None:
         world.members[name].send(JUMP)
 
     sentence = f"the wall clock that Python tells {name} jumps back by {_HOUR} s, and forth after {_SECONDS:.0f} s"
-    return Fault(f"clock {name} told", sentence, jump, mend=jump, seconds=_SECONDS, meanwhile="undisturbed")
+    return Fault(f"clock {name} told", sentence, jump, repair=jump, seconds=_SECONDS, meanwhile="undisturbed")
 
 
 def _clock_fault(name: str, step: int) -> Fault:
@@ -106,7 +106,7 @@ def _clock_fault(name: str, step: int) -> Fault:
         f"clock {name} {step:+d}",
         f"the wall clock of {name} jumps by {step:+d} s, and back after {_SECONDS:.0f} s",
         strike=lambda world: _set_clock(world, step),
-        mend=lambda world: _set_clock(world, 0),
+        repair=lambda world: _set_clock(world, 0),
         seconds=_SECONDS,
         meanwhile="drives",
         set_up=lambda world: _under_faketime(world, name),
@@ -150,14 +150,14 @@ def overload() -> list[Fault]:
             "starve safety_filter",
             f"a competitor takes three quarters of the filter's only core, in pieces of 60 ms, for {_SECONDS:.0f} s",
             strike=starved.strike,
-            mend=starved.mend,
+            repair=starved.repair,
             seconds=_SECONDS,
         ),
         Fault(
             "flood services",
             f"eight robots that do not exist send 100 states a second each, for {_SECONDS:.0f} s",
             strike=flooded.strike,
-            mend=flooded.mend,
+            repair=flooded.repair,
             seconds=_SECONDS,
         ),
     ]
@@ -192,7 +192,7 @@ class _Starved:
         _bind(world.members["safety_filter"].threads(), {core})
         self._competitor = subprocess.Popen([sys.executable, "-c", _COMPETITOR % core])
 
-    def mend(self, world: World) -> None:
+    def repair(self, world: World) -> None:
         """Gives it back."""
         if self._competitor is not None:
             self._competitor.kill()
@@ -219,7 +219,7 @@ class _Flooded:
         command = [sys.executable, "-m", "safedpa_lab.faults.flood", *bus]
         self._flood = subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
-    def mend(self, world: World) -> None:
+    def repair(self, world: World) -> None:
         """Ends it."""
         del world
         if self._flood is not None:

@@ -173,8 +173,8 @@ class World:
 
     def _require(self, condition: Callable[[], bool], trouble: str) -> None:
         if not self.until(condition, _START_SECONDS):
-            words = "; ".join(f"{name}: {member.last_words()}" for name, member in self.members.items() if member.pid)
-            raise SafedpaError(f"faults: {trouble} within {_START_SECONDS:.0f} s ({words}); see {self.folder}")
+            phrase = "; ".join(f"{name}: {member.last_text()}" for name, member in self.members.items() if member.pid)
+            raise SafedpaError(f"faults: {trouble} within {_START_SECONDS:.0f} s ({phrase}); see {self.folder}")
 
     def _joined(self) -> Bus:
         end = time.monotonic() + _START_SECONDS
@@ -196,8 +196,8 @@ class World:
             return self._member(name, "safedpa_services.recorder", "--out", str(self.disk / "recording.mcap"), *bus)
         if name == "diagnosis" and self.settings.diagnosis == "ready":
             return self._member(name, "safedpa_lab.faults.coordinator", "--out", str(self.folder / "models"), *bus)
-        kept = ("--versions", str(self.folder / "models")) if name == "diagnosis" else ("--realtime",)
-        return self._member(name, f"safedpa_services.{name}", *kept, *bus)
+        retained = ("--versions", str(self.folder / "models")) if name == "diagnosis" else ("--realtime",)
+        return self._member(name, f"safedpa_services.{name}", *retained, *bus)
 
     def _robot(self) -> Member:
         options = ["--name", ROBOT, "--load", self.settings.load, "--seed", str(self.settings.seed), "--realtime"]

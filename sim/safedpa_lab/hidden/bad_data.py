@@ -23,7 +23,7 @@ class Bad:
 
     kind: str
     """Of the finding; ``refused`` where the file cannot be read as it is."""
-    said: str
+    notice: str
     """Part of the sentence."""
     spoil: Callable[[Table], Table]
     text: Callable[[Table], str] | None = None
@@ -74,8 +74,8 @@ def _late(table: Table) -> Table:
 def _thinned(table: Table) -> Table:
     """In the second half every other row."""
     rows = np.arange(len(table["t"]))
-    kept = (rows < len(rows) // 2) | (rows % 2 == 0)
-    return {name: values[kept] for name, values in table.items()}
+    retained = (rows < len(rows) // 2) | (rows % 2 == 0)
+    return {name: values[retained] for name, values in table.items()}
 
 
 def _every(count: int, value: float) -> Callable[[FloatArray], FloatArray]:
@@ -97,8 +97,8 @@ def _jumped(values: FloatArray) -> FloatArray:
 
 def _gap(table: Table) -> Table:
     rows = np.arange(len(table["t"]))
-    kept = (rows < len(rows) // 2) | (rows > len(rows) // 2 + 60)
-    return {name: values[kept] for name, values in table.items()}
+    retained = (rows < len(rows) // 2) | (rows > len(rows) // 2 + 60)
+    return {name: values[retained] for name, values in table.items()}
 
 
 _DEGREES = 180.0 / np.pi

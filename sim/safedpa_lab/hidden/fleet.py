@@ -71,7 +71,7 @@ def write_fleet(
     hard: bool = True,
     runs: int = 4,
     seconds: float = 40.0,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> FleetLogs:
     """Simulates every robot and writes ``recordings/ROBOT/run_*.csv``, ``model.toml`` and ``truth.json``."""
     logs = FleetLogs(
@@ -88,7 +88,7 @@ def write_fleet(
     if sealed.exists() and json.loads(sealed.read_text(encoding="utf-8")) == logs.truth:
         return logs  # an interrupted experiment goes on
     for begin in range(0, len(names), _AT_ONCE):
-        tell(begin, len(names))
+        report_progress(begin, len(names))
         part = names[begin : begin + _AT_ONCE]
         cases = [
             Case("fleet", _seed(seed, begin + place), truth[name], hard=hard, runs=runs, seconds=seconds)

@@ -63,9 +63,9 @@ class Outcome:
     """By the clock."""
     processor_seconds: float = float("nan")
     """Of one core: what the clock would say on a machine that does nothing else."""
-    told: tuple[str, ...] = ()
+    reported: tuple[str, ...] = ()
     """What was said about where, when or how numbers vary: ``rolling_resistance where x above``."""
-    laws_told: bool = True
+    laws_reported: bool = True
     """Every hidden law was told, of its effect, in its words, with its numbers near the truth."""
     false_laws: tuple[str, ...] = ()
     """Laws that were told of effects that have none."""
@@ -85,7 +85,7 @@ class Outcome:
             return not self.added
         if not self.hidden:
             return self.verdict == "nothing_missing" and not self.added
-        return self.all_in_group and self.laws_told
+        return self.all_in_group and self.laws_reported
 
 
 def judged(
@@ -100,9 +100,9 @@ def judged(
     hidden, added = tuple(truth["effects"]), tuple(document["added"])
     groups = {name: _group(document, name) for name in added}
     absorbed = set(truth["absorbed"])
-    found = {name: _stands_for(name, groups, truth) or name in absorbed for name in hidden}
+    found = {name: _is_stationary_for(name, groups, truth) or name in absorbed for name in hidden}
     laws = truth.get("laws", {})
-    told = [(item["effect"], f"{item['kind']} {item['words']}") for item in document.get("conditions", ())]
+    reported = [(item["effect"], f"{item['kind']} {item['phrase']}") for item in document.get("conditions", ())]
     error = float(document["stages"][-1]["heldout_error"])
     return Outcome(
         suite=truth["suite"],
@@ -116,9 +116,9 @@ def judged(
         wrong=tuple(
             name for name in added if not _justified(name, groups, truth) and not _present(document, truth, name)
         ),
-        told=tuple(f"{name} {words}" for name, words in told),
-        laws_told=all((name, words) in told and _near(document, truth, name) for name, words in laws.items()),
-        false_laws=tuple(f"{name} {words}" for name, words in told if name not in laws),
+        reported=tuple(f"{name} {phrase}" for name, phrase in reported),
+        laws_reported=all((name, phrase) in reported and _near(document, truth, name) for name, phrase in laws.items()),
+        false_laws=tuple(f"{name} {phrase}" for name, phrase in reported if name not in laws),
         parameters=tuple(_found(document, truth)),
         error=error,
         error_ratio=error / oracle if oracle else float("nan"),
@@ -138,7 +138,7 @@ def _parts(name: str) -> set[str]:
     return {part.strip() for part in name.split("+")}
 
 
-def _stands_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
+def _is_stationary_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
     """Added itself; or something added is said to be indistinguishable from it, or from nothing but its equals."""
     if any(name in group for group in groups.values()):
         return True

@@ -25,12 +25,12 @@ def _patches(index: int, seed: int) -> Case:
     if index % 3 == 0:
         at_x, at_y = (float(value) for value in random.uniform(-2.0, 2.0, 2))
         own = {"at_x": at_x, "at_y": at_y, "radius": 1.5 * _about(random)}
-        words = "where circle"
+        phrase = "where circle"
     else:
         axis, side = str(random.choice(["x", "y"])), "above" if index % 3 == 1 else "below"
-        own, words = {f"{axis}_{side}": float(random.uniform(-1.5, 1.5))}, f"where {axis} {side}"
+        own, phrase = {f"{axis}_{side}": float(random.uniform(-1.5, 1.5))}, f"where {axis} {side}"
     effects = {"rolling_resistance": {"deceleration": pull, **own}}
-    return Case("patches", seed, effects, laws={"rolling_resistance": words})
+    return Case("patches", seed, effects, laws={"rolling_resistance": phrase})
 
 
 def _sags(index: int, seed: int) -> Case:

@@ -30,11 +30,11 @@ def measured(
     """Measured states and the rows (kept,) that arrived, of one run (rows, states)."""
     noise = np.array(NOISE[robot]) * (_HARDER if hard else 1.0)
     shown = states + noise * random.standard_normal(states.shape)
-    kept = np.ones(len(states), dtype=bool)
+    retained = np.ones(len(states), dtype=bool)
     if hard:
-        kept[1:-1] = random.random(len(states) - 2) >= _LOST
+        retained[1:-1] = random.random(len(states) - 2) >= _LOST
         _glitch(shown, random)
-    return shown, np.flatnonzero(kept)
+    return shown, np.flatnonzero(retained)
 
 
 def _glitch(shown: FloatArray, random: np.random.Generator) -> None:

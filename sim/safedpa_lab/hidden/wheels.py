@@ -40,8 +40,8 @@ class _Wheels:
         self.place = start[:, :3].copy()  # x, y, yaw
         self.wheels = start[:, 3, None] + 0.5 * TRACK * start[:, 4, None] * np.array([-1.0, 1.0])
         self.disturbance = per_lane(lanes)
-        told = [(lane.commands.drive, lane.commands.steer) for lane in lanes]
-        self.actions = np.array([np.stack(pair, axis=1) for pair in told])
+        reported = [(lane.commands.drive, lane.commands.steer) for lane in lanes]
+        self.actions = np.array([np.stack(pair, axis=1) for pair in reported])
         self.delay = np.rint(gathered(lanes, "actuator_delay", "seconds") / STEP).astype(np.int64)
         lag = np.maximum(gathered(lanes, "drive_lag", "time_constant"), 1e-6)
         self.follow = (1.0 - np.exp(-STEP / lag))[:, None]

@@ -159,14 +159,14 @@ def _spoil(log: Log, fault: str) -> None:
 
 
 def _write_run(case: Case, path: Path, number: int, states: FloatArray, actions: FloatArray) -> None:
-    shown, kept = measured(states, case.robot, _random(case, number, 1), case.hard)
+    shown, retained = measured(states, case.robot, _random(case, number, 1), case.hard)
     time = PERIOD[case.robot] * np.arange(len(states))
-    table = np.column_stack([time, shown, actions])[kept]
+    table = np.column_stack([time, shown, actions])[retained]
     if case.robot == "car":
-        told: tuple[str, ...] = ("target_speed" if case.drive == "speed_servo" else "throttle", "steer")
+        reported: tuple[str, ...] = ("target_speed" if case.drive == "speed_servo" else "throttle", "steer")
     else:
-        told = ("torque",) if case.robot == "pendulum" else ("target_speed", "target_turn_rate")
-    names = ("t", *_COLUMNS[case.robot], *told)
+        reported = ("torque",) if case.robot == "pendulum" else ("target_speed", "target_turn_rate")
+    names = ("t", *_COLUMNS[case.robot], *reported)
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
 
 

@@ -39,10 +39,10 @@ def _nominal_action(method: Method, folder: Path, winds: FloatArray) -> NominalP
     assert isinstance(base, LearnedBase)
     policy = LearnedPolicy(base.weights)
     sees = base.weights.description.latents
-    told = base.networks.encode(winds) if method.told else None
+    reported = base.networks.encode(winds) if method.reported else None
 
     def nominal_action(state: FloatArray, latent: FloatArray) -> FloatArray:
-        known = latent if told is None else told
+        known = latent if reported is None else reported
         seen = observe_pendulum(state, np.full(len(state), UPRIGHT), known[:, :sees])
         return np.asarray(policy.act(seen), dtype=np.float64)
 

@@ -88,7 +88,7 @@ def errors_of(method: Method, folder: Path, swings: Swung, winds: FloatArray, ed
     """
     model = model_named(method.filter, folder)
     before, torque = swings.seen[:-1], swings.torques[..., np.newaxis]
-    latents = np.broadcast_to(winds, (len(before), *winds.shape)) if method.told else swings.latents
+    latents = np.broadcast_to(winds, (len(before), *winds.shape)) if method.reported else swings.latents
     predicted = _advanced(model, before, torque, latents if model.latent_names else latents[..., :0])
     return _least_h(predicted, edges) - _least_h(swings.seen[1:], edges)
 

@@ -37,7 +37,7 @@ class Method:
     policy: str = "learned"
     """Or ``goal_seeker``: a formula, see ``crossing``."""
     filter: str = "learned"
-    told: bool = False
+    reported: bool = False
     """Filter and policy know the true wind: an oracle."""
 
 
@@ -45,7 +45,7 @@ FILTERED: Final = (
     Method("safedpa", "SafeDPA"),
     *(Method(name, f"Fix-{name.removeprefix('fix_')}", filter=name) for name in _FIX),
     Method("mix", "Mix", filter="mix"),
-    Method("oracle", "knows the wind", filter="physics", told=True),
+    Method("oracle", "knows the wind", filter="physics", reported=True),
 )
 """Who has a filter, each of another model."""
 BALANCING_METHODS: Final = (*FILTERED, Method("unfiltered", "no filter", filter=""))
@@ -89,4 +89,4 @@ def closed_of(method: Method, folder: Path, epsilon: float, difficulty: Difficul
     if not method.filter:
         return Closed(adapts=adapts, torque=difficulty.torque)
     filters = model_named(method.filter, folder)
-    return Closed(difficulty.settings(epsilon), filters, adapts, method.told, difficulty.torque)
+    return Closed(difficulty.settings(epsilon), filters, adapts, method.reported, difficulty.torque)

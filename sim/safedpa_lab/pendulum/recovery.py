@@ -36,13 +36,13 @@ def swung_all_around(folder: Path, episodes: Episodes) -> Swung:
     """Swings under torques at random without a filter, the history encoder looking on; constant winds of WIND [m/s]."""
     start, random = episodes.upright_starts(), episodes.random(25)
     start[:, 0] = random.uniform(-np.pi, np.pi, len(start))
-    kept: dict[str, Any] = {"age": 0}
+    retained: dict[str, Any] = {"age": 0}
 
     def nominal_action(state: FloatArray, _latent: FloatArray) -> FloatArray:
-        if kept["age"] % _HELD == 0:
-            kept["torque"] = random.uniform(-TORQUE, TORQUE, (len(state), 1))
-        kept["age"] += 1
-        return np.array(kept["torque"])
+        if retained["age"] % _HELD == 0:
+            retained["torque"] = random.uniform(-TORQUE, TORQUE, (len(state), 1))
+        retained["age"] += 1
+        return np.array(retained["torque"])
 
     return swung(
         Closed(adapts=model_named("learned", folder)), nominal_action, start, episodes.winds(), BALANCING, _TICKS
@@ -109,20 +109,20 @@ def recovery(swings: Swung, folder: Path, directions: int, seed: int) -> dict[st
     episodes = swings.states.shape[1] // directions
     true = np.repeat(2 * np.pi * np.arange(directions) / directions, episodes)
     ticks = np.arange(history, len(swings.latents), _EVERY)
-    told = _off(believed_wind(model, swings.latents[ticks], WIND), true)
+    reported = _off(believed_wind(model, swings.latents[ticks], WIND), true)
     noisy = swings.states + np.random.default_rng([seed, 26]).normal(0.0, [0.0, _NOISE], swings.states.shape)
     fits = [_fit_off(states, swings.torques, ticks, history, true) for states in (swings.states, noisy)]
     last = int(ticks[-1])
     refined = refined_latent(
         model, swings.latents[last], swings.states[last - history : last + 1], swings.torques[last - history : last]
     )
-    mended = _off(believed_wind(model, refined, WIND), true)
+    corrected = _off(believed_wind(model, refined, WIND), true)
     return {
-        "median_degrees": float(np.median(told)),
-        "refined_median_degrees": float(np.median(mended)),
-        "refined_90_degrees": float(np.quantile(mended, 0.9)),
+        "median_degrees": float(np.median(reported)),
+        "refined_median_degrees": float(np.median(corrected)),
+        "refined_90_degrees": float(np.quantile(corrected, 0.9)),
         "refined": np.round(refined, 4).tolist(),
-        "90_degrees": float(np.quantile(told, 0.9)),
+        "90_degrees": float(np.quantile(reported, 0.9)),
         "best_median_degrees": float(np.median(fits[0])),
         "best_noisy_median_degrees": float(np.median(fits[1])),
         "best_noisy_90_degrees": float(np.quantile(fits[1], 0.9)),

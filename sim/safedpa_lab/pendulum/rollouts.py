@@ -36,7 +36,7 @@ class Closed:
     """Of the filter."""
     adapts: PhysicsModel | None = None
     """Whose history encoder tells the latent, to the policy and to the filter where its model has one."""
-    told: bool = False
+    reported: bool = False
     """The filter's latent is the true wind: an oracle."""
     torque: float = TORQUE
     """N m; what the motor gives at most, whatever is asked of it."""
@@ -126,7 +126,7 @@ def _filter(closed: Closed) -> BatchFilter | None:
 
 def _known(closed: Closed, latent: FloatArray, wind: FloatArray) -> FloatArray | None:
     """What the filter's model is told."""
-    if closed.told:
+    if closed.reported:
         return wind
     return latent if closed.model is not None and closed.model.latent_names else None
 

@@ -114,9 +114,9 @@ class SimulatedBody:
 
     def see(self, state: FloatArray) -> None:  # noqa: D102
         self._state, self._rate = state, self._simulation.velocity[2].copy()
-        told = SimulatedPointModel(self._simulation).believed(state, np.zeros((len(state), 0)))
-        self._motion = told.motion
-        self._range = told.scale * self._scale / ACTION_SCALE
+        reported = SimulatedPointModel(self._simulation).believed(state, np.zeros((len(state), 0)))
+        self._motion = reported.motion
+        self._range = reported.scale * self._scale / ACTION_SCALE
 
     def about(self, action: FloatArray, which: NDArray[np.intp]) -> PointPrediction:  # noqa: D102
         nudges = _NUDGE * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])

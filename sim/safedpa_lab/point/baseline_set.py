@@ -11,7 +11,7 @@ from typing import Any, Final
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.plan import BASELINES, Plan
 from safedpa_lab.point.policy_file import BaselinePolicy, load_policy
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 
 __all__ = [
     "LARGEST_FORCE",
@@ -49,7 +49,7 @@ def train_baselines(
     names: Iterable[str] = BASELINES,
     tasks: Iterable[str] = tuple(TASKS),
     seeds: Iterable[int] = (0,),
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     changes: Mapping[str, Any] = {},
 ) -> dict[str, dict[str, Any]]:
     """Trains each name on each task from each seed into ``out``/seed_N/KEY.safetensors; accounts by seed_N/KEY.
@@ -67,7 +67,7 @@ def train_baselines(
     for name, task, seed in chosen:
         plan = replace(TASKS[task], seed=seed, **changes)
         key = f"{folder_of(seed)}/{plan.key(name, task)}"
-        accounts[key] = train_baseline(name, plan, out / f"{key}.safetensors", tell)
+        accounts[key] = train_baseline(name, plan, out / f"{key}.safetensors", report_progress)
     return accounts
 
 
@@ -81,7 +81,7 @@ def baselines_in(folder: Path, seed: int = 0) -> dict[str, dict[str, Any]]:
     found = {}
     for place in (SHIPPED, folder):
         for path in sorted((place / folder_of(seed)).glob("*.safetensors")):
-            found[path.stem] = load_policy(path).told
+            found[path.stem] = load_policy(path).reported
     return found
 
 

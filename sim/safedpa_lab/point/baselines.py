@@ -30,7 +30,7 @@ from safedpa_lab.point.policy_file import BaselinePolicy, load_policy, save_poli
 from safedpa_lab.point.sheltered import Shelter
 from safedpa_lab.point.vector_environment import PointEnvironment
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 
 __all__ = ["algorithm_of", "evaluate_policy", "falling", "policy_of", "train_baseline"]
 
@@ -45,7 +45,7 @@ _LAST_SEED, _CHOICE_SEED = 50_000, 51_000
 """Development seeds, on top of the plan's: of the last evaluation; of the choice."""
 
 
-def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> dict[str, Any]:
+def train_baseline(name: str, plan: Plan, path: Path, report_progress: ReportProgress = silent) -> dict[str, Any]:
     """Trains one of ``BASELINES`` and writes its policy to ``path``; a file from the same plan stays as it is.
 
     Returns its account: mean reward and cost of whole episodes, seconds, learning curve. Raises InputError for a name
@@ -54,14 +54,14 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
     if name not in BASELINES:
         raise InputError(f"baseline '{name}': {did_you_mean(name, BASELINES)}")
     made_from = {"name": name, **plan.__dict__}
-    if path.exists() and (known := load_policy(path)).told.get("plan") == made_from:
-        return {**known.told, "skipped": True}
+    if path.exists() and (known := load_policy(path)).reported.get("plan") == made_from:
+        return {**known.reported, "skipped": True}
     started, worked = monotonic(), process_time()
     torch.set_num_threads(1)  # the same weights however many cores there are
     environment = PointEnvironment(_task(plan, plan.seed), plan.seed, plan.inputs)
     algorithm = algorithm_of(name, environment, plan)
     algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
-    watch = _Watch(name, environment, plan, tell)
+    watch = _Watch(name, environment, plan, report_progress)
     callbacks: list[BaseCallback] = [watch]
     if name.endswith("lagrangian"):
         callbacks.append(Multiplier(environment, plan))
@@ -73,13 +73,13 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(monotonic() - started, 1),
         "processor_seconds": round(process_time() - worked, 1),
-        **_judged(watch.kept, plan, plan.seed + _LAST_SEED, _EVALUATED),
+        **_judged(watch.retained, plan, plan.seed + _LAST_SEED, _EVALUATED),
         "multiplier": round(environment.weight, 4),
         "learning_curve": watch.curve,
-        "chosen": {"steps": watch.kept_at, "score": round(watch.best, 3), "seed": plan.seed + _CHOICE_SEED},
+        "chosen": {"steps": watch.retained_at, "score": round(watch.best, 3), "seed": plan.seed + _CHOICE_SEED},
         "compared": watch.compared,
     }
-    save_policy(BaselinePolicy(watch.kept.tensors, account), path)
+    save_policy(BaselinePolicy(watch.retained.tensors, account), path)
     return account
 
 
@@ -160,14 +160,14 @@ def policy_of(algorithm: Any, plan: Plan) -> BaselinePolicy:
 class _Watch(BaseCallback):
     """The learning curve, the costs that CPO learns from, word of the progress, and the best policy so far."""
 
-    def __init__(self, name: str, environment: PointEnvironment, plan: Plan, tell: Tell) -> None:
+    def __init__(self, name: str, environment: PointEnvironment, plan: Plan, report_progress: ReportProgress) -> None:
         super().__init__()
         self.curve: list[list[float]] = []
         self.compared: list[list[float]] = []
         """Steps, reward, cost and score of each policy that was looked at."""
-        self.best, self.kept_at = -math.inf, 0
-        self.kept: BaselinePolicy
-        self._name, self._environment, self._plan, self._tell_it = name, environment, plan, tell
+        self.best, self.retained_at = -math.inf, 0
+        self.retained: BaselinePolicy
+        self._name, self._environment, self._plan, self._report_it = name, environment, plan, report_progress
         rollouts = math.ceil(plan.steps / (128 * plan.robots))
         self._every, self._look_every = max(1, math.ceil(rollouts / 100)), max(1, rollouts // _LOOKS)
         self._rollouts = 0
@@ -191,7 +191,7 @@ class _Watch(BaseCallback):
         reward, cost = float(np.mean(environment.returns)), float(np.mean(environment.costs))
         self.curve.append([self.num_timesteps, round(reward, 3), round(cost, 3), round(environment.weight, 4)])
         note = f"reward {reward:.1f}, cost {cost:.1f}, weight {environment.weight:.2f}"
-        self._tell_it(self._name, self.num_timesteps, self._plan.steps, note)
+        self._report_it(self._name, self.num_timesteps, self._plan.steps, note)
 
     def look(self) -> None:
         """Drives the policy as it is through the episodes of the choice, and keeps it where none was better."""
@@ -200,7 +200,7 @@ class _Watch(BaseCallback):
             return
         figures = _judged(now, plan, plan.seed + _CHOICE_SEED, _COMPARED)
         found = score(self._name, figures, plan.limit)
-        figures_told = (figures["reward"], figures["cost"], found)
-        self.compared.append([self.num_timesteps, *(round(float(one), 3) for one in figures_told)])
+        figures_reported = (figures["reward"], figures["cost"], found)
+        self.compared.append([self.num_timesteps, *(round(float(one), 3) for one in figures_reported)])
         if found >= self.best:
-            self.best, self.kept, self.kept_at = found, now, self.num_timesteps
+            self.best, self.retained, self.retained_at = found, now, self.num_timesteps

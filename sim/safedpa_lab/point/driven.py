@@ -101,7 +101,7 @@ def driven(
         corrected / steps,
         relaxed / steps,
         worked,
-        watch.told(),
+        watch.reported(),
     )
 
 
@@ -131,7 +131,7 @@ class _Watch:
             self._met_at[place].append(step)
             self._met[place].append(_pair(task.layout.goal[shown[place]]))
 
-    def told(self) -> list[dict[str, Any]]:
+    def reported(self) -> list[dict[str, Any]]:
         places, within = np.round(np.array(self._places), 3), np.array(self._within)
         return [
             {

@@ -19,7 +19,7 @@ from safedpa_lab.point.free_model import FreeModel
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.explained_motion import explained
 from safedpa_sim.training.networks import ENVIRONMENT, VECTORS, Dense, tensors_of
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import Transitions, draw_transitions, scales
 
@@ -29,7 +29,7 @@ Tensor = torch.Tensor
 _SCALES, _TRAINING, _HELD_OUT = 1, 2, 3
 """Streams of ``train_affine``: configuration.seed * 10 + this; so are the pairs the same."""
 _HELD = 20_000
-_TELL_STEPS = 200
+_REPORT_PROGRESS_STEPS = 200
 
 
 @final
@@ -77,7 +77,9 @@ def free_hidden(affine: int) -> int:
     return round(math.sqrt(2.0) * affine)
 
 
-def train_free(configuration: Configuration, tell: Tell = silent) -> tuple[FreeModel, dict[str, Any]]:
+def train_free(
+    configuration: Configuration, report_progress: ReportProgress = silent
+) -> tuple[FreeModel, dict[str, Any]]:
     """Minimises mean(((increment - predicted) / increment_scale)^2) by Adam, as ``train_affine`` does, in one pass.
 
     Returns the model and loss, share of variance explained and error for each state on held-out transitions.
@@ -100,8 +102,8 @@ def train_free(configuration: Configuration, tell: Tell = silent) -> tuple[FreeM
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        if (done + 1) % _TELL_STEPS == 0 or done + 1 == steps:
-            tell("free", (done + 1) * phase.batch, steps * phase.batch, f"loss {float(loss.detach()):.2e}")
+        if (done + 1) % _REPORT_PROGRESS_STEPS == 0 or done + 1 == steps:
+            report_progress("free", (done + 1) * phase.batch, steps * phase.batch, f"loss {float(loss.detach()):.2e}")
     held_out = draw_transitions(cars, _HELD, cars.generator(configuration.seed * 10 + _HELD_OUT))
     summary = {"pairs": steps * phase.batch, **held_out_errors(networks, held_out)}
     return FreeModel(tensors_of(networks), _described(cars, configuration, summary)), summary

@@ -68,10 +68,10 @@ def measured_margins(asked: Calibration) -> dict[str, Any]:
     """
     seeds = list(seeds_for("calibration", 2, _SKIPPED))
     models, filters = Path(asked.models), asked.filters.split(",")
-    told = _errors(_windy(asked.drives, seeds[0], asked.force), models, _TRUTH, 0.0, filters, asked.steps)
+    reported = _errors(_windy(asked.drives, seeds[0], asked.force), models, _TRUTH, 0.0, filters, asked.steps)
     found = {}
     for name in filters:
-        first = max(0.0, margins_over_drives(told[name], COVERAGE)[0])
+        first = max(0.0, margins_over_drives(reported[name], COVERAGE)[0])
         task = _windy(asked.drives, seeds[1], asked.force)
         own = _errors(task, models, name, first, (name,), asked.steps)[name]
         found[name] = {**_row(own), "first": first, "seeds": seeds, "steps": asked.steps}

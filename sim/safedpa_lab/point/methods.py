@@ -29,7 +29,7 @@ FILTERS: Final = {
 PENALISED: Final = ("rma_p_0_1", "rma_p_0_3", "rma_p_1", "rma_p_3")
 """RMA-P's grid: what a step in a hazard takes off the reward in training."""
 SEEKER: Final = "seeker"
-TOLD: Final = {
+REPORTED: Final = {
     "lidar": "lidar",
     "latent": "lidar, z",
     "equal": "z, way, hazards",
@@ -50,7 +50,7 @@ class Method:
     policy: str = "learned"
     filter: str = ""
     baseline: str = ""
-    told: str = TOLD["equal"]
+    reported: str = REPORTED["equal"]
     """What the policy is told beside its own motion and the goal."""
 
 
@@ -58,14 +58,14 @@ def _alone(name: str, inputs: str = "lidar", limit: float = COST_LIMIT) -> Metho
     """A baseline in winds, by its inputs and limit."""
     key = Plan(inputs=inputs, limit=limit).key(name, "wind")
     title = BASELINE_TITLES[name] + (f", limit {limit:g}" if name in LIMITED else "")
-    return Method(key.replace("_wind", ""), title, policy="", baseline=key, told=TOLD[inputs])
+    return Method(key.replace("_wind", ""), title, policy="", baseline=key, reported=REPORTED[inputs])
 
 
 def _both(name: str, inputs: str = "lidar") -> Method:
     """The same policy behind SafeDPA's filter."""
     alone = _alone(name, inputs)
     title = f"{alone.title} behind SafeDPA's filter"
-    return Method(f"{alone.name}_filtered", title, "", "safedpa", alone.baseline, alone.told)
+    return Method(f"{alone.name}_filtered", title, "", "safedpa", alone.baseline, alone.reported)
 
 
 _LIDAR: Final = "ppo_lagrangian_wind_latent_1"
@@ -77,7 +77,7 @@ _ALL: Final = (
     Method("mix", "Mix", filter="mix"),
     Method("physics", "knows all but the wind", filter="physics"),
     Method("oracle", "knows the wind", filter="oracle"),
-    Method("safedpa_lidar", "SafeDPA, lidar and z", "", "safedpa", _LIDAR, TOLD["latent"]),
+    Method("safedpa_lidar", "SafeDPA, lidar and z", "", "safedpa", _LIDAR, REPORTED["latent"]),
     Method("unfiltered", "SafeDPA without filter"),
     Method("rma", "RMA", policy="rma"),
     Method("rma_p", "RMA-P", policy="rma_p"),
@@ -86,7 +86,7 @@ _ALL: Final = (
     *(_alone(name, "lidar", 1.0) for name in LIMITED),
     _both("ppo", "equal"),
     _both("ppo"),
-    Method(SEEKER, "goal seeker behind SafeDPA's filter", SEEKER, "safedpa", told="way by hand"),
+    Method(SEEKER, "goal seeker behind SafeDPA's filter", SEEKER, "safedpa", reported="way by hand"),
 )
 METHODS: Final = {method.name: method for method in _ALL}
 """By name. ``rma_p`` is the best of ``PENALISED`` on development seeds."""

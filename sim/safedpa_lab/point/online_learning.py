@@ -95,8 +95,8 @@ def learned(learning: Learning) -> dict[str, Any]:
         counting = _Counting(environment, between, WARMING if start.key else 0)
         if learning.steps:
             algorithm.learn(learning.steps, counting)
-    told = {item.name: getattr(learning, item.name) for item in fields(learning)}
-    return {**told, "rows": counting.tally.rows, "judged": _judged(policy_of(algorithm, plan), learning)}
+    reported = {item.name: getattr(learning, item.name) for item in fields(learning)}
+    return {**reported, "rows": counting.tally.rows, "judged": _judged(policy_of(algorithm, plan), learning)}
 
 
 def learning_environment(learning: Learning) -> tuple[PointEnvironment, WindyShield]:

@@ -29,10 +29,10 @@ class BaselinePolicy:
     Raises InputError for tensors that are no such network.
     """
 
-    def __init__(self, tensors: Mapping[str, NDArray[np.float32]], told: Mapping[str, Any]) -> None:
-        self.tensors, self.told = dict(tensors), dict(told)
+    def __init__(self, tensors: Mapping[str, NDArray[np.float32]], reported: Mapping[str, Any]) -> None:
+        self.tensors, self.reported = dict(tensors), dict(reported)
         self._layers = layers_of(self.tensors, "policy")
-        self.inputs: str = self.told.get("plan", {}).get("inputs", "lidar")
+        self.inputs: str = self.reported.get("plan", {}).get("inputs", "lidar")
         """Of ``INPUTS``: what it is to be told."""
         wanted = (entries_of(self.inputs), 2)
         got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0]) if self._layers else (0, 0)
@@ -50,7 +50,7 @@ def save_policy(policy: BaselinePolicy, path: Path) -> None:
     from safetensors.numpy import save
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = save(policy.tensors, metadata={_KEY: json.dumps(policy.told, sort_keys=True)})
+    content = save(policy.tensors, metadata={_KEY: json.dumps(policy.reported, sort_keys=True)})
     with atomic_path(path) as unfinished:
         unfinished.write_bytes(content)
 
@@ -62,8 +62,8 @@ def load_policy(path: Path) -> BaselinePolicy:
     try:
         check_tensor_file(path)
         with safe_open(path, framework="numpy") as file:
-            told = parse_json((file.metadata() or {}).get(_KEY, "{}"))
+            reported = parse_json((file.metadata() or {}).get(_KEY, "{}"))
             tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in file.keys()}  # noqa: SIM118
-        return BaselinePolicy(tensors, told)
+        return BaselinePolicy(tensors, reported)
     except (OSError, SafetensorError, ValueError, InputError) as error:
         raise InputError(f"{path}: {error}; wanted a policy that 'safedpa train point' wrote") from error

@@ -83,25 +83,25 @@ class RelinearisedFilter:
         """
         action, relaxed = nominal.copy(), np.zeros(len(nominal), bool)
         everybody = np.arange(len(nominal))
-        short = self._kept(nominal, everybody, state, hazards, model, believed) < -_TOLERANCE
+        short = self._retained(nominal, everybody, state, hazards, model, believed) < -_TOLERANCE
         outside = minimum_barrier(state, hazards, believed.motion) < 0.0
         which = np.flatnonzero(short | outside)
-        kept, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
+        retained, about = np.full(len(which), -np.inf), np.zeros((len(which), 2))
         relaxed[which] = True
         for _ in range(1 + _AGAIN):
             if not len(which):
                 break
             near = model.about(about, which)
             new = self._filter.decide(state[which], nominal[which], hazards[which], near)
-            now = self._kept(new.action, which, state, hazards, model, near)
+            now = self._retained(new.action, which, state, hazards, model, near)
             good = ~new.relaxed & (now >= -_TOLERANCE)
-            better = good | ((now > kept) & (relaxed[which] | ~new.relaxed))
+            better = good | ((now > retained) & (relaxed[which] | ~new.relaxed))
             action[which[better]], relaxed[which[better]] = new.action[better], new.relaxed[better]
             moves = np.abs(action[which] - about).max(axis=1) > _SETTLED
-            which, kept, about = which[moves], np.where(better, now, kept)[moves], action[which[moves]]
+            which, retained, about = which[moves], np.where(better, now, retained)[moves], action[which[moves]]
         return FilteredActions(action, np.any(action != nominal, axis=1), relaxed)
 
-    def _kept(
+    def _retained(
         self,
         action: FloatArray,
         which: IndexArray,
@@ -113,5 +113,5 @@ class RelinearisedFilter:
         """min over hazards of h(next) - (1 - eta) h - epsilon (n,) [m], by the model itself: below 0 it falls short."""
         around = around_hazards(hazards[which], believed.motion)
         following = model.following(action, which)
-        kept: FloatArray = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
-        return kept - self._epsilon
+        retained: FloatArray = (around.values(following) - (1.0 - ETA) * around.values(state[which])).min(axis=1)
+        return retained - self._epsilon

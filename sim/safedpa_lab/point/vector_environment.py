@@ -18,7 +18,7 @@ from safedpa_sim.point.task import EPISODE_STEPS, PointTask, StepResult
 __all__ = ["PointEnvironment"]
 
 
-_KEPT = 200
+_RETAINED = 200
 """Episodes over which their means are told."""
 
 
@@ -40,8 +40,8 @@ class PointEnvironment(VecEnv):
         self.weight = 0.0
         self.filtered = False
         self.cost = np.zeros(task.count)
-        self.returns: deque[float] = deque(maxlen=_KEPT)
-        self.costs: deque[float] = deque(maxlen=_KEPT)
+        self.returns: deque[float] = deque(maxlen=_RETAINED)
+        self.costs: deque[float] = deque(maxlen=_RETAINED)
         self._gained, self._paid = np.zeros(task.count), np.zeros(task.count)
         task.steps[:] = np.random.default_rng(seed).integers(0, EPISODE_STEPS, task.count)
         self._whole = np.zeros(task.count, bool)

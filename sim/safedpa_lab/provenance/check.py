@@ -29,7 +29,7 @@ class Standing:
     """Through which its code passes; 0 where nobody wrote that down."""
 
     @property
-    def told(self) -> str:
+    def reported(self) -> str:
         """In words: of today, older in so many rooms, or unknown."""
         if not self.rooms:
             return "made before its code was written down"
@@ -58,14 +58,14 @@ def standings(folder: Path) -> Iterator[Standing]:
 def _standing(name: str, document: Any) -> Standing:
     """Of what is no such record, or names no module, nothing is known; of a module that is gone every room differs."""
     document = _table(document)
-    kept = _table(document.get(KEY))
-    module, then = kept.get("module"), _table(kept.get("code"))
+    retained = _table(document.get(KEY))
+    module, then = retained.get("module"), _table(retained.get("code"))
     if not isinstance(module, str):
         then = {}
     now = digests(module) if isinstance(module, str) and then else {}
     changed = tuple(sorted(room for room in {*then, *now} if then.get(room) != now.get(room)))
-    told = {key: _text(kept.get(key, document.get(key))) for key in ("command", "date", "commit")}
-    return Standing(name, **told, changed=changed, rooms=len({*then, *now}))
+    reported = {key: _text(retained.get(key, document.get(key))) for key in ("command", "date", "commit")}
+    return Standing(name, **reported, changed=changed, rooms=len({*then, *now}))
 
 
 def _table(value: Any) -> dict[str, Any]:

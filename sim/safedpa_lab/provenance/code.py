@@ -10,7 +10,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["DATA", "code_behind", "digests", "without_words"]
+__all__ = ["DATA", "code_behind", "digests", "without_text"]
 
 _OURS = ("safedpa", "safedpa_services", "safedpa_sim", "safedpa_lab")
 _FROM = re.compile(r"^\s*from (safedpa\w*(?:\.\w+)*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -41,8 +41,8 @@ def digests(module: str) -> dict[str, str]:
         assert path is not None
         room = name if path.name == "__init__.py" else name.rpartition(".")[0]
         rooms.setdefault(room, []).append(f"{name} {_digest(path)}")
-    told = {room: _short("\n".join(sorted(lines))) for room, lines in sorted(rooms.items())}
-    return told | {name: _data(patterns) for name, patterns in DATA.items()}
+    reported = {room: _short("\n".join(sorted(lines))) for room, lines in sorted(rooms.items())}
+    return reported | {name: _data(patterns) for name, patterns in DATA.items()}
 
 
 def code_behind(module: str) -> list[str]:
@@ -60,7 +60,7 @@ def code_behind(module: str) -> list[str]:
     return sorted(found)
 
 
-def without_words(source: str) -> str:
+def without_text(source: str) -> str:
     """The lines that do something: neither empty, nor comments, nor of a string that stands alone, as docstrings do."""
     silent, whole = set[int](), ast.parse(source)
     waiting: list[ast.AST] = [whole]
@@ -73,8 +73,8 @@ def without_words(source: str) -> str:
                 waiting.append(statement)
     lines = enumerate(source.splitlines(), 1)
     within = _within_strings(whole) if _MAY_BE_COMMENT.search(source) else set()
-    kept = ((number, line) for number, line in lines if number not in silent and line.strip())
-    return "\n".join(line for number, line in kept if number in within or line.strip()[0] != "#")
+    retained = ((number, line) for number, line in lines if number not in silent and line.strip())
+    return "\n".join(line for number, line in retained if number in within or line.strip()[0] != "#")
 
 
 def _within_strings(tree: ast.AST) -> set[int]:
@@ -124,7 +124,7 @@ def _within(package: str) -> Iterator[str]:
 
 @cache
 def _digest(path: Path) -> str:
-    return _short(without_words(path.read_text(encoding="utf-8")))
+    return _short(without_text(path.read_text(encoding="utf-8")))
 
 
 def _data(patterns: Iterable[tuple[str, str]]) -> str:

@@ -77,7 +77,7 @@ def provenance() -> dict[str, Any]:
 
 def command_line(context: click.Context) -> str:
     """The command with every option that was given and that its result depends on, as one types it."""
-    words: list[str] = []
+    phrase: list[str] = []
     for item in context.command.params:
         value = context.params.get(item.name or "")
         elsewhere = item.name in _ELSEWHERE and not isinstance(value, bool)
@@ -85,21 +85,23 @@ def command_line(context: click.Context) -> str:
             continue
         many = isinstance(value, (tuple, list)) and (item.multiple if isinstance(item, click.Option) else True)
         for one in value if many else (value,):
-            words += _words(item, one)
-    return f"{context.command_path} {shlex.join(words)}".strip()
+            phrase += _text(item, one)
+    return f"{context.command_path} {shlex.join(phrase)}".strip()
 
 
-def _words(item: click.Parameter, value: Any) -> Sequence[str]:
+def _text(item: click.Parameter, value: Any) -> Sequence[str]:
     """As it is typed; of a place on this machine the last part alone."""
-    told = [str(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
-    told = [PurePath(one).name if isinstance(value, Path) or PurePath(one).is_absolute() else one for one in told]
+    reported = [str(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
+    reported = [
+        PurePath(one).name if isinstance(value, Path) or PurePath(one).is_absolute() else one for one in reported
+    ]
     if isinstance(item, click.Argument):
-        return told
+        return reported
     if isinstance(value, bool):
         return ((item.opts if value else item.secondary_opts or item.opts)[0],)
     if isinstance(item, click.Option) and item.count:
         return [item.opts[0]] * int(value)
-    return (item.opts[0], *told)
+    return (item.opts[0], *reported)
 
 
 def _commit() -> str | None:
@@ -116,8 +118,8 @@ def _commit() -> str | None:
         return None
 
 
-def _git(folder: Path, *words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, timeout=20, check=True)
+def _git(folder: Path, *phrase: str) -> str:
+    done = subprocess.run(["git", *phrase], cwd=folder, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 
 

@@ -26,7 +26,7 @@ from safedpa_lab.ros.foreign import DIAGNOSTICS, DRIVE, ODOMETRY, address, hash_
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["Car", "Told", "blind_policy"]
+__all__ = ["Car", "Reported", "blind_policy"]
 
 _PERIOD = 0.02
 _DRIVER_PATIENCE = 0.25
@@ -34,13 +34,13 @@ _DRIVER_PATIENCE = 0.25
 _STALL = 0.1
 """s between two periods after which this process was held up, or the whole machine: the drive goes on from there. Made
 up for in a burst, they would be driven by one command; a gateway believes no odometry that is older than that."""
-_STANDS = 0.05
+_IS_STATIONARY = 0.05
 """m/s."""
 _JUMP = 1000.0
 """s by which the clock jumps back."""
 
 
-class Told:
+class Reported:
     """What reaches the robot: commands, and what the gateway and the filter say of themselves."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Told:
         self._arrived: dict[int, float] = {}
         self.sense_to_act: list[tuple[float, float]] = []
         """s from sending an odometry to the arrival of the command made of it; and how long that waited its turn."""
-        self.said: list[tuple[float, str]] = []
+        self.notice: list[tuple[float, str]] = []
         """When something that is not well was said, and what; once while it stays the same."""
         self._saying: dict[str, str] = {}
         self.braked_by_gateway = 0
@@ -68,10 +68,10 @@ class Told:
         now = time.monotonic()
         for status in message.status:
             level = status.level if isinstance(status.level, int) else int.from_bytes(bytes(status.level), "little")
-            said = f"{status.name}: {status.message}" if level else ""
-            if said and said[:40] != self._saying.get(status.name, "")[:40]:
-                self.said.append((now, said))
-            self._saying[status.name] = said
+            notice = f"{status.name}: {status.message}" if level else ""
+            if notice and notice[:40] != self._saying.get(status.name, "")[:40]:
+                self.notice.append((now, notice))
+            self._saying[status.name] = notice
             facts = {pair.key: pair.value for pair in status.values}
             if "command_stamp" not in facts:
                 continue
@@ -91,7 +91,7 @@ class Car:
         self.goals = scene.goals()
         self.goal = next(self.goals)
         self.reached, self.brakes, self.stalled, self.moved, self.fastest = 0, 0, 0.0, 0.0, 0.0
-        self.told = Told()
+        self.reported = Reported()
         self.begun = threading.Event()
         self.frozen, self.rewound, self.ended = False, False, False
         self.marked: dict[str, float] = {}
@@ -104,9 +104,9 @@ class Car:
             if options.no_policy
             else ROS2Publisher(topic, DRIVE, type_hash=hash_of(store, DRIVE), node_name="policy", **where)
         )
-        hears = {"/drive": (DRIVE, self.told.drive, "driver")}
+        hears = {"/drive": (DRIVE, self.reported.drive, "driver")}
         if not options.straight:
-            hears["/diagnostics"] = (DIAGNOSTICS, self.told.diagnose, "monitor")
+            hears["/diagnostics"] = (DIAGNOSTICS, self.reported.diagnose, "monitor")
         self.heard = [
             ROS2Subscriber(name, kind, call, type_hash=hash_of(store, kind), node_name=node, **where)
             for name, (kind, call, node) in hears.items()
@@ -135,7 +135,7 @@ class Car:
         T, ns = self.T, time.time_ns() - int(_JUMP * 1e9) * self.rewound
         return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "odom")
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Its odometry."""
         T, (x, y, yaw, speed) = self.T, self.world.state
         zeros, none = np.zeros(36), T["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
@@ -143,7 +143,7 @@ class Car:
         pose = T["geometry_msgs/msg/Pose"](T["geometry_msgs/msg/Point"](x, y, 0.0), turned)
         twist = T["geometry_msgs/msg/Twist"](T["geometry_msgs/msg/Vector3"](speed, 0.0, 0.0), none)
         header = self.header()
-        self.told.sent[header.stamp.sec * 10**9 + header.stamp.nanosec] = time.monotonic()
+        self.reported.sent[header.stamp.sec * 10**9 + header.stamp.nanosec] = time.monotonic()
         self.odometry.publish(
             header=header,
             child_frame_id="base_link",
@@ -164,18 +164,18 @@ class Car:
         options = self.options
         self.rewound = self.rewound or bool(options.rewind_after and at > options.rewind_after)
         if not self.frozen and not (options.freeze_after and at > options.freeze_after):
-            self.tell()
+            self.report()
         if k % 2 == 0 and not (options.policy_ends and at > options.policy_ends):
             self.nominal_action()
-        late = time.monotonic() - self.told.commanded > _DRIVER_PATIENCE
+        late = time.monotonic() - self.reported.commanded > _DRIVER_PATIENCE
         self.brakes += late
-        speed, steer = (0.0, 0.0) if late else self.told.command
+        speed, steer = (0.0, 0.0) if late else self.reported.command
         before = self.world.state
         self.world.advance(speed, steer, _PERIOD)
         x, y, _, now = self.world.state
         self.moved += math.hypot(x - before[0], y - before[1])
         self.fastest = max(self.fastest, abs(now))
-        if self.marked and "stood" not in self.marked and abs(now) < _STANDS:
+        if self.marked and "stood" not in self.marked and abs(now) < _IS_STATIONARY:
             self.marked["stood"], self.marked["stopping_way"] = time.monotonic(), self.moved - self.marked["moved"]
         if math.hypot(x - self.goal[0], y - self.goal[1]) < 0.4:
             self.goal, self.reached = next(self.goals), self.reached + 1
@@ -196,22 +196,22 @@ class Car:
 
     def account(self) -> dict[str, Any]:
         """What came of the drive."""
-        told = self.told
+        reported = self.reported
         found = {
             "collisions": len(self.world.collisions), "reached": self.reached, "moved": self.moved,
-            "fastest": self.fastest, "commands": told.commands, "driver_brakes": self.brakes,
-            "gateway_brakes": told.braked_by_gateway, "speed": self.world.state[3], "stalled": self.stalled,
-            "said": [said for _, said in told.said], "sense_to_act": told.sense_to_act,
+            "fastest": self.fastest, "commands": reported.commands, "driver_brakes": self.brakes,
+            "gateway_brakes": reported.braked_by_gateway, "speed": self.world.state[3], "stalled": self.stalled,
+            "notice": [notice for _, notice in reported.notice], "sense_to_act": reported.sense_to_act,
         }  # fmt: skip
         if self.marked:
             at = self.marked["at"]
-            later = [(when - at, said) for when, said in told.said if when > at]
+            later = [(when - at, notice) for when, notice in reported.notice if when > at]
             found["mark"] = {
                 "speed": self.marked["speed"],
                 "stood_after": self.marked["stood"] - at if "stood" in self.marked else None,
                 "stopping_way": self.marked.get("stopping_way"),
                 "told_after": later[0][0] if later else None,
-                "said": [said for _, said in later],
+                "notice": [notice for _, notice in later],
             }
         return found
 

@@ -27,15 +27,15 @@ _PATIENCE = 15.0
 class Node:
     """A process of the robot's side, spoken to by lines."""
 
-    def __init__(self, module: str, *words: str, home: Path) -> None:
+    def __init__(self, module: str, *phrase: str, home: Path) -> None:
         environment = {**os.environ, "HOME": str(home), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         pipe = subprocess.PIPE
-        command = [sys.executable, "-m", f"safedpa_lab.ros.{module}", *words]
+        command = [sys.executable, "-m", f"safedpa_lab.ros.{module}", *phrase]
         self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
         if self.line(_START_SECONDS) != "there":
             raise SafedpaError(f"{module}: it did not start")
 
-    def say(self, word: str) -> None:
+    def send(self, word: str) -> None:
         """A line to it."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{word}\n")
@@ -51,7 +51,7 @@ class Node:
         finally:
             timer.cancel()
 
-    def told(self, seconds: float = 300.0) -> dict[str, Any]:
+    def reported(self, seconds: float = 300.0) -> dict[str, Any]:
         """What it says at its end. Raises SafedpaError where it ended without a word."""
         line = self.line(seconds)
         if not line:
@@ -76,8 +76,8 @@ class Side:
         self.nodes: list[Node] = []
         self.router = self._start("router", str(self.port))
 
-    def _start(self, module: str, *words: str) -> Node:
-        node = Node(module, *words, home=self.folder)
+    def _start(self, module: str, *phrase: str) -> Node:
+        node = Node(module, *phrase, home=self.folder)
         self.nodes.append(node)
         return node
 
@@ -158,12 +158,12 @@ class Loop:
         """What it said."""
         return (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace")
 
-    def wait_for(self, name: str, words: str, seconds: float = _START_SECONDS) -> str:
+    def wait_for(self, name: str, phrase: str, seconds: float = _START_SECONDS) -> str:
         """Until it said so. Raises SafedpaError with its log where it does not."""
         end = time.monotonic() + seconds
-        while words not in (text := self.log(name)):
+        while phrase not in (text := self.log(name)):
             if time.monotonic() > end:
-                raise SafedpaError(f"{name} did not say '{words}': {text[-2000:]}")
+                raise SafedpaError(f"{name} did not say '{phrase}': {text[-2000:]}")
             time.sleep(0.05)
         return text
 

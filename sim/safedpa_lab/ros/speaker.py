@@ -37,8 +37,8 @@ def _quiet_sender(port: int, topic: str) -> Callable[[float], None]:
         stamp = T["builtin_interfaces/msg/Time"](*divmod(int(at * 1e9), 10**9))
         drive = T["ackermann_msgs/msg/AckermannDrive"](_STEER, 0.0, _SPEED, 0.0, 0.0)
         message = T[DRIVE](T["std_msgs/msg/Header"](stamp, "odom"), drive)
-        beside = struct.pack("<qqB16s", next(numbers), int(at * 1e9), 16, b"nobody knows him")
-        joined.put(key, bytes(types.serialize_cdr(message, DRIVE)), attachment=beside)
+        alongside = struct.pack("<qqB16s", next(numbers), int(at * 1e9), 16, b"nobody knows him")
+        joined.put(key, bytes(types.serialize_cdr(message, DRIVE)), attachment=alongside)
 
     return send
 

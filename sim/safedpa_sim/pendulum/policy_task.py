@@ -47,7 +47,7 @@ _EPSILON: Final = 0.018
 """rad; about the filter's margin. Who leans on the filter comes to rest epsilon / eta inside the edge."""
 _FIRST: Final = 0.6
 """rad; largest angle at the start, at rest."""
-_DRAWN_ANEW: Final = (1.0, 0.1, 0.03)
+_DRAWN_AGAIN: Final = (1.0, 0.1, 0.03)
 """Probability per period that a torque is drawn anew, for a third of the pendulums each."""
 
 
@@ -72,7 +72,7 @@ class CorridorShelter:
         return torch.from_numpy(found.action).to(torque.dtype)
 
 
-def _kept_drives(
+def _retained_drives(
     cars: BatchedCars, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
 ) -> TransitionSequence:
     """``count`` pendulums for ``steps`` periods; the wind becomes another with probability ``change`` a period.
@@ -81,13 +81,13 @@ def _kept_drives(
     """
     environment, state = _winds(cars, count, generator), torch.zeros(count, 2)
     state[:, 0] = _FIRST * (2.0 * torch.rand(count, generator=generator) - 1.0)
-    anew = torch.tensor(_DRAWN_ANEW)[torch.arange(count) % len(_DRAWN_ANEW)].unsqueeze(1)
+    again = torch.tensor(_DRAWN_AGAIN)[torch.arange(count) % len(_DRAWN_AGAIN)].unsqueeze(1)
     nominal, states, actions, environments = cars.draw_actions(count, generator), [state], [], []
     shelter = CorridorShelter(count, BALANCING)
     with torch.no_grad():
         for _ in range(steps):
             drawn = torch.rand(count, 2, generator=generator)
-            nominal = torch.where(drawn[:, :1] < anew, cars.draw_actions(count, generator), nominal)
+            nominal = torch.where(drawn[:, :1] < again, cars.draw_actions(count, generator), nominal)
 
             def after(torque: Tensor, state: Tensor = state, wind: Tensor = environment) -> Tensor:
                 return cars.advance(state, torque, wind)[0]
@@ -132,7 +132,7 @@ def random_drives(
     around = random_drives_around(cars, networks, count - count // 2, steps, change, generator)
     if count < 2:
         return around
-    return joined([around, _kept_drives(cars, networks, count // 2, steps, change, generator)])
+    return joined([around, _retained_drives(cars, networks, count // 2, steps, change, generator)])
 
 
 def evaluate(
@@ -254,7 +254,7 @@ class SwingTask:
         """One period under ``chosen`` (count, 1), each entry in [-1, 1] over the range of torques."""
         torque = (TORQUE * np.clip(chosen, -1.0, 1.0)).astype(np.float32)
         before = _way(self.state[:, 0])
-        self.applied = self._kept(torque) if self.sheltered else torque
+        self.applied = self._retained(torque) if self.sheltered else torque
         self.state = self._after(self.applied)
         self.tick += 1
         unsafe = in_hazard(self.state[:, 0])
@@ -269,7 +269,7 @@ class SwingTask:
             self._change_wind(np.flatnonzero(self._random.random(self.count) < _TURNS))
         return PeriodResult(np.asarray(reward, dtype=np.float32), reached & over, over & ~reached, unsafe, began)
 
-    def _kept(self, torque: Float32Array) -> Float32Array:
+    def _retained(self, torque: Float32Array) -> Float32Array:
         """The torque within what keeps the corridor."""
         state, environment = torch.from_numpy(self.state), torch.from_numpy(self.environment)
 
@@ -277,8 +277,8 @@ class SwingTask:
             return self._pendulums.advance(state, bounds, environment)[0]
 
         with torch.no_grad():
-            kept: Float32Array = self._shelter.decide(after, state, torch.from_numpy(torque)).numpy()
-        return kept
+            retained: Float32Array = self._shelter.decide(after, state, torch.from_numpy(torque)).numpy()
+        return retained
 
     def _after(self, torque: Float32Array) -> Float32Array:
         tensors = (torch.from_numpy(array) for array in (self.state, torque, self.environment))

@@ -89,13 +89,13 @@ class SimulatedPointModel:
 def _affine(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray]:
     """(drift (robots, 5), gain (robots, 5, 2)) of one period of the point mass."""
     drag, seconds = motion.drag, CONTROL_SECONDS
-    kept = np.exp(-drag * seconds)
-    gained = (1.0 - kept) / drag
+    retained = np.exp(-drag * seconds)
+    gained = (1.0 - retained) / drag
     moved = (seconds - gained) / drag
     velocity = state[:, 3:].T
     drift = state.copy()
     drift[:, :2] += (gained * velocity + moved * motion.wind).T
-    drift[:, 3:] = (kept * velocity + gained * motion.wind).T
+    drift[:, 3:] = (retained * velocity + gained * motion.wind).T
     heading = np.stack((np.cos(state[:, 2]), np.sin(state[:, 2])))
     aside = np.stack((-heading[1], heading[0]))
     swing = drag * motion.ahead * motion.fastest

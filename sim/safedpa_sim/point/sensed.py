@@ -61,9 +61,9 @@ def sensed(simulation: PointSimulation, control: FloatArray, goal: FloatArray) -
 
 def without_goal(seen: FloatArray) -> FloatArray:
     """The same with nothing where the goal's entries are: one that is put elsewhere is no motion of the robot."""
-    kept = seen.copy()
-    kept[..., _COMPASS] = kept[..., _DISTANCE] = 0.0
-    return kept
+    retained = seen.copy()
+    retained[..., _COMPASS] = retained[..., _DISTANCE] = 0.0
+    return retained
 
 
 def decode_state(seen: FloatArray, goal: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.world import CarWorld
 from safedpa_sim.sensing.people import Person
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 __all__ = ["BRAKE", "CarRobot", "DelayedCommands"]
 
@@ -73,7 +73,7 @@ BRAKE = (0.0, 0.0)
 _BRAKING_GAIN, _BRAKING = 4.0, 3.0
 """1/s and m/s2 at most, with which the watchdog of a car with a throttle brakes: by its own wheels' speed."""
 
-_STANDSTILL = 0.01
+_DEADLOCK = 0.01
 """m/s."""
 
 
@@ -92,7 +92,7 @@ class CarRobot(SimulatedRobot):
         late: DelayedCommands | None = None,
         until_action: float = 0.0,
         parameters: CarParameters = CAR_PARAMETERS,
-        senses: SimulatedSensors | None = None,
+        sensor_inputs: SimulatedSensors | None = None,
     ) -> None:
         if parameters.throttle is not None and scene.load is not None:
             raise InputError(
@@ -115,9 +115,9 @@ class CarRobot(SimulatedRobot):
         slowest, fastest = (car.speed_low, car.speed_high) if car.throttle is None else (-1.0, 1.0)
         guard = ActionGuard(epoch, (slowest, -car.steer_limit), (fastest, car.steer_limit))
         super().__init__(guard, period, lockstep, wall_clock, until_action)
-        self._senses = senses
-        if senses is not None:
-            senses.join(self.world, scene, epoch)
+        self._sensor_inputs = sensor_inputs
+        if sensor_inputs is not None:
+            sensor_inputs.join(self.world, scene, epoch)
 
     @property
     def values(self) -> tuple[float, float, float, float]:
@@ -135,7 +135,7 @@ class CarRobot(SimulatedRobot):
     @property
     def at_rest(self) -> bool:
         """Whether the car stands."""
-        return abs(self.values[3]) <= _STANDSTILL
+        return abs(self.values[3]) <= _DEADLOCK
 
     @property
     def collisions(self) -> list[Collision]:
@@ -145,7 +145,7 @@ class CarRobot(SimulatedRobot):
     @property
     def people(self) -> tuple[Person, ...]:
         """Who walks about in this car's world."""
-        return () if self._senses is None else self._senses.people
+        return () if self._sensor_inputs is None else self._sensor_inputs.people
 
     def hitch(self, load: Load) -> None:
         """Puts a load behind the car while it drives."""
@@ -163,20 +163,20 @@ class CarRobot(SimulatedRobot):
             self._take(load)
         return self._state(
             goal=self.goal,
-            obstacles=self.scene.obstacles if self._senses is None else (),
+            obstacles=self.scene.obstacles if self._sensor_inputs is None else (),
             field=self.scene.field,
             footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
             towed=self._taken[2],
             distance_reversed=self._way,
-            sources=() if self._senses is None else self._senses.names,
+            sources=() if self._sensor_inputs is None else self._sensor_inputs.names,
         )
 
     def scans(self) -> list[ScanMessage]:  # noqa: D102
-        if self._senses is None:
+        if self._sensor_inputs is None:
             return []
-        self._senses.sense(self.tick)  # at the very first moment nobody has asked for what is due then
-        return self._senses.told()
+        self._sensor_inputs.sense(self.tick)  # at the very first moment nobody has asked for what is due then
+        return self._sensor_inputs.reported()
 
     def lives(self) -> Iterator[float]:
         """The period of ``advance``, a step of the physics at a time: before each one it tells the world's time [s].
@@ -222,13 +222,13 @@ class CarRobot(SimulatedRobot):
 
     def _pieces(self, seconds: float, longest: float) -> Iterator[float]:
         """s; of the way through ``seconds``. A robot with sensors stops at each of their moments to measure."""
-        if self._senses is None:
+        if self._sensor_inputs is None:
             yield from _split(seconds, longest)
             return
         end = self.world.time + seconds
-        for moment in self._senses.moments(end):
+        for moment in self._sensor_inputs.moments(end):
             yield from _split(moment - self.world.time, longest)
-            self._senses.sense(self.tick)
+            self._sensor_inputs.sense(self.tick)
         yield from _split(end - self.world.time, longest)
 
 

@@ -52,7 +52,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     check_writable(options.summary)
     check_writable(options.begun)
     with bus_from_options(options) as bus:
-        with bus_from_options(_beside(options)) as listener:
+        with bus_from_options(_alongside(options)) as listener:
             claim_names(bus, list(robots), listener=listener)
         loop = FleetLoop(robots, bus, in_step=options.in_step)
         freeze_garbage_collector()
@@ -67,7 +67,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
     return 0
 
 
-def _beside(options: argparse.Namespace) -> argparse.Namespace:
+def _alongside(options: argparse.Namespace) -> argparse.Namespace:
     """The options of a second session of this process, which nobody else has to find."""
     return argparse.Namespace(**{**vars(options), "listen": [], "connect": options.listen or options.connect})
 

@@ -60,8 +60,8 @@ class Durations:
         """p50, p99, p99.9 and the longest, in microseconds."""
         shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
         found = {name: self.percentile(share) for name, share in shares.items()}
-        told = {name: None if value is None else round(1e6 * value) for name, value in found.items()}
-        return {**told, "longest": round(1e6 * self.longest) if self.count else None}
+        reported = {name: None if value is None else round(1e6 * value) for name, value in found.items()}
+        return {**reported, "longest": round(1e6 * self.longest) if self.count else None}
 
 
 _FEWEST_MOMENTS, _MOST_MOMENTS, _MANY = 2, 5, 300
@@ -77,8 +77,8 @@ _LARGEST_AGE_PERIODS = 2.0
 """An action that would begin to act later than so long after its state was sent is not taken any more."""
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
-_REMEMBERED_TICKS = 10
-_REMEMBERED_MOMENTS = 10_000
+_CACHED_TICKS = 10
+_CACHED_MOMENTS = 10_000
 """Of the newest late ticks, and of the newest actions with how long they took; by the machine's monotonic clock, s."""
 
 
@@ -89,13 +89,13 @@ class _ScheduledRobot:
     robot: SimulatedRobot
     due: float
     """s; when its state of this tick should go out."""
-    told_every: int
+    reported_every: int
     """Ticks from one heartbeat to the next."""
-    told_at: int
+    reported_at: int
     """Tick among those in which it is sent: not all robots' at once."""
     published: float = 0.0
     held_up: bool = False
-    braked: deque[bool] = field(default_factory=lambda: deque(maxlen=_REMEMBERED_TICKS))
+    braked: deque[bool] = field(default_factory=lambda: deque(maxlen=_CACHED_TICKS))
     """Of the newest ticks: whether the watchdog acted."""
 
 
@@ -138,8 +138,8 @@ class FleetLoop:
         self.latency, self.lateness = Durations(), Durations()
         self.ticks = self.late = self.late_held_up = self.held_up = self.overruns = 0
         self.late_of: Counter[str] = Counter()
-        self.late_ones: deque[tuple[float, str, int]] = deque(maxlen=_REMEMBERED_MOMENTS)
-        self.acted: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_MOMENTS)
+        self.late_ones: deque[tuple[float, str, int]] = deque(maxlen=_CACHED_MOMENTS)
+        self.acted: deque[tuple[float, float]] = deque(maxlen=_CACHED_MOMENTS)
         self._counting_since = self._clock()
         self.collisions: list[dict[str, Any]] = []
 
@@ -157,9 +157,9 @@ class FleetLoop:
         self._bus.hold()
         sensed = []
         while self._events[0][0] <= self._clock():
-            _, name, tick, senses = heapq.heappop(self._events)
+            _, name, tick, sensor_inputs = heapq.heappop(self._events)
             turning = self._turning[name]
-            if senses:
+            if sensor_inputs:
                 self._sense(name, turning)
                 sensed.append(turning)
             elif turning.robot.tick == tick:
@@ -183,8 +183,8 @@ class FleetLoop:
         robot = turning.robot
         turning.published = self._clock()
         self._bus.publish(STATE, name, robot.state_message())
-        if robot.tick % turning.told_every == turning.told_at:
-            self._tell_health(name, robot)
+        if robot.tick % turning.reported_every == turning.reported_at:
+            self._report_health(name, robot)
         heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
 
     def _sent(self, sensed: Sequence[_ScheduledRobot]) -> None:
@@ -233,7 +233,7 @@ class FleetLoop:
             turning.due = self._begin + ceil((self._clock() - self._begin) / apart) * apart  # with others again
         heapq.heappush(self._events, (turning.due, name, robot.tick, True))
 
-    def _tell_health(self, name: str, robot: SimulatedRobot) -> None:
+    def _report_health(self, name: str, robot: SimulatedRobot) -> None:
         message = HealthMessage(
             epoch=robot.guard.epoch,
             tick=robot.tick,

@@ -33,7 +33,7 @@ _LONGEST_WAIT_SECONDS = 0.1
 _LONGEST_BRAKING_SECONDS = 5.0
 _USUAL_IN_LOCKSTEP = ("late", "repeated")
 """A state that is repeated is answered again."""
-_MOST_TOLD_LATENCIES = 100
+_MOST_REPORTED_LATENCIES = 100
 
 
 class NoActionError(BusError):
@@ -71,7 +71,7 @@ class RobotLoop:
         self._setup, self._next_setup = setup, clock()
         self._detail = ""
         self._step_microseconds = 0.0
-        self._told_latencies = 0
+        self._reported_latencies = 0
 
     def run(self, stopped: Callable[[], bool], ticks: int) -> None:
         """Drives until ``stopped`` or for ``ticks`` periods (0: for ever).
@@ -97,7 +97,7 @@ class RobotLoop:
             while self._clock() < begin:
                 self._inbox.take(max(0.0, begin - self._clock()))
             self._advance()
-        self._tell_health("braked")
+        self._report_health("braked")
 
     def _lockstep_tick(self, stopped: Callable[[], bool]) -> None:
         first = self._publish()
@@ -186,13 +186,13 @@ class RobotLoop:
                     self.latencies.append(item.at - self._published)
             self._detail = f"refused: {reason}" if reason else ""
             if reason:
-                self._tell_refusal(reason)
+                self._report_refusal(reason)
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
-            self._tell_health("running")
-            self._tell_setup()
+            self._report_health("running")
+            self._report_setup()
 
-    def _tell_refusal(self, reason: str) -> None:
+    def _report_refusal(self, reason: str) -> None:
         if self.robot.lockstep and reason in _USUAL_IN_LOCKSTEP:
             return
         sentence = f"an action was refused: {reason}"
@@ -202,14 +202,14 @@ class RobotLoop:
     def _why(self) -> str:
         return f" ({self._detail})" if self._detail else ""
 
-    def _tell_setup(self) -> None:
+    def _report_setup(self) -> None:
         if self._setup is not None and self._clock() >= self._next_setup:
             self._next_setup = self._clock() + SETUP_SECONDS
             self._bus.publish(SETUP, self._name, self._setup, "robot")
 
-    def _tell_health(self, state: str) -> None:
+    def _report_health(self, state: str) -> None:
         robot = self.robot
-        told, self._told_latencies = self._told_latencies, len(self.latencies)
+        reported, self._reported_latencies = self._reported_latencies, len(self.latencies)
         message = HealthMessage(
             epoch=robot.guard.epoch,
             tick=robot.tick,
@@ -224,6 +224,6 @@ class RobotLoop:
             refused=sum(robot.guard.refusals.values()),
             step_microseconds=self._step_microseconds,
             software=software_version(),
-            latencies=tuple(self.latencies[max(told, len(self.latencies) - _MOST_TOLD_LATENCIES) :]),
+            latencies=tuple(self.latencies[max(reported, len(self.latencies) - _MOST_REPORTED_LATENCIES) :]),
         )
         self._bus.publish(HEALTH, self._name, message, "robot")

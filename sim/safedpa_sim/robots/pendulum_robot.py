@@ -109,7 +109,7 @@ class PendulumRobot(SimulatedRobot):
             self._hold = None
         self._watch(*self.world.advance(self._applied[0], self.period))
         if self._arrived():
-            self._begin_anew()
+            self._begin_again()
 
     def _watchdog_action(self) -> tuple[float]:
         """-weight - stiffness (angle - held) - damping rate, held: the angle at which the last torque ran out.
@@ -137,7 +137,7 @@ class PendulumRobot(SimulatedRobot):
         self._held = self._held + 1 if there else 0
         return self.task.ends and self._held >= round(_HELD_SECONDS / self.period)
 
-    def _begin_anew(self) -> None:
+    def _begin_again(self) -> None:
         self.goals_reached += 1
         self._held, self._outside, self._hold = 0, False, None
         self.tick += 1

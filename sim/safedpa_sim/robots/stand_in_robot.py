@@ -50,9 +50,9 @@ class StandInRobot(SimulatedRobot):
         try:
             self.stand_in = robot.stand_in(seed, self.given)
         except TypeError as error:
-            told = " ".join(f"--world {name}={value:g}" for name, value in self.given.items())
+            reported = " ".join(f"--world {name}={value:g}" for name, value in self.given.items())
             raise InputError(
-                f"robot '{robot.name}': its stand-in does not take {told or 'the seed'}: {error}"
+                f"robot '{robot.name}': its stand-in does not take {reported or 'the seed'}: {error}"
             ) from error
         self._touched = self.stand_in.contact()
         self._collisions: list[ForbiddenContact] = []

@@ -21,7 +21,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.people import MOST_PEOPLE, walkers
-from safedpa_sim.sensing.senses import SimulatedSensors
+from safedpa_sim.sensing.sensor_inputs import SimulatedSensors
 
 __all__ = ["robot_of"]
 
@@ -77,11 +77,11 @@ def _car(options: argparse.Namespace, epoch: int) -> CarRobot:
         epoch=epoch,
         change=change,
         parameters=parameters,
-        senses=_senses(options, scene),
+        sensor_inputs=_sensor_inputs(options, scene),
     )
 
 
-def _senses(options: argparse.Namespace, scene: Scene) -> SimulatedSensors | None:
+def _sensor_inputs(options: argparse.Namespace, scene: Scene) -> SimulatedSensors | None:
     if not 0 <= options.people <= MOST_PEOPLE:
         raise InputError(f"--people: got {options.people}, wanted 0 to {MOST_PEOPLE}")
     if options.people and not options.laser:

@@ -128,7 +128,7 @@ class Laser:
         self._number += 1
         self._waiting.append(message)
 
-    def told(self, now: float) -> list[ScanMessage]:
+    def reported(self, now: float) -> list[ScanMessage]:
         """What is due by the robot's time ``now`` [s], each once, in order."""
         due = []
         while self._waiting and self._waiting[0].robot_time + self.settings.latency <= now + 1e-9:

@@ -22,7 +22,7 @@ __all__ = ["MOST_PEOPLE", "RADIUS", "Person", "StepsOut", "Walks", "walkers"]
 RADIUS = 0.2
 """m; of a person's legs and hips at a laser's height."""
 
-_KEPT = 0.15
+_RETAINED = 0.15
 """m that somebody keeps to what is at rest beyond the own radius."""
 _LOOK_AHEAD = 0.6
 """s; who would be too near to something by then turns."""
@@ -85,7 +85,7 @@ class Walks(Person):
         steps = ceil(way / self.radius) + 1
         reaches = np.arange(1, steps + 1)[:, np.newaxis] * (way / steps)
         ahead = np.array((cos(self._heading), sin(self._heading)))
-        return bool((clearances_at(outline, self.place + reaches * ahead) > self.radius + _KEPT).all())
+        return bool((clearances_at(outline, self.place + reaches * ahead) > self.radius + _RETAINED).all())
 
 
 @final

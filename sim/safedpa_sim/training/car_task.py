@@ -89,7 +89,7 @@ _OWN_RADIUS: Final = 0.13
 
 @final
 class CarShelter:
-    """``kept`` [m] is what each car keeps from things where it stands, by clearance and margin: epsilon / eta.
+    """``retained`` [m] is what each car keeps from things where it stands, by clearance and margin: epsilon / eta.
 
     ``model`` has the environment as its latent.
     """
@@ -103,13 +103,13 @@ class CarShelter:
         nominal: Float32Array,
         environment: Float32Array,
         scene: ScenePool,
-        kept: Float32Array,
+        retained: Float32Array,
     ) -> Float32Array:
         """Safe actions (cars, 2) for states (cars, 4), nominal actions (cars, 2), environments (cars, entries) and scenes."""
         settings, footprint = self._filter.settings, scene.footprint.astype(np.float64)
         footprint[:, 0] += _BEHIND * (footprint[:, 2] > _OWN_RADIUS)
         barriers = barriers_of_cars(settings, scene.obstacles, footprint, scene.field)
-        room = settings.eta * kept
+        room = settings.eta * retained
         margins = {"obstacle": room, "field": room, "speed": 0.0}
         found = self._filter.decide(state, nominal, environment, barriers=barriers, epsilon=margins)
         return found.action.astype(np.float32)
@@ -125,7 +125,7 @@ _SPEED_NOISE, _STEER_NOISE = 0.03, 0.01
 """m/s and rad; standard deviation of what the actuators do beyond what they are told."""
 _STEER_HOLD = 0.5
 """Largest share of its last angle that a car's steering keeps in one tick; drawn for each car. Real steering lags."""
-_KEPT = (0.05, 0.19)
+_RETAINED = (0.05, 0.19)
 """m that the filter keeps, clearance and margin; drawn for each car: the policy does not see it."""
 _WIDE = 0.2
 """m of clearance below which being near costs something."""
@@ -198,7 +198,7 @@ class DrivingTask:
         self.distance: Float32Array = np.zeros(count, dtype=np.float32)
         """m to the goal."""
         self._hold: Float32Array = np.zeros(count, dtype=np.float32)
-        self._kept: Float32Array = np.zeros(count, dtype=np.float32)
+        self._retained: Float32Array = np.zeros(count, dtype=np.float32)
         self._angle = np.zeros(count, dtype=np.float32)
         self.restart(np.arange(count))
 
@@ -214,7 +214,7 @@ class DrivingTask:
         self.applied[which, 0] = self.state[which, 3]
         self._angle[which] = 0.0
         self._hold[which] = self._random.uniform(0.0, _STEER_HOLD, count)
-        self._kept[which] = self._random.uniform(*_KEPT, count)
+        self._retained[which] = self._random.uniform(*_RETAINED, count)
         self.tick[which] = 0
         self._touching[which] = False
         self.distance[which] = np.hypot(*(drawn.goal - drawn.start[:, :2]).T)
@@ -239,7 +239,7 @@ class DrivingTask:
         before = self.applied.copy()
         nominal = self._middle + self._scale * np.clip(chosen, -1.0, 1.0)
         if self.sheltered:
-            nominal = self._shelter.decide(self.state, nominal, self.environment, self.scene, self._kept)
+            nominal = self._shelter.decide(self.state, nominal, self.environment, self.scene, self._retained)
         self.applied = nominal.astype(np.float32)
         self._move()
         room = self._meet_solids()

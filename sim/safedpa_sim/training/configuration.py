@@ -123,7 +123,7 @@ class Phase2:
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     driven: float = limited(0.5, 0.0, 1.0)
     """Share of them that the policy drives, the others going at random."""
-    kept: int = limited(1000, 1)
+    retained: int = limited(1000, 1)
     """Rounds, the newest ones, that are learned from."""
     change: float = limited(0.005, 0.0, 1.0)
     """Share of the cars whose environment changes in a period: a load is hitched or let go, the wind turns."""

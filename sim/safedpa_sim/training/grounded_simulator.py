@@ -19,7 +19,7 @@ from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import Run
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 
 __all__ = ["GroundedSimulator", "ground_simulator", "grounded_configuration"]
 
@@ -44,16 +44,20 @@ class GroundedSimulator:
         }
 
 
-def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Tell = silent) -> GroundedSimulator:
+def ground_simulator(
+    configuration: Configuration, runs: Sequence[Run], report_progress: ReportProgress = silent
+) -> GroundedSimulator:
     """Refits every parameter of the simulator's base to the runs, and adds the effects that a diagnosis names.
 
     Effects that the training randomises (a towed load) stand in the model from the start, doing nothing: they are not
     looked for, because the runs are without them. Raises InputError when the runs allow no verdict.
     """
     report = diagnose(
-        _to_be_mended(configuration),
+        _to_be_corrected(configuration),
         _first(runs, _ROWS),
-        tell=lambda done, every, said: tell("3", done, every, f"diagnosis of the simulator; {said}"),
+        report_progress=lambda done, every, notice: report_progress(
+            "3", done, every, f"diagnosis of the simulator; {notice}"
+        ),
     )
     too_few = report.verdict == "undecided" and report.unexplained is not None and not report.added
     if too_few or (report.verdict == "unexplained" and not report.added):
@@ -70,7 +74,7 @@ def grounded_configuration(configuration: Configuration, grounded: GroundedSimul
     return replace(configuration, simulator=grounded.model)
 
 
-def _to_be_mended(configuration: Configuration) -> PhysicsModel:
+def _to_be_corrected(configuration: Configuration) -> PhysicsModel:
     model = configuration.simulator
     for name in dict.fromkeys(path.split(".")[0] for path in configuration.environment):
         if name != "base" and name not in {item.name for item in model.effects}:
@@ -81,10 +85,10 @@ def _to_be_mended(configuration: Configuration) -> PhysicsModel:
 
 def _first(runs: Sequence[Run], rows: int) -> list[Run]:
     """As many whole runs as hold ``rows`` rows: a diagnosis learns no more from ten times as many, and takes longer."""
-    kept, total = [], 0
+    retained, total = [], 0
     for run in runs:
-        kept.append(run)
+        retained.append(run)
         total += sum(len(part) for part in run.stretches)
         if total >= rows:
             break
-    return kept
+    return retained

@@ -199,14 +199,14 @@ def _parted(predictor: AbstractPredictor, drives: Sequence[TuningDrive]) -> list
         parts = [TuningDrive(states[: cut + 1], actions[:cut]), TuningDrive(states[cut:], actions[cut:])]
     else:
         parts = list(drives)
-    kept = [part for part in parts if len(part.actions) > needed]
-    if len(kept) < 2:
+    retained = [part for part in parts if len(part.actions) > needed]
+    if len(retained) < 2:
         longest = max((len(actions) for _, actions in drives), default=0)
         raise InputError(
             f"online tuning: of {len(drives)} drives the longest has {longest} transitions, wanted two of more than "
             f"{needed}, or one of more than {alone}; drive longer before it is asked for"
         )
-    return kept
+    return retained
 
 
 def _hidden(network: Any, inputs: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from safedpa_sim.training.histories import TransitionSequence, joined, transitio
 from safedpa_sim.training.networks import AffineNetworks, tensors_of
 from safedpa_sim.training.prediction import ALONG
 from safedpa_sim.training.predictors import NetworkPredictor, one_step_errors, spread_latents
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.tuning_data import TuningDrive
 
 __all__ = ["PaperTuning", "lived_of", "tune_as_written"]
@@ -50,7 +50,10 @@ class PaperTuning:
 
 
 def tune_as_written(
-    weights: Weights, drives: Sequence[TuningDrive], tuning: PaperTuning | None = None, tell: Tell = silent
+    weights: Weights,
+    drives: Sequence[TuningDrive],
+    tuning: PaperTuning | None = None,
+    report_progress: ReportProgress = silent,
 ) -> Weights:
     """f, g and phi tuned by L_TUNE on all of the drives. Raises InputError for weights without phi."""
     if not weights.has("phi"):
@@ -75,11 +78,11 @@ def tune_as_written(
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         if done % 100 == 0:
-            tell("L_TUNE", done, tuning.updates, f"loss {float(loss.detach()):.2e}")
+            report_progress("L_TUNE", done, tuning.updates, f"loss {float(loss.detach()):.2e}")
     spread_latents(predictor, [seen], generator, _SAMPLES)
     tensors = {**tensors_of(predictor.networks), **tensors_of(predictor.encoder)}
-    told = {**weights.description.trained_on, "tuned": {"loss": "L_TUNE as written", "updates": tuning.updates}}
-    return weights.with_tensors(tensors, replace(weights.description, trained_on=told))
+    reported = {**weights.description.trained_on, "tuned": {"loss": "L_TUNE as written", "updates": tuning.updates}}
+    return weights.with_tensors(tensors, replace(weights.description, trained_on=reported))
 
 
 def lived_of(networks: AffineNetworks, drives: Sequence[TuningDrive]) -> TransitionSequence:

@@ -19,7 +19,7 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.explained_motion import affine_floor, evaluate
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.weights_export import export_weights, normalise_latent
@@ -34,9 +34,9 @@ def write_checkpoint(
     module: nn.Module,
     optimiser: torch.optim.Optimizer,
     generator: torch.Generator,
-    told: dict[str, list[Any]],
+    reported: dict[str, list[Any]],
 ) -> None:
-    """Everything that decides how training goes on after ``done`` steps, and what it has ``told`` so far.
+    """Everything that decides how training goes on after ``done`` steps, and what it has ``reported`` so far.
 
     ``digest`` says of which configuration it is.
     """
@@ -46,7 +46,7 @@ def write_checkpoint(
         "module": module.state_dict(),
         "optimiser": optimiser.state_dict(),
         "generator": generator.get_state(),
-        "told": told,
+        "reported": reported,
     }
     with atomic_path(path) as unfinished:
         torch.save(content, unfinished)
@@ -74,7 +74,7 @@ def read_checkpoint(
         module.load_state_dict(content["module"])
         optimiser.load_state_dict(content["optimiser"])
         generator.set_state(content["generator"])
-        return int(content["done"]), dict(content["told"])
+        return int(content["done"]), dict(content["reported"])
     except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
         raise InputError(f"{path}: no usable checkpoint ({error}); remove it to train from the beginning") from error
 
@@ -82,7 +82,7 @@ def read_checkpoint(
 _HELD_OUT = 20_000
 _STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
 """Each purpose draws from its own seed: seed * 10 + this."""
-_TELL_SECONDS = 0.5
+_REPORT_PROGRESS_SECONDS = 0.5
 _POINTS = 200
 """Of the learning curve."""
 
@@ -103,7 +103,7 @@ def training_device(name: str) -> torch.device:
 def train_affine(
     configuration: Configuration,
     out: Path,
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     device: str = "cpu",
     variant: str = "1a",
     alone: Mapping[str, float] | None = None,
@@ -120,7 +120,7 @@ def train_affine(
     """
     training = _AffineTraining.begin(configuration, variant, training_device(device), alone)
     checkpoint = out / f"checkpoint_{variant}.pt"
-    training.run(training.restore(checkpoint), checkpoint, tell)
+    training.run(training.restore(checkpoint), checkpoint, report_progress)
     normalise_latent(training.networks, training.cars, training.seed("latents"))
     summary = training.summary() | {"learning_curve": training.curve}
     weights = export_weights(
@@ -175,29 +175,29 @@ class _AffineTraining:
 
     def restore(self, checkpoint: Path) -> int:
         """Steps that an interrupted training has already done; its networks and its curve are back then."""
-        done, told = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
-        self.curve = told.get("curve", [])
-        self.losses = [loss.to(self.cars.device) for loss in told.get("losses", [])]
+        done, reported = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
+        self.curve = reported.get("curve", [])
+        self.losses = [loss.to(self.cars.device) for loss in reported.get("losses", [])]
         return done
 
-    def run(self, done: int, checkpoint: Path, tell: Tell) -> None:
+    def run(self, done: int, checkpoint: Path, report_progress: ReportProgress) -> None:
         """Trains until all steps are done, with ``curve`` as pairs and mean loss along the way.
 
         Checkpoints are written between steps only: an interrupt may come in the midst of one, when weights and
         optimiser do not belong together.
         """
-        saved = told = monotonic()
+        saved = reported = monotonic()
         while done < self.steps:
             self._note(done, self._step(done))
             done += 1
             now = monotonic()
-            if self.curve and now - told > _TELL_SECONDS:
-                self._tell(done, tell)
-                told = now
+            if self.curve and now - reported > _REPORT_PROGRESS_SECONDS:
+                self._report(done, report_progress)
+                reported = now
             if now - saved > self.configuration.phase_1a.checkpoint_seconds:
                 self._save(checkpoint, done)
                 saved = now
-        self._tell(done, tell)
+        self._report(done, report_progress)
 
     def _note(self, done: int, loss: torch.Tensor) -> None:
         self.losses.append(loss)
@@ -206,13 +206,13 @@ class _AffineTraining:
             self.curve.append([(done + 1) * self.configuration.phase_1a.batch, mean])
             self.losses = []
 
-    def _tell(self, done: int, tell: Tell) -> None:
+    def _report(self, done: int, report_progress: ReportProgress) -> None:
         batch = self.configuration.phase_1a.batch
-        tell(self.variant, done * batch, self.steps * batch, f"loss {self.curve[-1][1]:.2e}")
+        report_progress(self.variant, done * batch, self.steps * batch, f"loss {self.curve[-1][1]:.2e}")
 
     def _save(self, checkpoint: Path, done: int) -> None:
-        told: dict[str, list[Any]] = {"curve": self.curve, "losses": self.losses}
-        write_checkpoint(checkpoint, self._digest(), done, self.networks, self.optimiser, self.generator, told)
+        reported: dict[str, list[Any]] = {"curve": self.curve, "losses": self.losses}
+        write_checkpoint(checkpoint, self._digest(), done, self.networks, self.optimiser, self.generator, reported)
 
     def _step(self, done: int) -> torch.Tensor:
         """One step of Adam on fresh transitions; its loss."""

@@ -28,7 +28,7 @@ from safedpa.records.writers.tables import atomic_path
 from safedpa_sim.training.configuration import Configuration, Imitation
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.practice import Practice, task_of
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.vector_environment import PracticeEnvironment
 
 __all__ = ["PolicyCheckpoint", "TaughtPractice", "train_policy"]
@@ -95,7 +95,7 @@ def _imitate(
     plan: Imitation,
     discount: float,
     seed: int,
-    tell: Tell,
+    report_progress: ReportProgress,
 ) -> list[float]:
     """Teaches stable-baselines3's ``policy``, actor and critic; the actor's squared error after each round.
 
@@ -111,7 +111,7 @@ def _imitate(
         ticks = plan.ticks * (_LAST if last else 1)
         lessons.drive(actor if number else None, ticks, 1.0 if last else _NOISY)
         errors.append(lessons.fit(actor, optimiser, np.concatenate(lessons.seen), np.concatenate(lessons.wanted)))
-        tell("imitation", number + 1, plan.rounds, f"error {errors[-1]:.4f}")
+        report_progress("imitation", number + 1, plan.rounds, f"error {errors[-1]:.4f}")
     returns = _discounted(lessons.reward, discount)
     early = np.concatenate(lessons.seen[-len(returns) :][: len(returns) // 2])
     optimiser = torch.optim.Adam(critic.parameters(), plan.learning_rate)
@@ -177,7 +177,7 @@ def train_policy(
     configuration: Configuration,
     weights: Weights,
     out: Path,
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     device: str = "cpu",
     name: str = "1b",
     penalty: float = 0.0,
@@ -192,7 +192,7 @@ def train_policy(
     """
     if weights.description.latents and not weights.has("mu"):
         raise InputError("phase 1b: got weights without mu, wanted those of phase 1a; run it first")
-    training = _PolicyTraining(configuration, weights, out, tell, device, name, penalty, sheltered)
+    training = _PolicyTraining(configuration, weights, out, report_progress, device, name, penalty, sheltered)
     training.run()
     return training.result()
 
@@ -206,13 +206,13 @@ class _PolicyTraining:
         configuration: Configuration,
         weights: Weights,
         out: Path,
-        tell: Tell,
+        report_progress: ReportProgress,
         device: str,
         name: str,
         penalty: float,
         sheltered: bool,
     ) -> None:
-        self.configuration, self.weights, self.tell = configuration, weights, tell
+        self.configuration, self.weights, self.report_progress = configuration, weights, report_progress
         self.phase = configuration.phase_1b
         self.name, self.penalty, self.sheltered, self.best = name, penalty, sheltered, -math.inf
         self.curve: list[dict[str, Any]] = []
@@ -243,7 +243,7 @@ class _PolicyTraining:
         if not plan.rounds:
             return []
         policy: Any = self.algorithm.policy
-        return _imitate(robots, self.environment, policy, plan, self.phase.discount, seed, self.tell)
+        return _imitate(robots, self.environment, policy, plan, self.phase.discount, seed, self.report_progress)
 
     def _go_on(self, known: dict[str, Any]) -> None:
         policy: Any = self.algorithm.policy
@@ -304,7 +304,7 @@ class _PolicyTraining:
             self.best, self.chosen = self._score(figures), now
         self.checkpoint.write(self.algorithm, self.curve, self.chosen)
         note = f"reached {figures['success']:.3f}, contacts {figures['contacts']:.2f}"
-        self.tell(self.name, steps, self.phase.steps, note)
+        self.report_progress(self.name, steps, self.phase.steps, note)
         return bool(figures["success"] >= self.phase.enough)
 
     def _score(self, figures: dict[str, Any]) -> float:
@@ -331,9 +331,9 @@ class _PolicyTraining:
     def result(self) -> tuple[Weights, dict[str, Any]]:
         """The best weights of the evaluations, and what is worth recording."""
         figures = self.evaluated(self.chosen, 4 * self.phase.evaluation_cars)
-        told = {"imitation_errors": self.errors} if self.errors else {}
+        reported = {"imitation_errors": self.errors} if self.errors else {}
         rule = {"cost": self.configuration.practice.cost, "score": self._score(figures)}
-        summary = {"steps": self.algorithm.num_timesteps, **told, **figures, **rule, "learning_curve": self.curve}
+        summary = {"steps": self.algorithm.num_timesteps, **reported, **figures, **rule, "learning_curve": self.curve}
         self.checkpoint.path.unlink(missing_ok=True)
         return self.chosen, summary
 

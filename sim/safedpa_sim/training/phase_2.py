@@ -30,7 +30,7 @@ from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.practice import Practice, has_task, task_of
 from safedpa_sim.training.prediction import ALONG, along, latents_along
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["train_history_encoder"]
@@ -40,12 +40,16 @@ _STREAM = 6
 """Seeds of this phase: seed * 10 + this."""
 _SAMPLES = 8000
 _HELD_OUT_CARS = 500
-_TOLD = 20
+_REPORTED = 20
 """Updates between two words about the progress."""
 
 
 def train_history_encoder(
-    configuration: Configuration, weights: Weights, out: Path, tell: Tell = silent, device: str = "cpu"
+    configuration: Configuration,
+    weights: Weights,
+    out: Path,
+    report_progress: ReportProgress = silent,
+    device: str = "cpu",
 ) -> tuple[Weights, dict[str, Any]]:
     """phi for the mu, f, g and policy of ``weights``; without a policy the cars drive at random.
 
@@ -56,7 +60,7 @@ def train_history_encoder(
     training = _HistoryTraining.begin(configuration, weights, training_device(device))
     for index in range(configuration.phase_2.rounds):
         training.add_drives()
-        training.learn(index, tell)
+        training.learn(index, report_progress)
     described = replace(weights.description, history=configuration.history)
     return weights.with_tensors(tensors_of(training.encoder), described), training.summary()
 
@@ -103,7 +107,7 @@ class _HistoryTraining:
     def add_drives(self) -> None:
         """One more round, driven with phi as it is now."""
         phase = self.configuration.phase_2
-        self.known = [*self.known, self._lived(phase.cars)][-phase.kept :]
+        self.known = [*self.known, self._lived(phase.cars)][-phase.retained :]
         self.pairs += len(self.known[-1].rows)
 
     def _lived(self, count: int) -> TransitionSequence:
@@ -120,7 +124,7 @@ class _HistoryTraining:
             parts.append(drives(self.cars, self.networks, count, phase.steps, change, generator))
         return joined(parts)
 
-    def learn(self, round_: int, tell: Tell) -> None:
+    def learn(self, round_: int, report_progress: ReportProgress) -> None:
         """The updates of one round, on histories of all rounds so far."""
         phase = self.configuration.phase_2
         everything = phase.rounds * phase.updates
@@ -131,9 +135,9 @@ class _HistoryTraining:
             for group in self.optimiser.param_groups:
                 group["lr"] = rate
             loss = self._step(phase.batch)
-            if done % _TOLD == 0:
+            if done % _REPORTED == 0:
                 self.losses.append(loss)
-                tell("2", done, everything, f"loss {loss:.3f}")
+                report_progress("2", done, everything, f"loss {loss:.3f}")
 
     def _step(self, batch: int) -> float:
         """One step of Adam on histories drawn from all rounds; its loss."""

@@ -41,7 +41,7 @@ from safedpa_sim.training.networks import (
 )
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.prediction import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import HORIZON, TuningDrive, drives_of, load_tuning_runs, record_circles, split
 
@@ -71,14 +71,18 @@ _WARM_UP = 0.05
 
 
 def tune(
-    configuration: Configuration, weights: Weights, out: Path, tell: Tell = silent, device: str = "cpu"
+    configuration: Configuration,
+    weights: Weights,
+    out: Path,
+    report_progress: ReportProgress = silent,
+    device: str = "cpu",
 ) -> tuple[Weights, dict[str, Any]]:
     """Records circles without load from the pymunk car and tunes everything on them; see ``tune_on_drives``."""
     del out
     phase = configuration.phase_3
     runs = record_circles(phase.pairs, configuration.seed * 10 + _STREAM, phase.run_pairs)
     drives = drives_of(runs, weights)
-    return tune_on_drives(configuration, weights, drives, "all", tell, device, runs="circles without load")
+    return tune_on_drives(configuration, weights, drives, "all", report_progress, device, runs="circles without load")
 
 
 def tune_on_runs(
@@ -87,7 +91,7 @@ def tune_on_runs(
     runs: Sequence[Path],
     columns: Path | None,
     out: Path,
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     what: str = "all",
 ) -> tuple[Weights, dict[str, Any]]:
     """Tunes on recorded files; see ``load_tuning_runs`` for what is refused, and ``tune_on_drives``."""
@@ -96,7 +100,7 @@ def tune_on_runs(
         raise InputError(f"--what: got '{what}', wanted one of {', '.join(WHAT)}")
     drives = load_tuning_runs(runs, columns, configuration.simulator.system, weights)
     names = ", ".join(path.name for path in runs)
-    return tune_on_drives(configuration, weights, drives, what, tell, runs=names)  # type: ignore[arg-type]
+    return tune_on_drives(configuration, weights, drives, what, report_progress, runs=names)  # type: ignore[arg-type]
 
 
 def tune_on_drives(
@@ -104,7 +108,7 @@ def tune_on_drives(
     weights: Weights,
     drives: Sequence[TuningDrive],
     what: What = "all",
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     device: str = "cpu",
     *,
     runs: str = "drives",
@@ -118,14 +122,14 @@ def tune_on_drives(
         raise InputError("weights: no history encoder (phi) in them, wanted one to tune; run phase 2 first")
     training = _Tuning.begin(configuration, weights, drives, what, training_device(device))
     before = training.held_out_errors()
-    mended = training.add_simulated(tell)
-    training.learn(tell)
+    corrected = training.add_simulated(report_progress)
+    training.learn(report_progress)
     training.spread()
     after = training.held_out_errors()
     summary = {
         "runs": runs,
         "what": what,
-        "mended_simulator": mended,
+        "mended_simulator": corrected,
         "pairs": len(training.recorded.rows),
         "held_out_pairs": len(training.held_out.rows),
         "untuned": before,
@@ -179,13 +183,13 @@ class _Tuning:
     def history(self) -> int:
         return self.untuned.description.history
 
-    def add_simulated(self, tell: Tell) -> dict[str, Any]:
+    def add_simulated(self, report_progress: ReportProgress) -> dict[str, Any]:
         """Mends the simulator and drives in it; returns what was mended, or why that was not possible."""
         phase = self.configuration.phase_3
         if not phase.cars or not self.untuned.has("mu"):
             return {"none": "tuned on recorded data alone"}
         try:
-            grounded = ground_simulator(self.configuration, self._runs(), tell)
+            grounded = ground_simulator(self.configuration, self._runs(), report_progress)
         except InputError as error:
             return {"none": str(error), "warning": f"loads may be forgotten: the simulator was not mended ({error})"}
         cars = BatchedCars(grounded_configuration(self.configuration, grounded), self.generator.device)
@@ -207,11 +211,11 @@ class _Tuning:
             runs.append(Run(f"drive {number}", system, t, states, held, (Stretch(0, rows),)))
         return runs
 
-    def learn(self, tell: Tell) -> None:
+    def learn(self, report_progress: ReportProgress) -> None:
         """Adam on recorded and simulated drives; ends with the state whose held-out error was least."""
         phase = self.configuration.phase_3
         optimiser = torch.optim.Adam(self.fitted, phase.learning_rate)
-        best, kept = math.inf, self._state()
+        best, retained = math.inf, self._state()
         every = max(1, phase.updates // _JUDGED)
         for done in range(phase.updates):
             for group in optimiser.param_groups:
@@ -226,10 +230,10 @@ class _Tuning:
             optimiser.step()
             if (done + 1) % every == 0 or done + 1 == phase.updates:
                 judged = self._judged()
-                tell("3", done + 1, phase.updates, f"held-out error {judged:.3f}")
+                report_progress("3", done + 1, phase.updates, f"held-out error {judged:.3f}")
                 if judged < best:
-                    best, kept = judged, self._state()
-        self._restore(kept)
+                    best, retained = judged, self._state()
+        self._restore(retained)
 
     def _loss(self, part: TransitionSequence, share: float, rollouts: bool) -> Tensor:
         """The loss over a part of the batch, weighed by its share of it."""
@@ -296,9 +300,9 @@ class _Tuning:
     def _state(self) -> Any:
         return copy.deepcopy((self.networks.state_dict(), self.encoder.state_dict()))
 
-    def _restore(self, kept: Any) -> None:
-        self.networks.load_state_dict(kept[0])
-        self.encoder.load_state_dict(kept[1])
+    def _restore(self, retained: Any) -> None:
+        self.networks.load_state_dict(retained[0])
+        self.encoder.load_state_dict(retained[1])
 
 
 def _fitted(networks: AffineNetworks, encoder: HistoryNetwork, what: What) -> list[nn.Parameter]:

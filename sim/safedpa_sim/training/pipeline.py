@@ -15,7 +15,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, load_weights, save_weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.progress import Tell, read_record, silent, write_record
+from safedpa_sim.training.progress import ReportProgress, read_record, silent, write_record
 from safedpa_sim.training.stages import TrainingStage, phase_function, stages_of
 from safedpa_sim.training.weights_export import export_model
 
@@ -26,7 +26,7 @@ def run_pipeline(
     configuration: Configuration,
     out: Path,
     phases: Iterable[str] = (),
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
     device: str = "cpu",
 ) -> dict[str, dict[str, Any]]:
     """Runs the named phases, or all of the robot's, and returns their records.
@@ -46,7 +46,7 @@ def run_pipeline(
     for name in stages:
         if name in chosen:
             for stage in stages[name]:
-                records[stage.name] = _run(stage, configuration, out, tell, device)
+                records[stage.name] = _run(stage, configuration, out, report_progress, device)
     return records
 
 
@@ -57,17 +57,19 @@ def tune_on_runs(
     columns: Path | None,
     out: Path,
     what: str = "all",
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
 ) -> dict[str, Any]:
     """Tunes a weights file on recorded runs; writes ``car_learned`` with its model file, and returns the summary."""
     given = load_weights(weights)
     tune = phase_function("phase_3", "tune_on_runs")
-    tuned, summary = tune(configuration, given, runs, columns, out, tell, what)
+    tuned, summary = tune(configuration, given, runs, columns, out, report_progress, what)
     export_model(tuned, configuration.simulator, out / f"{configuration.robot}_learned.toml")
     return dict(summary)
 
 
-def _run(stage: TrainingStage, configuration: Configuration, out: Path, tell: Tell, device: str) -> dict[str, Any]:
+def _run(
+    stage: TrainingStage, configuration: Configuration, out: Path, report_progress: ReportProgress, device: str
+) -> dict[str, Any]:
     target = out / f"{stage.target.format(robot=configuration.robot)}.toml"
     given = _given(stage, configuration, out)
     digest = configuration.digest(*stage.sections)
@@ -76,7 +78,7 @@ def _run(stage: TrainingStage, configuration: Configuration, out: Path, tell: Te
     if known.get("digest") == digest and known.get("from") == made_from and _is_there(target, stage):
         return {**known, "skipped": True}
     started, used = monotonic(), process_time()
-    made, summary = stage.train(configuration, given, out, tell, device)  # type: ignore[arg-type]  # none wants none
+    made, summary = stage.train(configuration, given, out, report_progress, device)  # type: ignore[arg-type]  # none wants none
     if stage.modelled:
         export_model(made, configuration.simulator, target)
     else:
@@ -108,10 +110,12 @@ def _given(stage: TrainingStage, configuration: Configuration, out: Path) -> Wei
     for earlier in stage.needs:
         if not weights.has(earlier):
             raise InputError(f"phase {stage.name}: {path} holds no {earlier}; run the phases before it first")
-    kept = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(stage.drops)}
-    if any(name.startswith("phi.") for name in kept):
-        return Weights(kept, weights.description)
-    return Weights(kept, replace(weights.description, history=configuration.history))  # how phi is about to look back
+    retained = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(stage.drops)}
+    if any(name.startswith("phi.") for name in retained):
+        return Weights(retained, weights.description)
+    return Weights(
+        retained, replace(weights.description, history=configuration.history)
+    )  # how phi is about to look back
 
 
 def _is_there(model_file: Path, stage: TrainingStage) -> bool:

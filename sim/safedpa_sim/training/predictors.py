@@ -197,13 +197,13 @@ def spread_latents(
     Its rest becomes the mean over the first part.
     """
     with torch.no_grad():
-        said = [
+        notice = [
             predictor.encoder(part.lived.histories(part.lived.draw(count, generator), predictor.history))
             for part in data
         ]
-        low, high = torch.cat(said).amin(0), torch.cat(said).amax(0)
+        low, high = torch.cat(notice).amin(0), torch.cat(notice).amax(0)
         beyond = _BEYOND * (high - low)
         lowest = (low - beyond).clamp_max(0.0)
         predictor.networks.latent_low.copy_(lowest)
         predictor.networks.latent_high.copy_(torch.maximum(high + beyond, -lowest / 3.0))
-        predictor.networks.latent_nominal.copy_(said[0].mean(0))
+        predictor.networks.latent_nominal.copy_(notice[0].mean(0))

@@ -10,9 +10,9 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa.records.writers.tables import atomic_path
 
-__all__ = ["RECORD", "Tell", "read_record", "silent", "write_record"]
+__all__ = ["RECORD", "ReportProgress", "read_record", "silent", "write_record"]
 
-Tell = Callable[[str, int, int, str], None]
+ReportProgress = Callable[[str, int, int, str], None]
 """tell(phase, done, everything, note): the note is a few words, such as the loss."""
 
 RECORD = "progress.json"

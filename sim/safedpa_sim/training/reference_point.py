@@ -20,7 +20,7 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 
-__all__ = ["ReferencePoint", "weights_told_of_axle"]
+__all__ = ["ReferencePoint", "weights_reported_of_axle"]
 
 Tensor = torch.Tensor
 _YAW: Final = 2
@@ -64,7 +64,7 @@ class ReferencePoint:
         return torch.stack(torch.broadcast_tensors(*moved), -1)  # type: ignore[no-untyped-call]
 
 
-def weights_told_of_axle(weights: Weights, ahead: float) -> Weights:
+def weights_reported_of_axle(weights: Weights, ahead: float) -> Weights:
     """Weights that say of the rear axle what these say of the point ``ahead`` metres in front of it.
 
     Within one period the car turns by a small angle u, and in its own frame the axle moves by

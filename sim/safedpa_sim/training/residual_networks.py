@@ -43,7 +43,7 @@ from safedpa_sim.training.predictors import (
     open_loop_errors,
     spread_latents,
 )
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import HORIZON, TuningDrive, split
 
@@ -64,7 +64,7 @@ _SAMPLES: Final = 3000
 _SMALLEST: Final = 1e-6
 _FREE: Final = 1e6
 """Of a latent whose range is not known yet."""
-_KEPT: Final = (
+_RETAINED: Final = (
     "feature_middle", "feature_scale", "action_middle", "action_scale", "environment_middle", "environment_scale",
 )  # fmt: skip
 
@@ -95,9 +95,9 @@ class ResidualTuning:
                 raise InputError(f"{name}: got {getattr(self, name)}, wanted at least 1")
 
 
-def residual_predictor(configuration: Configuration, mended: PhysicsModel, weights: Weights) -> ResidualPredictor:
+def residual_predictor(configuration: Configuration, corrected: PhysicsModel, weights: Weights) -> ResidualPredictor:
     """Residual networks out of a weights file, on the physics that they were learned on."""
-    cars = BatchedCars(replace(configuration, simulator=mended))
+    cars = BatchedCars(replace(configuration, simulator=corrected))
     return ResidualPredictor(cars, affine_networks(weights), history_network(weights), weights.description.history)
 
 
@@ -108,13 +108,13 @@ def residual_weights(predictor: ResidualPredictor, lender: Weights) -> Weights:
 
 
 def untrained_residual(
-    configuration: Configuration, mended: PhysicsModel, weights: Weights, tuning: ResidualTuning | None = None
+    configuration: Configuration, corrected: PhysicsModel, weights: Weights, tuning: ResidualTuning | None = None
 ) -> ResidualPredictor:
     """Residual networks whose last layers say 0, with the scales of ``weights``: physics alone."""
     tuning = ResidualTuning() if tuning is None else tuning
     known, described = affine_networks(weights), weights.description
     sizes = known.sizes
-    vectors = {name: getattr(known, name) for name in (*_KEPT, "increment_scale")}
+    vectors = {name: getattr(known, name) for name in (*_RETAINED, "increment_scale")}
     free = torch.full((tuning.latents,), _FREE)
     vectors.update(latent_low=-free, latent_high=free, latent_nominal=torch.zeros(tuning.latents))
     with torch.random.fork_rng(devices=[]):
@@ -127,24 +127,24 @@ def untrained_residual(
             last: Any = network[-1]
             last.weight.zero_()
             last.bias.zero_()
-    cars = BatchedCars(replace(configuration, simulator=mended))
+    cars = BatchedCars(replace(configuration, simulator=corrected))
     return ResidualPredictor(cars, networks, encoder, described.history)
 
 
 def learn_residual(
     configuration: Configuration,
-    mended: PhysicsModel,
+    corrected: PhysicsModel,
     weights: Weights,
     drives: Sequence[TuningDrive],
     tuning: ResidualTuning | None = None,
-    tell: Tell = silent,
+    report_progress: ReportProgress = silent,
 ) -> ResidualPredictor:
     """Residual networks, fitted to four fifths of the drives and to simulated ones; the best state by the rest of both.
 
     ``weights`` lends its scales, history and robot. Raises InputError where the drives leave nothing to hold out.
     """
     tuning = ResidualTuning() if tuning is None else tuning
-    predictor = untrained_residual(configuration, mended, weights, tuning)
+    predictor = untrained_residual(configuration, corrected, weights, tuning)
     generator = torch.Generator().manual_seed(tuning.seed)
     lived = [lived_of(predictor.networks, part) for part in split(drives, predictor.history)]
     for count in (tuning.cars, max(1, tuning.cars // 10)):
@@ -154,7 +154,9 @@ def learn_residual(
     scale = predictor.networks.increment_scale.clone()
     recorded, held_out, simulated, judge = _scaled(predictor, lived)
     training = _ResidualTraining(predictor, scale, tuning, generator)
-    training.learn([(recorded, tuning.recorded), (simulated, 1.0 - tuning.recorded)], [held_out, judge], tell)
+    training.learn(
+        [(recorded, tuning.recorded), (simulated, 1.0 - tuning.recorded)], [held_out, judge], report_progress
+    )
     spread_latents(predictor, [recorded, simulated], generator, _SAMPLES)
     return predictor
 
@@ -188,13 +190,16 @@ class _ResidualTraining:
     generator: torch.Generator
 
     def learn(
-        self, parts: Sequence[tuple[PredictorDrives, float]], judges: Sequence[PredictorDrives], tell: Tell
+        self,
+        parts: Sequence[tuple[PredictorDrives, float]],
+        judges: Sequence[PredictorDrives],
+        report_progress: ReportProgress,
     ) -> None:
         """Adam; ends with the state whose error on the judges was least."""
         tuning, networks, encoder = self.tuning, self.predictor.networks, self.predictor.encoder
         fitted = [*networks.f.parameters(), *networks.g.parameters(), *encoder.parameters()]
         optimiser = torch.optim.Adam(fitted, tuning.learning_rate)
-        best, kept = math.inf, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
+        best, retained = math.inf, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
         every = max(1, tuning.updates // 10)
         for done in range(tuning.updates):
             for group in optimiser.param_groups:
@@ -207,11 +212,11 @@ class _ResidualTraining:
             optimiser.step()
             if (done + 1) % every == 0 or done + 1 == tuning.updates:
                 judged = judged_error(self.predictor, judges, self.scale)
-                tell("residual", done + 1, tuning.updates, f"held-out error {judged:.4f}")
+                report_progress("residual", done + 1, tuning.updates, f"held-out error {judged:.4f}")
                 if judged < best:
-                    best, kept = judged, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
-        networks.load_state_dict(kept[0])
-        encoder.load_state_dict(kept[1])
+                    best, retained = judged, copy.deepcopy((networks.state_dict(), encoder.state_dict()))
+        networks.load_state_dict(retained[0])
+        encoder.load_state_dict(retained[1])
 
     def _loss(self, part: PredictorDrives, share: float, *, far: bool) -> Tensor:
         tuning = self.tuning

@@ -27,7 +27,7 @@ from safedpa_sim.training.explained_motion import evaluate, explained
 from safedpa_sim.training.histories import TransitionSequence, joined, transition_sequence
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes, HistoryNetwork, tensors_of
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.progress import ReportProgress, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import Transitions
 from safedpa_sim.training.weights_export import normalise_latent
@@ -51,11 +51,15 @@ _FASTER: Final = 5.0
 """Than phase 1a: at its rate the wind along the heading, a product of z and magnetometer, is not found in time."""
 _FELT: Final = 0.03
 """Weight of the accelerometer's entries: half of what it reads to the side is no f + g a, and drowns the rest."""
-_TOLD: Final = 50
+_REPORTED: Final = 50
 
 
 def train_sensed(
-    configuration: Configuration, given: Weights | None, out: Path, tell: Tell = silent, device: str = "cpu"
+    configuration: Configuration,
+    given: Weights | None,
+    out: Path,
+    report_progress: ReportProgress = silent,
+    device: str = "cpu",
 ) -> tuple[Weights, dict[str, Any]]:
     """The weights of mu, f, g and phi, by the sections ``phase_1a`` and ``phase_2`` of a configuration.
 
@@ -67,12 +71,12 @@ def train_sensed(
     training_device(device)
     cars = BatchedCars(configuration)
     networks = _networks(cars, configuration)
-    _learn_steps(networks, cars, configuration, tell)
+    _learn_steps(networks, cars, configuration, report_progress)
     normalise_latent(networks, cars, _seed(configuration, "latents"))
     networks.requires_grad_(False)
-    encoder, told = _learn_histories(networks, cars, configuration, tell)
+    encoder, reported = _learn_histories(networks, cars, configuration, report_progress)
     held_out = draw_sensed(cars, _SAMPLES, cars.generator(_seed(configuration, "held_out")))
-    summary: dict[str, Any] = {"entries": list(ENTRIES), **evaluate(networks, held_out), **told}
+    summary: dict[str, Any] = {"entries": list(ENTRIES), **evaluate(networks, held_out), **reported}
     moved = held_out.increment.var(0) > 0.0
     summary["explained"] = [
         share if moves else None for share, moves in zip(summary["explained"], moved.tolist(), strict=True)
@@ -155,7 +159,9 @@ def _falling(first: float, last: float, share: float) -> float:
     return last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
-def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell) -> None:
+def _learn_steps(
+    networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, report_progress: ReportProgress
+) -> None:
     phase, pairs = configuration.phase_1a, configuration.phase_1a.pairs
     batch = max(1, phase.batch // _SMALLER)
     weights = torch.ones(len(ENTRIES))
@@ -170,8 +176,8 @@ def _learn_steps(networks: AffineNetworks, cars: BatchedCars, configuration: Con
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        if step % _TOLD == 0:
-            tell("17", step * batch, pairs, f"loss {float(loss.detach()):.2e}")
+        if step % _REPORTED == 0:
+            report_progress("17", step * batch, pairs, f"loss {float(loss.detach()):.2e}")
 
 
 def _batches(cars: BatchedCars, batch: int, steps: int, generator: torch.Generator) -> Iterator[Transitions]:
@@ -183,13 +189,13 @@ def _batches(cars: BatchedCars, batch: int, steps: int, generator: torch.Generat
 
 
 def _learn_histories(
-    networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, tell: Tell
+    networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, report_progress: ReportProgress
 ) -> tuple[HistoryNetwork, dict[str, Any]]:
     """phi, and the share of mu's variance that it explains on fresh drives, where the history is full."""
     phase, history = configuration.phase_2, configuration.history
     random = np.random.default_rng(_seed(configuration, "drives"))
     generator = cars.generator(_seed(configuration, "histories"))
-    known = joined([_drives(networks, cars, configuration, random) for _ in range(min(phase.rounds, phase.kept))])
+    known = joined([_drives(networks, cars, configuration, random) for _ in range(min(phase.rounds, phase.retained))])
     spread = known.latents.std(0).clamp_min(1e-3)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.seed)
@@ -205,8 +211,8 @@ def _learn_histories(
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        if update % _TOLD == 0:
-            tell("17 phi", update, updates, f"loss {float(loss.detach()):.3f}")
+        if update % _REPORTED == 0:
+            report_progress("17 phi", update, updates, f"loss {float(loss.detach()):.3f}")
     fresh = _drives(networks, cars, configuration, random)
     index = fresh.draw(min(_SAMPLES, len(fresh.rows)), generator, before=history)
     with torch.inference_mode():
@@ -228,8 +234,8 @@ def _drives(
     steered, control = np.arange(count) < count // 2, np.zeros((2, count))
     seen, done, winds = [without_goal(sensed(simulation, control, nowhere))], [], []
     for _ in range(phase.steps):
-        anew = random.random(count) < _HELD
-        nominal[anew] = random.uniform(-1.0, 1.0, (int(anew.sum()), 2)) * random.choice((0.0, 0.3, 1.0), (1, 2))
+        again = random.random(count) < _HELD
+        nominal[again] = random.uniform(-1.0, 1.0, (int(again.sum()), 2)) * random.choice((0.0, 0.3, 1.0), (1, 2))
         turned = random.random(count) < phase.change
         wind[:, turned] = random.uniform(*along, int(turned.sum())), random.uniform(*across, int(turned.sum()))
         simulation.force[:] = POINT_BODY.mass * wind

@@ -14,14 +14,14 @@ from safedpa.networks import Weights, load_weights
 from safedpa.networks.frame import frame_of
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.progress import Tell, read_record
+from safedpa_sim.training.progress import ReportProgress, read_record
 
 __all__ = ["Trained", "TrainingStage", "phase_function", "stages_of"]
 
 Trained = tuple[Weights, dict[str, Any]]
 """Weights, and what is worth recording."""
 
-Train = Callable[[Configuration, Weights, Path, Tell, str], Trained]
+Train = Callable[[Configuration, Weights, Path, ReportProgress, str], Trained]
 
 
 @final
@@ -67,8 +67,10 @@ def phase_function(module: str, name: str) -> Callable[..., Any]:
 
 
 def _affine(variant: str, alone: Mapping[str, float] | None = None) -> Train:
-    def train(configuration: Configuration, _given: Weights | None, out: Path, tell: Tell, device: str) -> Trained:
-        return train_affine(configuration, out, tell, device, variant, alone)
+    def train(
+        configuration: Configuration, _given: Weights | None, out: Path, report_progress: ReportProgress, device: str
+    ) -> Trained:
+        return train_affine(configuration, out, report_progress, device, variant, alone)
 
     return train
 
@@ -81,10 +83,12 @@ def _later(module: str, function: str, **options: Any) -> Train:
     return train
 
 
-def _penalised(configuration: Configuration, given: Weights, out: Path, tell: Tell, device: str) -> Trained:
+def _penalised(
+    configuration: Configuration, given: Weights, out: Path, report_progress: ReportProgress, device: str
+) -> Trained:
     """RMA-P: a policy that is punished for contacts in training, in place of a filter."""
     train = _later("phase_1b", "train_policy", name="rma_p", penalty=configuration.ablations.penalty, sheltered=False)
-    return train(configuration, given, out, tell, device)
+    return train(configuration, given, out, report_progress, device)
 
 
 _SIMULATED, _LEARNED = "{robot}_simulated", "{robot}_learned"
@@ -150,14 +154,18 @@ def _grid(penalties: tuple[float, ...]) -> tuple[TrainingStage, ...]:
 def _best_of(members: tuple[TrainingStage, ...]) -> Train:
     """The member of the highest score on development drives, and a history encoder taught on its drives."""
 
-    def train(configuration: Configuration, given: Weights, out: Path, tell: Tell, device: str) -> Trained:
+    def train(
+        configuration: Configuration, given: Weights, out: Path, report_progress: ReportProgress, device: str
+    ) -> Trained:
         del given
         record = read_record(out)
         scores = {stage.name: float(record[stage.name]["score"]) for stage in members}
         best = max(scores, key=lambda name: scores[name])
         weights = load_weights(out / record[best]["file"])
-        made, told = _later("phase_2", "train_history_encoder")(configuration, weights, out, tell, device)
-        return made, {**told, "chosen": best, "scores": scores}
+        made, reported = _later("phase_2", "train_history_encoder")(
+            configuration, weights, out, report_progress, device
+        )
+        return made, {**reported, "chosen": best, "scores": scores}
 
     return train
 

@@ -147,8 +147,8 @@ def split(drives: Sequence[TuningDrive], history: int) -> tuple[list[TuningDrive
     Raises InputError when a single drive is too short to be divided.
     """
     if len(drives) > 1:
-        kept = max(1, min(len(drives) - 1, round((1.0 - _HELD_OUT) * len(drives))))
-        return list(drives[:kept]), list(drives[kept:])
+        retained = max(1, min(len(drives) - 1, round((1.0 - _HELD_OUT) * len(drives))))
+        return list(drives[:retained]), list(drives[retained:])
     states, actions = drives[0]
     needed = history + HORIZON
     last = max(needed, round(_HELD_OUT * len(actions)))

@@ -3,7 +3,7 @@
 import pytest
 from tests.lab.adversary.problems import plane, verdict
 
-from safedpa_lab.experiments.adversary.mirrors import _beside
+from safedpa_lab.experiments.adversary.mirrors import _alongside
 
 
 @pytest.mark.parametrize(
@@ -18,6 +18,6 @@ def test_two_answers_are_apart_by_the_root_of_the_weight(
     """Weights of 1 and 4, of which the largest counts as one: 0.25 and 1; ranges of 2."""
     problem = plane(1.0, 1.0, weights=(1.0, 4.0))
     one, other = verdict(statuses[0], (0.0, 0.0)), verdict(statuses[1], action)
-    found = _beside("a", 1, problem, one, other, lambda value: value)
+    found = _alongside("a", 1, problem, one, other, lambda value: value)
     assert found.apart == pytest.approx(apart)
     assert found.same is same

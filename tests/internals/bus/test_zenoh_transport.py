@@ -27,16 +27,16 @@ def test_a_plain_text_port_that_was_asked_for_is_guarded(
     settings: ZenohSettings, opened: set[int], guarded: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At all its ports the kernel holds back silent connections; ports of other sessions of the process are left."""
-    others, deferred, kept = {7000}, list[set[int]](), list[set[int]]()
+    others, deferred, retained = {7000}, list[set[int]](), list[set[int]]()
     ports = iter([others, others | opened])
     monkeypatch.setattr(module, "zenoh_session_configuration", lambda _: None)
     monkeypatch.setattr(module, "open_session", lambda _: SimpleNamespace())
     monkeypatch.setattr(module, "listening_ports", lambda: next(ports))
     monkeypatch.setattr(module, "defer_accept", deferred.append)
-    monkeypatch.setattr(module, "ConnectionReaper", lambda found, _: kept.append(found))
+    monkeypatch.setattr(module, "ConnectionReaper", lambda found, _: retained.append(found))
     ZenohTransport(settings)
     assert deferred == [opened]
-    assert kept == ([opened] if guarded else [])
+    assert retained == ([opened] if guarded else [])
 
 
 LINKS = {

@@ -24,8 +24,8 @@ class Interface:
     """Of hatchling's hook as much as is used, where hatchling is not installed."""
 
     def __init__(self, root: Path, **config: Any) -> None:
-        self.root, self.config, self.said = str(root), config, []
-        self.app = types.SimpleNamespace(display_info=self.said.append, display_warning=self.said.append)
+        self.root, self.config, self.notice = str(root), config, []
+        self.app = types.SimpleNamespace(display_info=self.notice.append, display_warning=self.notice.append)
 
     def __class_getitem__(cls, item: object) -> type[Interface]:
         return cls
@@ -68,7 +68,7 @@ def test_some_wheels_are_never_compiled(
     monkeypatch.setattr(build.subprocess, "run", lambda *_, **__: pytest.fail("compiles"))
     one, data = hook(build), blank()
     one.initialize(version, data)
-    assert (data, one.said) == (blank(), [])
+    assert (data, one.notice) == (blank(), [])
     assert wanted != "0" or one.dependencies() == []
 
 
@@ -81,7 +81,7 @@ def test_without_a_compiler_the_wheel_is_of_source_with_a_warning(
     assert one.dependencies() == []
     one.initialize("standard", data)
     assert data == blank()
-    assert one.said == ["safedpa: a wheel of Python source: not compiled: no C compiler"]
+    assert one.notice == ["safedpa: a wheel of Python source: not compiled: no C compiler"]
     monkeypatch.setenv("SAFEDPA_COMPILE", "1")
     with pytest.raises(RuntimeError, match="no C compiler; set SAFEDPA_COMPILE=0"):
         hook(build).initialize("standard", blank())
@@ -110,6 +110,6 @@ def test_what_comes_out_goes_into_the_wheel_and_nothing_half_done(
         assert (data["pure_python"], data["infer_tag"]) == (False, True)
     else:
         assert data == blank()
-        assert one.said == ["safedpa: a wheel of Python source: not compiled: mypyc: last words"]
+        assert one.notice == ["safedpa: a wheel of Python source: not compiled: mypyc: last words"]
     one.finalize("standard", data, "")
     assert not one._work.exists()

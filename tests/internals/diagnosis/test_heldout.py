@@ -71,8 +71,8 @@ def test_each_run_is_predicted_by_the_numbers_found_without_it() -> None:
     np.testing.assert_allclose(found.by_run_and_state, wanted, rtol=1e-6)
     np.testing.assert_allclose(found.by_run, wanted.mean(axis=1), rtol=1e-6)
     np.testing.assert_allclose(found.by_fold, found.by_run)
-    kept = np.sort(offsets)[: len(offsets) - len(offsets) // 20]
-    per_state = np.sqrt((kept**2).mean()) * np.array([0.01, 0.02]) / scale
+    retained = np.sort(offsets)[: len(offsets) - len(offsets) // 20]
+    per_state = np.sqrt((retained**2).mean()) * np.array([0.01, 0.02]) / scale
     np.testing.assert_allclose(found.per_state, per_state, rtol=1e-6)
     assert found.value == pytest.approx(per_state.mean(), rel=1e-6)
     assert found.standard_error == pytest.approx(found.by_fold.std(ddof=1) / np.sqrt(3.0))

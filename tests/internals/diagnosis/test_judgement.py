@@ -156,7 +156,7 @@ def test_while_a_quarter_is_missing_a_trial_that_takes_15_percent_more_off_comes
 
 
 @pytest.mark.parametrize(
-    ("free", "paths", "value", "told"),
+    ("free", "paths", "value", "reported"),
     [
         ([False, True, True], ["x"], 0.1, True),  # the base's own number may be at its bound
         ([False, True, True], [], 0.1, False), ([True, False, True], ["x"], 0.1, False),
@@ -164,11 +164,11 @@ def test_while_a_quarter_is_missing_a_trial_that_takes_15_percent_more_off_comes
     ],
 )  # fmt: skip
 def test_an_effect_at_a_bound_is_refused_unless_half_is_missing(
-    free: list[bool], paths: list[str], value: float, told: bool
+    free: list[bool], paths: list[str], value: float, reported: bool
 ) -> None:
     pushed = trial("a", paths=3)
     pushed.fit.free[:] = free
-    assert within_bounds(pushed, searching(value=value, paths=paths)) is told
+    assert within_bounds(pushed, searching(value=value, paths=paths)) is reported
 
 
 def test_the_plainest_trial_explains_the_same_with_the_fewest_numbers() -> None:

@@ -115,7 +115,7 @@ GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0
 
 
 @pytest.mark.parametrize(
-    ("changes", "kept"),
+    ("changes", "retained"),
     [
         ({}, True), ({"reached": 0.35}, False),  # what followed takes off too little
         ({"sure": 2.0}, False),  # or blocks are not sure of it all
@@ -126,7 +126,7 @@ GOOD = {"gain": 2.9, "fall": 0.05, "missing": 0.39, "reached": 0.20, "sure": 5.0
     ],
 )  # fmt: skip
 def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follows_makes_it_good(
-    changes: dict[str, Any], kept: bool, monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any], retained: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case: dict[str, Any] = {"names": ("one", "two"), "patch": None, "before": None} | GOOD | changes
     before = case["before"] or case["missing"]
@@ -151,17 +151,17 @@ def test_while_much_is_missing_one_step_that_does_not_pass_is_kept_if_what_follo
     after = error((1.0 - case["fall"]) * before)
     search.candidates = [JudgedTrial(0, trial, case["gain"], after, "rejected", "too little", (), before)]
     searching._additions(search, [], NOTHING, lambda *_: None, lambda: ())
-    assert search.added == (["viscous_drag"] if kept else [])
-    assert search.error.value == (case["reached"] if kept else case["missing"])
-    assert search.candidates[0].decision == ("accepted" if kept else "rejected")
+    assert search.added == (["viscous_drag"] if retained else [])
+    assert search.error.value == (case["reached"] if retained else case["missing"])
+    assert search.candidates[0].decision == ("accepted" if retained else "rejected")
 
 
 @pytest.mark.parametrize(
-    ("gain", "loss", "most_runs", "kept"),
+    ("gain", "loss", "most_runs", "retained"),
     [(9.0, -2.0, True, True), (0.5, -2.0, True, False), (9.0, -1.0, True, False), (9.0, -2.0, False, False)],
 )
 def test_a_place_needs_unseen_blocks_a_lower_error_and_most_runs(
-    gain: float, loss: float, most_runs: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
+    gain: float, loss: float, most_runs: bool, retained: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = SimpleNamespace(gain=gain, trial=SimpleNamespace(loss=loss))
     monkeypatch.setattr(regions, "share_one_area", lambda _: True)
@@ -172,7 +172,7 @@ def test_a_place_needs_unseen_blocks_a_lower_error_and_most_runs(
     system = SimpleNamespace(name="car", state_names=("x", "y", "yaw", "speed"))
     windows = type("Windows", (), {"system": system, "__len__": lambda _: 40})()
     shooting: Any = SimpleNamespace(windows=windows, measured=np.zeros((40, 5, 4)))
-    assert regions.best_region(SimpleNamespace(loss=-1.0), shooting) is (found if kept else None)  # type: ignore[arg-type]
+    assert regions.best_region(SimpleNamespace(loss=-1.0), shooting) is (found if retained else None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -228,8 +228,8 @@ def test_a_step_explains_the_rest_by_a_formula_if_no_effect_passes(
 
 
 def law(name: str, lacking: str = "") -> Any:
-    said = {key: key != lacking for key in ("passes", "runs", "rows", "law")}
-    return SimpleNamespace(name=name, fit=SimpleNamespace(free=np.array([True, lacking != "free"])), said=said)
+    notice = {key: key != lacking for key in ("passes", "runs", "rows", "law")}
+    return SimpleNamespace(name=name, fit=SimpleNamespace(free=np.array([True, lacking != "free"])), notice=notice)
 
 
 @pytest.mark.parametrize("lacking", ["passes", "runs", "rows", "law", "free"])
@@ -238,7 +238,7 @@ def test_a_law_must_pass_in_most_runs_in_some_rows_beyond_itself_and_within_its_
 ) -> None:
     checks = {"_passes": "passes", "_in_most_runs": "runs", "_of_some_rows": "rows", "_more_than_its_law": "law"}
     for function, key in checks.items():
-        monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.said[key])
+        monkeypatch.setattr(conditional, function, lambda one, *_, key=key: one.notice[key])
     monkeypatch.setattr(conditional, "_fewest", lambda passing, _: [one.name for one in passing])
     doubtful = law("doubtful", lacking)
     assert conditional._chosen(NOTHING, [doubtful, law("sound")], NOTHING) == ["sound"]

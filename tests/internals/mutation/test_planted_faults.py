@@ -60,7 +60,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _found_beside_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def _found_alongside_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The runs that it starts are of small tests that need no plugin: to import those takes longer than all else."""
     monkeypatch.syspath_prepend(MUTATION)
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
@@ -240,8 +240,8 @@ def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -
     elsewhere = Fault("", of_a_margin.path, 0, "widest", "count += 1", "pass", first, first + 10)
     assert copy.tried(elsewhere, tests, 60.0).result == "unreached"
     assert copy.tried(of_a_margin, [], 60.0).result == "unreached"  # the whole suite is not near
-    kept = (tmp_path / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
-    assert kept == (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
+    retained = (tmp_path / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
+    assert retained == (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.long

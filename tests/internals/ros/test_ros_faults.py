@@ -8,11 +8,11 @@ from safedpa_lab.experiments.ros_faults import _judged
 @pytest.mark.parametrize(
     ("mark", "collisions", "held"),
     [
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 0, True),
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 1, False),
-        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": None}, 0, False),
-        ({"said": ["r1: something else"], "stood_after": 0.5}, 0, False),
-        ({"said": [], "stood_after": 0.5}, 0, False),
+        ({"notice": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 0, True),
+        ({"notice": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 1, False),
+        ({"notice": ["r1: gateway: the gateway brakes: no action"], "stood_after": None}, 0, False),
+        ({"notice": ["r1: something else"], "stood_after": 0.5}, 0, False),
+        ({"notice": [], "stood_after": 0.5}, 0, False),
     ],
 )
 def test_a_fault_is_held_where_the_car_stops_without_a_collision_and_the_right_part_reports_it(

@@ -25,7 +25,7 @@ def driven(model: PhysicsModel = CAR, ticks: int = 1, action: tuple[float, float
     return node._robots["r"]
 
 
-def told(memory: RobotSession) -> tuple[float, ...]:
+def reported(memory: RobotSession) -> tuple[float, ...]:
     assert memory.decision is not None
     return tuple(memory.decision.verdict.action.tolist())
 

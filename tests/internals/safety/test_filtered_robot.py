@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.internals.safety.robot_memory import driven, told, verdict_of
+from tests.internals.safety.robot_memory import driven, reported, verdict_of
 from tests.safety.node_steps import ABSENT, CAR, LATE, SETTINGS, latent_at, stamp, state_at
 
 from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
@@ -64,7 +64,7 @@ def test_a_scene_that_sensors_see_is_another_one_with_each_tick(
     assert memory.decision is not None
     memory.decision = memory.decision._replace(state=replace(memory.decision.state, sources=before))
     calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
-    memory.watch_margin(state_at(1, applied=told(memory), sources=now))
+    memory.watch_margin(state_at(1, applied=reported(memory), sources=now))
     assert [call["same_scene"] for call in calls] == [not before and not now]
 
 
@@ -79,7 +79,7 @@ def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
     delayed_prediction = object()
     monkeypatch.setattr(CommandHistory, "foretold", lambda *_: delayed_prediction)
     calls = kept_calls(monkeypatch, OnlineMarginMonitor, "observe")
-    memory.watch_margin(state_at(1, applied=told(memory), applied_by=applied_by))
+    memory.watch_margin(state_at(1, applied=reported(memory), applied_by=applied_by))
     assert [call["late"] for call in calls] == [delayed_prediction if late else None]
 
 
@@ -151,14 +151,14 @@ def test_a_model_that_refuses_its_dead_time_has_none(monkeypatch: pytest.MonkeyP
 def test_where_nothing_was_expected_the_command_is_felt_all_the_same() -> None:
     memory = driven(LATE)
     before, memory.expected_memory = memory.memory, None
-    memory.sync_actuators(state_at(1, applied=told(memory)))
-    assert memory.memory == LATE.felt(told(memory), before, period=0.05)[1]
+    memory.sync_actuators(state_at(1, applied=reported(memory)))
+    assert memory.memory == LATE.felt(reported(memory), before, period=0.05)[1]
 
 
 def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_force() -> None:
     former = driven(LATE, ticks=4)
-    state = state_at(4, applied=told(former))
-    oldest, *sent = former.trail.commands(4, state.applied) or ()
+    state = state_at(4, applied=reported(former))
+    oldest, *sent = former.history.commands(4, state.applied) or ()
     assert sent, "several commands are on their way"
     wanted = LATE.initial_memory(np.array(oldest))
     for command in sent:
@@ -184,7 +184,7 @@ def test_a_delay_is_looked_for_where_the_robot_obeyed_the_filter(
     passed = SimpleNamespace(stood=lambda speeds: stood and speeds == (3,))
     monkeypatch.setattr(CommandHistory, "passed", lambda *_: passed)
     calls = kept_calls(monkeypatch, DelayEstimator, "observe")
-    memory._watch_delay(state_at(1, applied=told(memory), applied_by=applied_by, sources=sources), CAR.latent)
+    memory._watch_delay(state_at(1, applied=reported(memory), applied_by=applied_by, sources=sources), CAR.latent)
     assert calls == ([passed] if learns else [])
 
 
@@ -245,7 +245,7 @@ def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_act
 
     monkeypatch.setattr(CommandHistory, "expected", expected)
     verdict, known = verdict_of(memory), None if latent is None else tuple(latent.tolist())
-    rows, after = memory.predicted(state_at(2, applied=told(memory)), verdict, latent)
+    rows, after = memory.predicted(state_at(2, applied=reported(memory)), verdict, latent)
     action = tuple(verdict.action.tolist())
     assert asked_with == [(action, known, 1)]
     assert rows == ((1.0, 1.0, 1.0, 1.0),)

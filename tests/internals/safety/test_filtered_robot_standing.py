@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.internals.safety.robot_memory import decided_of, driven, told, verdict_of
+from tests.internals.safety.robot_memory import decided_of, driven, reported, verdict_of
 from tests.safety.node_steps import CAR, SETTINGS, state_at
 
 from safedpa.dynamics import PhysicsModel, Setting
@@ -57,12 +57,12 @@ def test_a_robot_without_a_nominal_action_or_without_a_prediction_is_not_standin
     assert memory.decision is not None
     verdict = verdict_of(memory, status=Status.corrected, nominal=np.array(nominal))
     memory.decision = memory.decision._replace(verdict=verdict)
-    said = list[str]()
-    memory.standing.promise = lambda *_: said.append("promise")
-    memory.standing.interrupted = lambda: said.append("interrupted")
+    notice = list[str]()
+    memory.standing.promise = lambda *_: notice.append("promise")
+    memory.standing.interrupted = lambda: notice.append("interrupted")
     memory._next = lambda *_: ((0.1, 0.0, 0.0, 0.5),) if known else ()
     memory.watch_standing(state_at(0), ((0.3, 0.0, 0.0, 0.5),))
-    assert said == ["interrupted" if interrupted else "promise"]
+    assert notice == ["interrupted" if interrupted else "promise"]
 
 
 @pytest.mark.parametrize(
@@ -105,10 +105,10 @@ def test_a_correction_that_leads_further_than_what_failed_is_tried(failed: float
 
 @pytest.mark.parametrize(("h_now", "binds"), [(1.0, False), (0.999, True), (1.001, False)])
 def test_a_margin_binds_where_less_is_left_than_it_asks_for(h_now: float, binds: bool) -> None:
-    memory, said = driven(), list[Any]()
-    memory.standing.reason = lambda *known: said.append(known) or "why"
+    memory, notice = driven(), list[Any]()
+    memory.standing.reason = lambda *known: notice.append(known) or "why"
     assert memory.stationary_reason(verdict_of(memory, h_now=h_now, margin=SETTINGS.eta)) == "why"
-    assert [known[2] for known in said] == [binds]
+    assert [known[2] for known in notice] == [binds]
 
 
 @pytest.mark.parametrize("straight", [True, False])
@@ -153,7 +153,7 @@ def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
 ) -> None:
     """Nobody can change what happens before the action acts: the car drives at the obstacle until then."""
     memory = driven(CAR, ticks=3)
-    state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=told(memory), until_action=0.12)
+    state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=reported(memory), until_action=0.12)
     memory.observe_state(state)
     begin = memory.filter.tools.prediction.begin(state.values, tuple(CAR.latent.tolist()), memory.pending)
     assert begin is not None
@@ -173,7 +173,7 @@ def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
     assert memory.out_of_the_layer(state, verdict, CAR.latent).h_next == pytest.approx(min(heights) - 1.0)
 
 
-def told_to_the_way_out(robot: RobotSession, monkeypatch: pytest.MonkeyPatch) -> TickContext:
+def reported_to_the_escape(robot: RobotSession, monkeypatch: pytest.MonkeyPatch) -> TickContext:
     given = list[TickContext]()
 
     def instead_of(_: Any, verdict: Verdict, here: TickContext, __: float) -> Verdict:
@@ -191,7 +191,7 @@ def told_to_the_way_out(robot: RobotSession, monkeypatch: pytest.MonkeyPatch) ->
 def test_out_of_the_layer_leads_no_action_that_failed_to_move_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 0.5 m/s a tick of 0.05 s leads 0.025 m further; what leads nowhere that is known does not move it either."""
     robot = driven()
-    here = told_to_the_way_out(robot, monkeypatch)
+    here = reported_to_the_escape(robot, monkeypatch)
     for failed, fails in ((0.0, False), (0.024, False), (0.026, True)):
         robot.standing.failed = failed
         assert here.fails((0.5, 0.0)) is fails
@@ -207,7 +207,7 @@ def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.Mon
     first, *others = kinds
     assert others
     robot.margin = SimpleNamespace(epsilon={first: 0.25})
-    margins = told_to_the_way_out(robot, monkeypatch).margins
+    margins = reported_to_the_escape(robot, monkeypatch).margins
     assert {margins[row] for row in kinds[first]} == {0.25}
     assert {margins[row] for kind in others for row in kinds[kind]} == {0.0}
 
@@ -286,18 +286,18 @@ def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monke
 
 def test_the_dead_time_is_that_of_the_decision_before_the_newest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the newest state nothing is decided yet."""
-    trail, asked = CommandHistory(DELAYED), list[object]()
+    history, asked = CommandHistory(DELAYED), list[object]()
     memory = DELAYED.initial_memory(np.zeros(2), np.array(LATENT))
     for tick in range(9):
-        trail.add(tick, (0.05 * tick, 0.0, 0.0, 1.0), (1.0, 0.0), memory)
-        trail.decided((*LATENT[:-1], float(tick)))
+        history.add(tick, (0.05 * tick, 0.0, 0.0, 1.0), (1.0, 0.0), memory)
+        history.decided((*LATENT[:-1], float(tick)))
 
     def reach(latent: object) -> DeadTime:
         asked.append(latent)
         return DeadTime(1, 1)
 
-    monkeypatch.setattr(trail._actuators, "reach", reach)
-    assert trail.delayed_prediction(0.0) is not None
+    monkeypatch.setattr(history._actuators, "reach", reach)
+    assert history.delayed_prediction(0.0) is not None
     assert asked == [(*LATENT[:-1], 7.0)]
 
 

@@ -36,7 +36,7 @@ class Remembers:
         self.learned.append((float(state[0]), float(action[0]), float(following[0]), period))
 
 
-def told(rows: int, *stretches: Stretch) -> Run:
+def reported(rows: int, *stretches: Stretch) -> Run:
     t = 5.0 + 0.05 * np.arange(rows)
     t[4:] += 0.15
     states = 10.0 + np.arange(float(rows))[:, None]
@@ -46,7 +46,7 @@ def told(rows: int, *stretches: Stretch) -> Run:
 def test_each_transition_is_predicted_from_what_was_known_then() -> None:
     """Actuators remember along a stretch, over rows of another period too; these are neither counted nor learned."""
     model: Any = Remembers()
-    rows = list(from_runs._predictions(model, [told(8, Stretch(0, 5), Stretch(5, 8))], None))
+    rows = list(from_runs._predictions(model, [reported(8, Stretch(0, 5), Stretch(5, 8))], None))
     assert [(float(a[0]), float(b[0]), float(c[0])) for a, b, c in rows] == [
         (10.0, 10.5, 11.0), (11.0, 12.5, 12.0), (12.0, 14.5, 13.0), (15.0, 20.5, 16.0), (16.0, 22.5, 17.0),
     ]  # fmt: skip
@@ -61,7 +61,7 @@ def test_the_latent_is_learned_along_each_stretch() -> None:
     model, estimator = Remembers(), Remembers()
     estimator.latent = np.array([3.0])
     known: Any = model
-    list(from_runs._predictions(known, [told(8, Stretch(0, 5), Stretch(5, 8))], lambda: estimator))
+    list(from_runs._predictions(known, [reported(8, Stretch(0, 5), Stretch(5, 8))], lambda: estimator))
     assert {latent for _, latent, *_ in model.asked} == {3.0}
     assert estimator.learned == [(s, s - 9.5, s + 1.0, 0.05) for s in (10.0, 11.0, 12.0, 15.0, 16.0)]
 
@@ -69,5 +69,5 @@ def test_the_latent_is_learned_along_each_stretch() -> None:
 @pytest.mark.parametrize(("rows", "counted"), [(3000, 2998), (6000, 3000), (9003, 3001)])
 def test_of_many_transitions_as_many_as_tell_the_quantile_are_taken(rows: int, counted: int) -> None:
     model: Any = Remembers()
-    found = list(from_runs._predictions(model, [told(rows, Stretch(0, rows))], None))
+    found = list(from_runs._predictions(model, [reported(rows, Stretch(0, rows))], None))
     assert len(found) == pytest.approx(counted, abs=1)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.safety.scripted import GIVEN_UP, Slopes, about, outcome, solution
+from tests.safety.scripted import GIVEN_UP, Gradients, about, outcome, solution
 
 from safedpa.safety import QuadraticProgram, Solution
 from safedpa.safety.solver.constraints import ActionCandidate
@@ -33,9 +33,9 @@ class Scripted:
         self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
         self.sides = ((0.0, 9.0, 9.0),)
 
-    def linearised(self, about: ActionCandidate) -> Slopes:
+    def linearised(self, about: ActionCandidate) -> Gradients:
         self.tangents += 1
-        return Slopes()
+        return Gradients()
 
     def solve(self, A: list[list[float]], b: list[float], nominal: tuple[float, ...]) -> Solution:
         self.solved += 1
@@ -184,7 +184,7 @@ def test_kept_beats_broken_and_near_beats_far() -> None:
     assert better(broken, copy) is broken
 
 
-def solver_says(*solutions: Solution) -> tuple[ActionCandidate, str]:
+def solver_reports(*solutions: Solution) -> tuple[ActionCandidate, str]:
     """What the search makes of these solutions of a program with as many actions, from a broken start."""
     count, left = len(solutions[0].action), list(solutions)
     program: Any = QuadraticProgram(np.zeros(count), np.ones(count), np.ones(count))
@@ -206,18 +206,18 @@ def solver_says(*solutions: Solution) -> tuple[ActionCandidate, str]:
 @pytest.mark.parametrize("missed", [1e-6, 1e-3, 5.0])
 def test_a_solution_beyond_the_bounds_is_taken_at_the_bounds(missed: float) -> None:
     """However far it missed them: what counts is what the model predicts for the action itself."""
-    assert solver_says(solution(-missed, 0.5))[0].action == (0.0, 0.5)
-    assert solver_says(solution(0.5, 1.0 + missed))[0].action == (0.5, 1.0)
+    assert solver_reports(solution(-missed, 0.5))[0].action == (0.0, 0.5)
+    assert solver_reports(solution(0.5, 1.0 + missed))[0].action == (0.5, 1.0)
 
 
 @pytest.mark.parametrize("none", [np.nan, np.inf, -np.inf])
 def test_one_entry_that_is_no_number_is_enough_to_believe_none(none: float) -> None:
-    found, _ = solver_says(solution(0.5, float(none)))
+    found, _ = solver_reports(solution(0.5, float(none)))
     assert found.action == (0.0,)  # the start
 
 
 def test_a_solver_that_gives_up_leaves_what_was_found_before() -> None:
-    found, word = solver_says(GIVEN_UP)
+    found, word = solver_reports(GIVEN_UP)
     assert (found.action, found.kept, word) == ((0.0,), False, "max iter reached")
     scripted: Any = Scripted((-5.0,))
     first = scripted.solve
@@ -240,8 +240,8 @@ class Line:
         self.tried.append(action[0])
         return outcome(action[0], action[0] - self.edge)
 
-    def linearised(self, about: ActionCandidate) -> Slopes:
-        return Slopes()
+    def linearised(self, about: ActionCandidate) -> Gradients:
+        return Gradients()
 
     def tightest(self, found: ActionCandidate) -> float:
         return min(found.residual)

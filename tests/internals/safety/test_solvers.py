@@ -156,7 +156,7 @@ def test_what_it_gives_is_what_piqp_gives(
 
 @pytest.mark.parametrize("actions", [1, 2])
 def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: int) -> None:
-    random, told = np.random.default_rng(actions), 0
+    random, reported = np.random.default_rng(actions), 0
     for _ in range(200):
         low = -random.uniform(0.2, 3.0, actions)
         high = low + random.uniform(0.5, 5.0, actions)
@@ -169,9 +169,9 @@ def test_the_closed_form_gives_what_piqp_gives_with_slack_row_by_row(actions: in
         action = minimum_violation(rows, nominal.tolist(), program.sides, weights, slack) if rows else None
         if action is None:
             continue
-        told += 1
+        reported += 1
         by_solver = program._by_solver(rows, nominal.tolist(), len(b))
         reach = np.abs(A) @ program.range
         np.testing.assert_allclose(action, by_solver.action, atol=2e-5)
         np.testing.assert_allclose(slack / reach, np.array(by_solver.slack) / reach, atol=1e-6)
-    assert told > 150
+    assert reported > 150

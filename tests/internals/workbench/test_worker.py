@@ -9,12 +9,12 @@ from safedpa_services.workbench import worker
 
 
 def test_a_page_that_is_gone_ends_the_process() -> None:
-    def says(tell: Any) -> None:
-        tell(0.5)
+    def reports(report_progress: Any) -> None:
+        report_progress(0.5)
 
     def gone(_: Any) -> None:
         raise BrokenPipeError
 
     connection: Any = SimpleNamespace(send=gone)
     with pytest.raises(BrokenPipeError):
-        worker._done(says, (), connection)
+        worker._done(reports, (), connection)

@@ -35,7 +35,7 @@ def figures(rows: Sequence[Row], prefix: str = "") -> dict[str, tuple[float, int
 
 def found(attack: AbstractAttack, seed: int = 1) -> Result:
     """What the small attack finds."""
-    return attack.told([attack.work(piece) for piece in attack.pieces(seed, small=True)])
+    return attack.reported([attack.work(piece) for piece in attack.pieces(seed, small=True)])
 
 
 def measured(attack: AbstractAttack, seed: int = 1) -> dict[str, Row]:

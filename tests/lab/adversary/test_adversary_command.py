@@ -67,7 +67,7 @@ def test_finished_attacks_are_kept_if_a_run_is_interrupted(tmp_path, monkeypatch
     def ended(self, answers):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Programs, "told", ended)
+    monkeypatch.setattr(Programs, "reported", ended)
     names = ("--only", "inputs", "--only", "programs")
     assert run(*names, "--small", "--seed", 4, "--workers", 1, "--out", tmp_path) != 0
     found = json.loads((tmp_path / "adversary.json").read_text())
@@ -96,9 +96,14 @@ def test_findings_do_not_change_the_exit_code(monkeypatch, capsys):
 
 
 def test_progress_is_reported_piece_by_piece():
-    told = []
-    adversary(attacks_named(["car"]), 0, small=True, tell=lambda done, everything: told.append((done, everything)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    reported = []
+    adversary(
+        attacks_named(["car"]),
+        0,
+        small=True,
+        report_progress=lambda done, everything: reported.append((done, everything)),
+    )
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_a_page_says_which_figures_held():

@@ -403,17 +403,17 @@ def test_silent_and_announced_unsafe_actions_are_counted_apart(scripted):
              "for i, p in enumerate(problems)]))")  # fmt: skip
     found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))
     unsaid = found["planted, at scale 1: unsafe action, and not a word"].measured
-    said = found["planted, at scale 1: unsafe action, and said so"].measured
+    notice = found["planted, at scale 1: unsafe action, and said so"].measured
     assert unsaid > 5
-    assert said > 5
-    assert unsaid + said <= 20
+    assert notice > 5
+    assert unsaid + notice <= 20
     assert found["planted, at scale 1: no action at all"].measured == 0
 
 
 def test_the_answers_of_the_reference_are_safe(scripted, monkeypatch):
     problems = peer_problems(3, 20, False)
     best = [LinearJudge(problem).nearest() for problem in problems]
-    answers = [{"action": None if item is None else item.action.tolist(), "said": ""} for item in best]
+    answers = [{"action": None if item is None else item.action.tolist(), "notice": ""} for item in best]
     scripted(f"print({json.dumps(answers)!r})")
     monkeypatch.setattr(peers, "peer_problems", lambda *_: problems)
     found = rows(Peers((sys.executable,)).work(("planted", 3, 20)))

@@ -37,7 +37,7 @@ def test_linear_problems_are_counted_by_fault() -> None:
     broken = Judged("corrected", False, False, 1.0, True, False, None, False, None, False)
     far, unheard = replace(RIGHT, excess=1.0), replace(RIGHT, excess=None)
     items = [wrong, wrong, raised, raised, broken, broken, far, far, unheard, unheard, RIGHT]
-    found = Programs().told([[(1, number, item) for number, item in enumerate(items)]])
+    found = Programs().reported([[(1, number, item) for number, item in enumerate(items)]])
     assert figures(found.rows) == {
         "answers corrected": (7, None), "answers fallback": (2, None), "answers raised ValueError": (2, None),
         "raised an exception": (2, 11), "action out of bounds": (4, 11), "passed, but not the nominal action": (4, 11),
@@ -62,7 +62,7 @@ def test_bad_inputs_are_counted_by_treatment() -> None:
         Treated("g", "refused at once", False, False), Treated("h", "refused", False, False),
         Treated("i", "fallback", False, False),
     ]  # fmt: skip
-    found = BadInputs().told([*treated[:4], (4, 5, 600), *treated[4:]])
+    found = BadInputs().reported([*treated[:4], (4, 5, 600), *treated[4:]])
     assert figures(found.rows) == {
         "decisions that raised": (1, 9), "actions out of bounds": (2, 9), "an unsafe nominal action passed": (3, 9),
         "bad values believed": (1, 9), "refused when the filter was built": (2, 9),
@@ -81,7 +81,7 @@ def test_answers_to_bent_problems_are_counted_by_shape() -> None:
         BentAnswer(6, "kinks", "violated", shortfall=0.2), BentAnswer(7, "kinks", "fallback"),
         BentAnswer(8, "kinks", "raised ValueError"),
     ]  # fmt: skip
-    rows = Bends().told([answers[:5], answers[5:]]).rows
+    rows = Bends().reported([answers[:5], answers[5:]]).rows
     assert figures(rows, "kinks: ") == {
         "raised, or no decision": (2, 12), "largest break of a condition, in scales": (0.25, 5),
         "passed or corrected, predicted h < 0": (2, 5), "not corrected, though the grid keeps all": (4, 7),
@@ -110,7 +110,7 @@ def test_answers_of_the_car_are_counted_against_the_grid(car_answer: Any) -> Non
         car_answer, relaxed, relaxed, replace(relaxed, status="fallback", missed=False, shortfall=0.001),
         replace(relaxed, status="violated", missed=False, shortfall=0.125, untold=False),
     ]  # fmt: skip
-    found = CarGrid().told([("car", answers[:2]), ("car", answers[2:]), ("odd scenes", [car_answer])])
+    found = CarGrid().reported([("car", answers[:2]), ("car", answers[2:]), ("odd scenes", [car_answer])])
     assert figures(found.rows, "car: ") == {
         "answers corrected": (3, None), "answers fallback": (1, None), "answers passed": (1, None),
         "answers relaxed": (2, None), "answers violated": (1, None),
@@ -135,7 +135,7 @@ def test_the_three_largest_breaks_are_reported_with_their_count(attack, sizes, n
         "car": lambda number, size: replace(car_answer, number=number, broken=size),
     }[attack.name]
     items = [made(number, size) for number, size in enumerate(sizes)]
-    worst = attack.told([("car", items) if attack.name == "car" else items]).worst
+    worst = attack.reported([("car", items) if attack.name == "car" else items]).worst
     assert [case["number"] for case in worst] == numbers
     assert [case["size"] for case in worst] == [sizes[number] for number in numbers]
     assert {(case["fault"], case["count"]) for case in worst} == {("condition broken", count)}
@@ -147,7 +147,7 @@ def test_reflections_are_counted_and_the_three_furthest_of_a_mirror_are_reported
     one, other = list(MIRRORS)[:2]
     items = [Reflected(one, n, ("passed", "passed"), 0.1 * n, n == 0) for n in range(5)]
     items += [Reflected(other, 9, ("passed", "relaxed"), 0.5, False), Reflected(other, 8, ("passed",) * 2, 9.0, True)]
-    found = Mirrors().told([items[:2], items[2:]])
+    found = Mirrors().reported([items[:2], items[2:]])
     counts = figures(found.rows)
     assert (counts[f"{one}: other answers"], counts[f"{one}: furthest apart"]) == ((4, 5), (0.4, 5))
     assert (counts[f"{other}: other answers"], counts[f"{other}: furthest apart"]) == ((1, 2), (9.0, 2))
@@ -158,7 +158,7 @@ def test_reflections_are_counted_and_the_three_furthest_of_a_mirror_are_reported
 
 
 def test_hostile_drives_are_counted_by_kind() -> None:
-    found = Drives().told([
+    found = Drives().reported([
         Driven("car", "box", 1, 0, 0.5, {"passed": 3}),
         Driven("car", "box", 2, 3, -0.25, {"passed": 4, "corrected": 1}),
         Driven("car", "box", 3, 1, 0.125, {}),
@@ -178,7 +178,7 @@ def test_hostile_drives_are_counted_by_kind() -> None:
 def test_drives_with_late_commands_are_reported_with_their_delay(corrected: int, beyond: int) -> None:
     statuses = Counter(passed=2, corrected=corrected, relaxed=9, violated=6, fallback=3)
     driven = DelayedDrives(Lateness(0.15, "both", "clock"), 7, 2, 5, 11, -0.5, statuses)
-    collisions, worse, goals, least = LateDrives().told([driven]).rows
+    collisions, worse, goals, least = LateDrives().reported([driven]).rows
     assert collisions.what.startswith("150 ms, told by the clock: drives with a collision (corrected ")
     assert (collisions.measured, collisions.of) == (2, 7)
     assert (worse.measured, worse.of) == (beyond, 20 + corrected)
@@ -197,7 +197,7 @@ def test_episodes_of_a_system_are_added_up() -> None:
     )  # fmt: skip
     name = systems.SYSTEMS[0]().name
     nothing = [(index, systems.Tally(Counter(passed=1))) for index in range(1, len(systems.SYSTEMS))]
-    assert figures(systems.Systems().told([(0, one), *nothing, (0, other)]).rows, f"{name}: ") == {
+    assert figures(systems.Systems().reported([(0, one), *nothing, (0, other)]).rows, f"{name}: ") == {
         "least h in truth (passed 75.0 %, relaxed 25.0 %)": (-0.5, 5), "episodes with h < 0": (3, 5),
         "largest break, in scales": (0.25, 8), "passed or corrected, predicted h < 0": (4, 8),
         "relaxed, though the grid keeps all": (3, 9), "h < 0 predicted, though the grid keeps h >= 0": (4, 9),
@@ -210,7 +210,7 @@ def test_drives_in_other_units_are_compared_with_the_drive_at_scale_one() -> Non
     same = drive(Units())
     moved = replace(same, actions=(same.actions[0] - 0.5, *same.actions[1:]), furthest=1.5)
     other = replace(same, statuses=("relaxed", *same.statuses[1:]))
-    found = Scales().told([(Units(), moved), (Units(), same), (Units(), other), (Units(), other)])
+    found = Scales().reported([(Units(), moved), (Units(), same), (Units(), other), (Units(), other)])
     assert figures(found.rows, "h: ") == {
         "furthest point": (1.5, 4), "drives with other statuses": (2, 4),
         "largest change of an action, in ranges": (0.25, 4),
@@ -229,7 +229,10 @@ def test_a_campaign_reports_progress_keeps_each_part_and_counts_what_held() -> N
     progress: list[tuple[int, int]] = []
     parts: list[int] = []
     found = adversary(
-        attacks, 1, tell=lambda *one: progress.append(one), keep=lambda result: parts.append(len(result["attacks"]))
+        attacks,
+        1,
+        report_progress=lambda *one: progress.append(one),
+        keep=lambda result: parts.append(len(result["attacks"])),
     )
     assert (progress, parts) == ([(1, 3), (2, 3), (3, 3)], [1, 2, 3])
     assert [(one["name"], one["held"], one["failed"], len(one["rows"])) for one in found["attacks"]] == [
@@ -256,12 +259,12 @@ def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
 
 def test_standstills_are_counted_and_unreported_ones_too(monkeypatch):
     def stood(drive):
-        told = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
-        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1}, 0.9)
+        reported = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
+        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, reported, 12.0, {"passed": 1}, 0.9)
 
     monkeypatch.setattr(standing, "run_long_drive", stood)
     attack = Standing()
-    rows = {row.what: row for row in attack.told([attack.work(each) for each in attack.pieces(3, False)]).rows}
+    rows = {row.what: row for row in attack.reported([attack.work(each) for each in attack.pieces(3, False)]).rows}
     assert rows["drives with a stand of 10 s and more"].measured == 100
     assert rows["of these, not told"].measured == 52  # the even seeds
     assert rows["point robot: drives with a stand of 10 s and more"].measured == 25
@@ -275,18 +278,18 @@ def test_a_short_drive_of_every_load_gets_on():
     answers = [attack.work(each) for each in attack.pieces(1, True)]
     assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair", "point"]
     assert sum(answers[-1].statuses.values()) == 200, "the point robot decides 50 times a second"
-    assert attack.told(answers).rows[0].held
+    assert attack.reported(answers).rows[0].held
 
 
 def test_late_drives_are_grouped_by_who_knows_the_delay():
     attack = LateDrives()
     pieces = attack.pieces(2, True)
     found = [attack.work(piece) for piece in pieces]
-    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held
     assert rows["150 ms, known to nobody: relaxed and worse beyond corrected"].held is None
     found[0].collided, found[0].statuses["relaxed"] = 1, 1000
-    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held is False
     assert rows["200 ms, known to the model: relaxed and worse beyond corrected"].held is False
 
@@ -296,10 +299,10 @@ def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
     monkeypatch.setattr(drives, "settings_named", lambda name: off)
     attack = Drives()
     answers = [KINDS[kind](kind, "none", seed, 8.0) for kind in ("forward", "killed") for seed in (4, 5)]
-    rows = {row.what.split(" (")[0]: row for row in attack.told(answers).rows}
+    rows = {row.what.split(" (")[0]: row for row in attack.reported(answers).rows}
     assert rows["forward: drives with a collision"].measured > 0
     assert rows["forward: drives with a collision"].held is False
-    assert attack.told(answers).worst[0]["fault"] == "collision"
+    assert attack.reported(answers).worst[0]["fault"] == "collision"
 
 
 @pytest.mark.parametrize(("kind", "seconds"), [("point", 4.0), ("pendulum", 8.0)])

@@ -264,16 +264,18 @@ def test_the_filter_follows_the_largest_action_that_keeps_the_condition(monkeypa
     [((0.0, 0.0), False), ((np.nan, 0.0), True), ((np.nan, np.inf), True), ((1.5, 0.0), True), ((1.0005, 0.0), False),
      ((-0.9, 0.0), True), ((0.0, -1.5), True), ((1.5, 1.5), True)],
 )  # fmt: skip
-@pytest.mark.parametrize("said", ["", "beware"])
-def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(action, unsafe, said, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("notice", ["", "beware"])
+def test_a_peers_action_is_unsafe_if_any_component_or_condition_is(
+    action, unsafe, notice, tmp_path, monkeypatch
+) -> None:
     """Not finite, more than 0.001 beyond the limits, or more than 0.001 of a condition's scale broken."""
-    (tmp_path / "peer_filters.py").write_text(f"print({json.dumps([{'action': action, 'said': said}])!r})")
+    (tmp_path / "peer_filters.py").write_text(f"print({json.dumps([{'action': action, 'notice': notice}])!r})")
     monkeypatch.setattr(peers, "__file__", str(tmp_path / "peers.py"))
     monkeypatch.setattr(peers, "PEER_PACKAGES", {"planted": "json"})
     monkeypatch.setattr(peers, "peer_problems", lambda *_: [plane(1.0, 1.0)])
     rows = {row.what: row.measured for row in peers.Peers((sys.executable,)).work(("planted", 3, 1))[1]}
-    assert rows["planted, at scale 1: unsafe action, and not a word"] == (unsafe and not said)
-    assert rows["planted, at scale 1: unsafe action, and said so"] == (unsafe and bool(said))
+    assert rows["planted, at scale 1: unsafe action, and not a word"] == (unsafe and not notice)
+    assert rows["planted, at scale 1: unsafe action, and said so"] == (unsafe and bool(notice))
 
 
 def test_wrong_and_refused_answers_of_two_threads_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:

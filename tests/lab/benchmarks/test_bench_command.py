@@ -100,14 +100,14 @@ def test_results_are_kept_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
         return _row()
 
     monkeypatch.setattr(suite, "measured", measured)
-    file, told = tmp_path / "speed.json", []
-    run_rows(["filter", "batch"], Effort(), file, lambda name, _: told.append(name))
+    file, reported = tmp_path / "speed.json", []
+    run_rows(["filter", "batch"], Effort(), file, lambda name, _: reported.append(name))
     assert "failed" in read_document(file)["rows"]["batch"]
-    run_rows(["adaptation"], Effort(), file, lambda name, _: told.append(name))
+    run_rows(["adaptation"], Effort(), file, lambda name, _: reported.append(name))
     assert list(read_document(file)["rows"]) == ["filter", "adaptation", "batch"]
     asked.clear()
-    run_rows(["filter", "adaptation", "batch"], Effort(), file, lambda name, _: told.append(name), resume=True)
-    assert (asked, told) == (["batch"], ["filter", "batch", "adaptation", "filter", "adaptation", "batch"])
+    run_rows(["filter", "adaptation", "batch"], Effort(), file, lambda name, _: reported.append(name), resume=True)
+    assert (asked, reported) == (["batch"], ["filter", "batch", "adaptation", "filter", "adaptation", "batch"])
     row = read_document(file)["rows"]["filter"]
     assert row["machine"]["cores"] >= 1
     assert row["effort"] == "usual"
@@ -133,8 +133,8 @@ def test_the_table_has_every_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert lines[0][2:] == ("10.0 us", "20.0 us", "30.0 us", "9.00 us", "")
     assert (lines[2][-1], lines[3][2:]) == ("0.50", ("-",) * 5)
     page = markdown(document)
-    for words in ("## filter", "does less", "not installed", "a note", "not reached", "load average", "effort quick"):
-        assert words in page
+    for phrase in ("## filter", "does less", "not installed", "a note", "not reached", "load average", "effort quick"):
+        assert phrase in page
     assert target_texts(document["rows"]["filter"])[0] == "p50, at most 10.0 us, 10.0 us, reached"
     assert [figure_text(value, "us") for value in (None, 1.234, 123.4, 2.5e6)] == ["-", "1.23 us", "123 us", "2.50 s"]
     assert figure_text(5.1e6, "steps/s") == "5.10 Msteps/s"
@@ -256,22 +256,22 @@ def test_a_row_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.slow
 def test_the_rows_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["bench", "list"]) == 0
-    said = capsys.readouterr().out
-    assert all(name in said for name in ROWS)
+    notice = capsys.readouterr().out
+    assert all(name in notice for name in ROWS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "phrase"),
     [
         (["--quick", "--full"], "choose one"),
         (["--only", "filters"], "filter"),
         (["--data", "nowhere"], "--data nowhere: no such folder"),
     ],
 )
-def test_what_makes_no_sense_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_makes_no_sense_is_refused(arguments: list[str], phrase: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["bench", "all", *arguments]) == 2
-    assert words in capsys.readouterr().err
+    assert phrase in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -284,10 +284,10 @@ def test_a_quick_run_has_every_part(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert safedpa.run(["bench", "all", "--quick", *only, "--json", str(file), "--markdown", str(page), *pictures]) == 0
     document = json.loads(file.read_text(encoding="utf-8"))
     assert tuple(document["rows"]) == rows
-    said = capsys.readouterr().out
+    notice = capsys.readouterr().out
     for name, row in document["rows"].items():
         assert "failed" not in row, row
-        assert name in said
+        assert name in notice
         assert f"## {name}" in page.read_text(encoding="utf-8")
         assert row["targets"]
         assert all(entry["figures"][row["figure"]] > 0.0 for entry in row["ours"])

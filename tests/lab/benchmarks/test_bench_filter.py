@@ -16,7 +16,7 @@ from safedpa.robots.car.barriers.obstacles import ObstacleBarrier
 from safedpa.safety import SafetyFilter, Status
 from safedpa.safety.barriers.stopping import Braking
 from safedpa_lab.benchmarks import filter_growth, python_source
-from safedpa_lab.benchmarks.diagnosis_cases import CASES, NAMES, expression_is_right, terms_are_right, told, written
+from safedpa_lab.benchmarks.diagnosis_cases import CASES, NAMES, expression_is_right, reported, terms_are_right, written
 from safedpa_lab.benchmarks.filter_decisions import (
     FLOORS,
     MODELS,
@@ -93,9 +93,9 @@ def test_scenes_beyond_what_a_robot_may_report_are_decided(count: int, eight: Fi
 
 def test_barriers_of_a_large_scene_are_those_of_a_small_one(eight: FilterProblem, monkeypatch: Any) -> None:
     state = eight.states[0]
-    told = eight.barriers().values(state)
+    reported = eight.barriers().values(state)
     monkeypatch.setattr("safedpa_lab.benchmarks.filter_problem.MOST_OBSTACLES", 7)
-    assert eight.barriers().values(state).tobytes() == told.tobytes()
+    assert eight.barriers().values(state).tobytes() == reported.tobytes()
 
 
 OURS = {NETWORKS: (50.0, 90.0), PHYSICS: (40.0, 91.0), once(NETWORKS): (31.0, 44.0), once(PHYSICS): (29.0, 92.0)}
@@ -116,7 +116,7 @@ def _measured(monkeypatch: pytest.MonkeyPatch, *, peers: bool) -> tuple[list[Tar
             return {"missing": "not installed"}
         actions = [[0.0, 0.0]] * len(problems[0]["states"])
         answer = times(*PEERS[asked], version="1", actions=actions)
-        return {"answers": [*[answer] * (len(problems) - 1), {"says": "nothing"}]}
+        return {"answers": [*[answer] * (len(problems) - 1), {"reports": "nothing"}]}
 
     found = {name: times(*OURS.get(name, (1.0, 1.0))) for name in (*MODELS.values(), *FLOORS, *OURS)}
     nothing = Curve("nothing", "x", "y", (), {})
@@ -158,11 +158,11 @@ def test_a_missed_target_is_shown_with_its_floor() -> None:
     reached = Target("p10", 50.0, 40.0, "us", floor=Floor("the program alone", 9.0))
     more = Target("robots", 200.0, 150.0, "robots", "more", Floor("two cores", 180.0))
     document = Row("filter", "one thing", "p50", (), targets=(forbidden, free, reached, more)).as_document()
-    said = target_texts(document)
-    assert said[0].endswith("not reached; forbidden by the program alone, 11.0 us")
-    assert said[1].endswith("not reached; floor: the program alone, 9.00 us")
-    assert said[2].endswith(", reached")
-    assert said[3].endswith("forbidden by two cores, 180 robots")
+    notice = target_texts(document)
+    assert notice[0].endswith("not reached; forbidden by the program alone, 11.0 us")
+    assert notice[1].endswith("not reached; floor: the program alone, 9.00 us")
+    assert notice[2].endswith(", reached")
+    assert notice[3].endswith("forbidden by two cores, 180 robots")
 
 
 def test_a_path_is_left_out_of_the_others(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "words"),
+    ("action", "phrase"),
     [
         ((2.0, 0.0), "the unsafe nominal action"),
         ((9.0, 0.0), "beyond the limits"),
@@ -277,19 +277,19 @@ def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
         ((float("nan"), 0.0), "(nan, 0) and says nothing"),
     ],
 )
-def test_what_a_peer_does_without_a_solution_is_reported(action: tuple[float, float], words: str) -> None:
-    assert words in compared(peers_problem(wedged()), lambda state, nominal: np.array(action))["says"]
+def test_what_a_peer_does_without_a_solution_is_reported(action: tuple[float, float], phrase: str) -> None:
+    assert phrase in compared(peers_problem(wedged()), lambda state, nominal: np.array(action))["reports"]
 
 
 def test_a_peer_that_raises_is_quoted() -> None:
     def decide(state: object, nominal: object) -> np.ndarray:
         raise ArithmeticError
 
-    assert compared(peers_problem(wedged()), decide)["says"] == "raises ArithmeticError"
+    assert compared(peers_problem(wedged()), decide)["reports"] == "raises ArithmeticError"
 
 
 def left_of(number: int, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    runs = told(written(CASES[number], folder, 2, 12.0))["runs"]
+    runs = reported(written(CASES[number], folder, 2, 12.0))["runs"]
     middle, slopes = (np.concatenate([run[name] for run in runs]) for name in ("middle", "slopes"))
     return middle, slopes
 

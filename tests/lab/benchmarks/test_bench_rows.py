@@ -48,9 +48,9 @@ def test_parts_are_of_the_decisions_that_are_timed_as_a_whole(name: str) -> None
         assert isinstance(each["inputs"], Decision)
         assert isinstance(each["the conditions at the state"], Constraints)
         assert isinstance(each["an outcome"], ActionCandidate)
-        assert not each["an outcome"].kept
+        assert not each["an outcome"].retained
         assert each["the search"].__class__ is tuple
-        assert each["back towards the nominal action"].kept
+        assert each["back towards the nominal action"].retained
         assert each["the verdict"].h_now == whole.h_now
         assert each["the program"].solved
     assert ("the networks, within the conditions" in found) == (name == "car_learned")
@@ -116,7 +116,7 @@ def test_the_cases_have_a_target_on_average_and_one_for_the_longest(tmp_path, mo
     real = Entry("safedpa, DART drives", {"seconds": 20.0}, "s", {"seconds": 19.0}, "four drives of a real car")
     monkeypatch.setattr(diagnosis, "dart_drives", lambda _: (real, []))
     monkeypatch.setattr(diagnosis, "ask_peer", lambda *_: {"missing": "not asked"})
-    monkeypatch.setattr(diagnosis, "told", lambda _: {})
+    monkeypatch.setattr(diagnosis, "reported", lambda _: {})
     monkeypatch.setattr(diagnosis, "written", lambda *_: log)
     monkeypatch.setattr("safedpa_lab.experiments.diagnosing.diagnosed", diagnosed)
     monkeypatch.setattr("safedpa_lab.hidden.judge.judged", judged)
@@ -136,8 +136,8 @@ def test_the_cases_have_a_target_on_average_and_one_for_the_longest(tmp_path, mo
 
 def test_ten_hours_have_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     def run(command: list[str], **_: Any) -> SimpleNamespace:
-        words = dict(itertools.pairwise(command))
-        hours = int(words["--runs"]) * float(words["--seconds"]) / 3600.0
+        phrase = dict(itertools.pairwise(command))
+        hours = int(phrase["--runs"]) * float(phrase["--seconds"]) / 3600.0
         row = {"seconds": 7.0 * hours, "processor_seconds": 6.0, "memory_mebibytes": 300.0, "added": ["drag"]}
         rows = [{"command": "compare"}, {"command": "diagnose", **row}]
         return SimpleNamespace(returncode=0, stdout=json.dumps({"rows": rows}))
@@ -199,11 +199,15 @@ def test_the_asked_number_drives_for_ten_minutes_in_full(monkeypatch: pytest.Mon
     entry = found.ours[1]
     assert (entry.figures["late_percent"], entry.figures["p99_ms"]) == (0.0, pytest.approx(2.2))
     assert entry.figures["mib_gained"] == pytest.approx(3 * 41.0)
-    told = {target.what.split(" ")[0]: target for target in found.targets}
-    assert told["late"].reached
-    assert told["p99"].reached
-    assert (told["memory"].wanted, told["memory"].reached) == (40.0, False)
-    assert (told["processor"].got, told["processor"].wanted, told["processor"].reached) == (60.0, 125.0, True)
+    reported = {target.what.split(" ")[0]: target for target in found.targets}
+    assert reported["late"].reached
+    assert reported["p99"].reached
+    assert (reported["memory"].wanted, reported["memory"].reached) == (40.0, False)
+    assert (reported["processor"].got, reported["processor"].wanted, reported["processor"].reached) == (
+        60.0,
+        125.0,
+        True,
+    )
     assert len(row_lines(found.as_document() | {"name": "largest-fleet"})[1]) == 3
 
 
@@ -269,26 +273,26 @@ def test_the_loop_is_compared_with_the_bare_chain_of_its_run(monkeypatch: pytest
 
 
 def test_the_chain_runs_before_and_after_the_loop_and_counts_late_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[Any] = []
+    reported: list[Any] = []
 
     def times(seconds: float, rate: float) -> list[float]:
-        told.append(("chain", seconds, rate))
+        reported.append(("chain", seconds, rate))
         return [1000.0] * (round(seconds * rate) - 2) + [5001.0]  # one is late, one never comes
 
     def loop(seconds: float, rate: float) -> dict[str, float]:
-        told.append(("loop", seconds, rate))
+        reported.append(("loop", seconds, rate))
         return dict(LOOP)
 
     monkeypatch.setattr(latency, "bare_times", times)
     monkeypatch.setattr(latency, "real_loop", loop)
     found = latency.latency_benchmark(600.0, 200.0)
-    assert told == [("chain", 60.0, 200.0), ("loop", 600.0, 200.0), ("chain", 60.0, 200.0)]
+    assert reported == [("chain", 60.0, 200.0), ("loop", 600.0, 200.0), ("chain", 60.0, 200.0)]
     assert found["bare_chain_us"] == {
         "p50": 1000.0, "p99": 1000.0, "p999": 1000.0, "late_share": pytest.approx(4 / 24000),
     }  # fmt: skip
-    told.clear()
+    reported.clear()
     latency.latency_benchmark(20.0, 20.0)
-    assert told[0] == ("chain", 10.0, 20.0)
+    assert reported[0] == ("chain", 10.0, 20.0)
 
 
 def test_a_chain_from_which_nothing_arrives_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -366,8 +370,8 @@ def _up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> None:
 
 @pytest.mark.long
 def test_the_first_page_is_waited_for(site: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    words = f"recording r\\nlive view {site}/page\\nworkbench {site}/door\\n"
-    _up(tmp_path, monkeypatch, f"import sys, time\nsys.stderr.write('{words}')\nsys.stderr.flush()\ntime.sleep(60)\n")
+    phrase = f"recording r\\nlive view {site}/page\\nworkbench {site}/door\\n"
+    _up(tmp_path, monkeypatch, f"import sys, time\nsys.stderr.write('{phrase}')\nsys.stderr.flush()\ntime.sleep(60)\n")
     found = seconds_to_pages()
     assert set(found) == {"live view", "workbench"}
     assert all(0.0 < seconds < 60.0 for seconds in found.values())

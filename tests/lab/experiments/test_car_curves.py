@@ -61,7 +61,7 @@ def test_without_conditions_an_episode_and_its_cell_are_the_experiment_s_own() -
     assert (cell.name, harder.name) == ("physics-chair", "physics-chair-friction=0.6")
     assert cell.key == replace(cell, conditions=Conditions(friction=1.0)).key != harder.key
     assert [group.conditions for group in harder.groups((0, 1))] == [harder.conditions]
-    assert Conditions(delay=0.1, told=False).label == "delay=0.1,told=False"
+    assert Conditions(delay=0.1, reported=False).label == "delay=0.1,told=False"
 
 
 @pytest.mark.parametrize("passage", SWEEPS["passage"].values)
@@ -133,10 +133,10 @@ def test_noise_has_its_stated_size_and_is_the_same_for_every_method() -> None:
 
 def test_a_delay_is_known_to_the_filter_or_unknown() -> None:
     """The same late commands; the filter that knows of them decides otherwise."""
-    told, untold = Conditions(delay=0.15), Conditions(delay=0.15, told=False)
-    assert told.robot(3000, LOAD).state_message().until_action == 0.15
+    reported, untold = Conditions(delay=0.15), Conditions(delay=0.15, reported=False)
+    assert reported.robot(3000, LOAD).state_message().until_action == 0.15
     assert untold.robot(3000, LOAD).state_message().until_action == 0.0
-    drives = [outcomes(conditions, 60)[0] for conditions in (Conditions(), told, untold)]
+    drives = [outcomes(conditions, 60)[0] for conditions in (Conditions(), reported, untold)]
     assert len({drive.trajectory for drive in drives}) == 3
 
 
@@ -153,7 +153,7 @@ def test_the_load_is_hitched_and_let_go_once_a_third_of_the_way_is_driven() -> N
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "reported"),
     [
         ({"friction": 0.0}, "friction: got 0.0, wanted a finite number, more than 0"),
         ({"speed": float("nan")}, "speed: got nan"),
@@ -161,8 +161,8 @@ def test_the_load_is_hitched_and_let_go_once_a_third_of_the_way_is_driven() -> N
         ({"towing": "allways"}, "did you mean 'always'"),
     ],
 )
-def test_invalid_conditions_are_refused(changed: dict[str, Any], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_invalid_conditions_are_refused(changed: dict[str, Any], reported: str) -> None:
+    with pytest.raises(InputError, match=reported):
         Conditions(**changed)
 
 
@@ -203,18 +203,20 @@ def test_the_command_writes_tables_picture_and_every_point(tmp_path: Path, monke
         ends = {key: (getattr(SWEEPS[name], key)[0], getattr(SWEEPS[name], key)[-1]) for key in ("values", "shown")}
         monkeypatch.setitem(SWEEPS, name, replace(SWEEPS[name], **ends))
     monkeypatch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
-    words, out = ["experiment", "car-curves", "--models", str(NOWHERE)], tmp_path / "new" / "folder"
-    words += ["--sweep", "friction", "--sweep", "noise", "--method", "physics", "--method", "goal_seeker"]
-    words += ["--episodes", "1", "--drives", "1", "--processes", "1", "--out", str(out)]
-    assert safedpa.run(words) == 0
-    told = json.loads((out / "car-curves.json").read_text())
-    assert told["seeds"] == [1000, 1000]
-    assert told["sweeps"].keys() == {"friction", "noise"}
-    points = told["sweeps"]["noise"]["points"]
+    phrase, out = ["experiment", "car-curves", "--models", str(NOWHERE)], tmp_path / "new" / "folder"
+    phrase += ["--sweep", "friction", "--sweep", "noise", "--method", "physics", "--method", "goal_seeker"]
+    phrase += ["--episodes", "1", "--drives", "1", "--processes", "1", "--out", str(out)]
+    assert safedpa.run(phrase) == 0
+    reported = json.loads((out / "car-curves.json").read_text())
+    assert reported["seeds"] == [1000, 1000]
+    assert reported["sweeps"].keys() == {"friction", "noise"}
+    points = reported["sweeps"]["noise"]["points"]
     assert [(point["method"], point["shown"]) for point in points] == [
         ("physics", "0"), ("goal_seeker", "0"), ("physics", "4"), ("goal_seeker", "4"),
     ]  # fmt: skip
-    assert points[:2] == [{**point, "value": 0.0, "shown": "0"} for point in told["sweeps"]["friction"]["points"][:2]]
+    assert points[:2] == [
+        {**point, "value": 0.0, "shown": "0"} for point in reported["sweeps"]["friction"]["points"][:2]
+    ]
     assert all(point["safe"]["of"] == 1 and len(point["both"]["interval_95"]) == 2 for point in points)
     assert points[0]["safe"]["hits"] == 1
     page = (out / "car-curves.md").read_text()

@@ -80,7 +80,7 @@ def test_no_shipped_model_replaces_a_missing_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "told"),
+    ("weights", "reported"),
     [
         (weights_of(2, "car"), "was trained with towed_load.deceleration, towed_load.mass_ratio in its environment"),
         (weights_of(2, shelter=True), "was trained with practice.shelter = true"),
@@ -89,11 +89,11 @@ def test_no_shipped_model_replaces_a_missing_one(tmp_path: Path) -> None:
         (crude_weights(2), "was trained with nobody knows what in its environment"),
     ],
 )
-def test_a_model_of_another_world_is_refused(weights: Weights, told: str, tmp_path: Path) -> None:
+def test_a_model_of_another_world_is_refused(weights: Weights, reported: str, tmp_path: Path) -> None:
     save_crude(tmp_path, "car_simulated", weights)
     with pytest.raises(InputError) as caught:
         chosen_methods(("rma",), tmp_path, PAPER)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert chosen_methods(("rma",), tmp_path)[0] == [METHODS["rma"]]
 
 
@@ -191,13 +191,13 @@ def driven(speed: float, steer: float, periods: int) -> CarWorld:
 @pytest.mark.slow
 def test_the_table_of_the_paper_s_world_names_it(paper_folder, tmp_path, capsys) -> None:
     """Three methods on one scene with a box, by the command: margins, cells and page as for the other family."""
-    words = ["experiment", "car", "--family", "paper", "--models", str(paper_folder), "--out", str(tmp_path)]
-    words += ["--method", "safedpa", "--method", "rma", "--method", "ppo", "--load", "box", "--episodes", "1"]
-    assert safedpa.run([*words, "--drives", "1", "--part", "table", "--processes", "1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["family"]["name"] == "paper"
-    assert told["margin"]["calibrated_with"] == ["none"]
-    cells = {cell["method"]: cell for cell in told["cells"]}
+    phrase = ["experiment", "car", "--family", "paper", "--models", str(paper_folder), "--out", str(tmp_path)]
+    phrase += ["--method", "safedpa", "--method", "rma", "--method", "ppo", "--load", "box", "--episodes", "1"]
+    assert safedpa.run([*phrase, "--drives", "1", "--part", "table", "--processes", "1", "--json"]) == 0
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["family"]["name"] == "paper"
+    assert reported["margin"]["calibrated_with"] == ["none"]
+    cells = {cell["method"]: cell for cell in reported["cells"]}
     assert cells["safedpa"]["safe"]["hits"] == 1
     assert cells["rma"]["safe"]["hits"] == cells["ppo"]["safe"]["hits"] == 0, "it drives straight on"
     page = (tmp_path / "car.md").read_text()
@@ -223,8 +223,8 @@ def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(learned_folde
         learned_folder, tmp_path, episodes=2, equal_margin_episodes=1, methods=("safedpa", "physics", "rma"),
         loads=("none", "box"), parts=("equal-margin",), processes=1, drives=1,
     )  # fmt: skip
-    told = experiment.car_experiment(asked)
-    table, models = told["equal_margin"], told["margin"]["models"]
+    reported = experiment.car_experiment(asked)
+    table, models = reported["equal_margin"], reported["margin"]["models"]
     assert used == {"safedpa": table["epsilon"], "physics": table["epsilon"]}
     own = {name: models[name]["obstacle"]["conformal"]["epsilon"] for name in ("car_learned", "car")}
     assert table["epsilon"]["obstacle"] == own["car_learned"] != own["car"]
@@ -232,7 +232,7 @@ def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(learned_folde
         ("physics", 1)
     ] * 2
     assert {row["place"] for row in table["advantages"]} == {"all", "none", "box"}
-    assert "With SafeDPA's own margin for every filter" in markdown_of(told)
+    assert "With SafeDPA's own margin for every filter" in markdown_of(reported)
 
 
 SETTINGS = settings_named("car")
@@ -286,8 +286,8 @@ def test_without_adaptation_the_latent_stays(learned_folder, drive_with_box):
     model = named_model("car_simulated", learned_folder)
     node = FixedLatentNode(model)
     for message in drive_with_box.messages[::40]:
-        said = node.step("r1", message, {})[LATENT]
-        assert said.values == tuple(model.latent)
+        notice = node.step("r1", message, {})[LATENT]
+        assert notice.values == tuple(model.latent)
 
 
 def test_latents_along_a_drive_are_those_of_the_node(drive_with_box):

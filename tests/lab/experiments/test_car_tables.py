@@ -106,10 +106,10 @@ class Calibrated:
         return {METHODS["safedpa"].filter_model: SimpleNamespace(epsilon={"wall": 0.1})}, {}
 
 
-def run_cells(cells: Sequence[Any], _workers: Any, _out: Any, tell: Callable[[int], None]) -> Iterator[Any]:
+def run_cells(cells: Sequence[Any], _workers: Any, _out: Any, report_progress: Callable[[int], None]) -> Iterator[Any]:
     """Each cell with outcomes of its seeds; in as many as its place in the list the load changed on the way."""
     for number, cell in enumerate(cells):
-        tell(len(cell.seeds))
+        report_progress(len(cell.seeds))
         yield cell, [outcome(seed, load_changed=30 if n <= number else None) for n, seed in enumerate(cell.seeds)]
 
 
@@ -136,14 +136,14 @@ def test_progress_of_the_experiment_ends_at_its_total(parts, wanted, monkeypatch
     monkeypatch.setattr(car, "with_margins_of", lambda _model, margins: margins)
     for name in ("errors_of_model", "latent_result", "predicted_paths"):
         monkeypatch.setattr(car, name, lambda *_: {})
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     experiment = car.CarExperiment(
         Path(), loads=("none", "box", "chair"), parts=parts, episodes=7, equal_margin_episodes=4, drives=5, processes=1
     )
-    car.car_experiment(experiment, lambda *done: told.append(done))
-    assert {everything for _, everything in told} == {wanted}
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-    assert told[-1] == (wanted, wanted)
+    car.car_experiment(experiment, lambda *done: reported.append(done))
+    assert {everything for _, everything in reported} == {wanted}
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
+    assert reported[-1] == (wanted, wanted)
 
 
 @pytest.mark.parametrize(
@@ -156,13 +156,13 @@ def test_curves_drive_every_method_at_every_value_once(sweeps, shared, methods, 
     monkeypatch.setattr(car_curves, "Calibration", Calibrated)
     monkeypatch.setattr(car_curves, "run_cells", run_cells)
     monkeypatch.setattr(car_curves.CarCurves, "drivable", lambda _: (chosen, []))
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     found = car_curves.car_curves(
-        car_curves.CarCurves(Path(), sweeps=sweeps, episodes=12, processes=1), lambda *done: told.append(done)
+        car_curves.CarCurves(Path(), sweeps=sweeps, episodes=12, processes=1), lambda *done: reported.append(done)
     )
     wanted = chosen_sweeps(sweeps)
     values = sum(len(sweep.values) for sweep in wanted) - shared
-    assert told[-1] == (40 + values * methods * 12,) * 2
+    assert reported[-1] == (40 + values * methods * 12,) * 2
     for sweep in wanted:
         points = found["sweeps"][sweep.name]["points"]
         assert [(point["value"], point["method"]) for point in points] == [
@@ -192,11 +192,11 @@ def test_errors_are_root_mean_squares_over_their_scale(monkeypatch: pytest.Monke
     scale = np.array([1.0, 2.0, 1.0, 0.5])
     rows = car_errors.errors_of_model(model, [drive], scale)
     assert set(rows) == {"box", "mixed"}
-    told, roots = rows["mixed"]["one_step"], np.sqrt((late**2).mean(axis=0))
-    assert list(told["root_mean_square"].values()) == pytest.approx(roots)
-    assert list(told["per_state"].values()) == pytest.approx(roots / scale)
-    assert (told["number"], told["count"]) == (pytest.approx(np.mean(roots / scale)), 25)
-    assert told["position"] == pytest.approx(np.hypot(roots[0], roots[1]))
+    reported, roots = rows["mixed"]["one_step"], np.sqrt((late**2).mean(axis=0))
+    assert list(reported["root_mean_square"].values()) == pytest.approx(roots)
+    assert list(reported["per_state"].values()) == pytest.approx(roots / scale)
+    assert (reported["number"], reported["count"]) == (pytest.approx(np.mean(roots / scale)), 25)
+    assert reported["position"] == pytest.approx(np.hypot(roots[0], roots[1]))
     later = rows["box"]["one_second"]
     assert (later["count"], list(later["root_mean_square"].values())) == (2, pytest.approx([1.0] * 4))
 
@@ -238,8 +238,10 @@ LOADS = {"none": 0.0, "box": 5.0, "chair": 10.0}
 """Each load with its latent; errors stay below 0.1 with it."""
 
 
-def latent_drive(loads: Sequence[str], said: Sequence[str] | None = None, errors: Sequence[float] | None = None) -> Any:
-    latents = np.array([[LOADS[load] + 0.1 * (-1) ** n] for n, load in enumerate(said or loads)])
+def latent_drive(
+    loads: Sequence[str], notice: Sequence[str] | None = None, errors: Sequence[float] | None = None
+) -> Any:
+    latents = np.array([[LOADS[load] + 0.1 * (-1) ** n] for n, load in enumerate(notice or loads)])
     sizes = np.array(errors or [0.1] * (len(loads) - 1))
     return SimpleNamespace(loads=tuple(loads), latents=latents, sizes=sizes, states=np.zeros((len(loads), 4)))
 
@@ -263,12 +265,12 @@ def test_the_classes_of_held_out_latents_are_counted_once_the_history_is_full(mo
         latent_drive(["none"] * 64, [*junk, "none", "box", "none", "none"]),
         latent_drive(["box"] * 63, [*junk, "none", "box", "none"]),
     ]
-    told = latents_of([], monkeypatch, heldout)
-    assert told["confusion"]["none"] == {"none": 3, "box": 1, "chair": 0}
-    assert told["confusion"]["box"] == {"none": 2, "box": 1, "chair": 0}
-    assert told["accuracy"] == {"right": 4, "of": 7, "share": 4 / 7} == told["hitched_or_not"]
-    assert {load: len(points) for load, points in told["points"]["by_load"].items()} == {"none": 4, "box": 3}
-    assert told["adaptation"]["latent_ticks"]["of"] == 0
+    reported = latents_of([], monkeypatch, heldout)
+    assert reported["confusion"]["none"] == {"none": 3, "box": 1, "chair": 0}
+    assert reported["confusion"]["box"] == {"none": 2, "box": 1, "chair": 0}
+    assert reported["accuracy"] == {"right": 4, "of": 7, "share": 4 / 7} == reported["hitched_or_not"]
+    assert {load: len(points) for load, points in reported["points"]["by_load"].items()} == {"none": 4, "box": 3}
+    assert reported["adaptation"]["latent_ticks"]["of"] == 0
 
 
 def test_a_change_of_load_is_watched_until_the_next_or_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,8 +280,8 @@ def test_a_change_of_load_is_watched_until_the_next_or_the_end(monkeypatch: pyte
         ["none"] * 24 + ["box"] * 26 + ["chair"] * 10,
         [0.05] * 20 + [0.5] * 6 + [0.1] * 19 + [0.5] * 2 + [0.1] * 12,
     )
-    told = latents_of([drive, latent_drive(["none"] * 20)], monkeypatch)
-    assert told["changes"] == [
+    reported = latents_of([drive, latent_drive(["none"] * 20)], monkeypatch)
+    assert reported["changes"] == [
         {"from": "none", "to": "box", "watched": 25, "latent_ticks": 4, "error_ticks": 6},
         {"from": "box", "to": "chair", "watched": 15, "latent_ticks": 5, "error_ticks": 2},
     ]
@@ -295,8 +297,8 @@ def test_a_change_of_load_is_watched_until_the_next_or_the_end(monkeypatch: pyte
 @pytest.mark.parametrize(("early", "noticed"), [(0, True), (5, True), (6, False), (10, False)])
 def test_a_change_is_noticed_at_the_first_tick_that_lasts_but_for_two_of_ten(fine, first, early, noticed, monkeypatch):
     """Unless more than half of the ten ticks before it said so already."""
-    said = ["none"] * (20 - early) + ["box"] * early + ["box" if one == "1" else "none" for one in fine]
-    (row,) = latents_of([latent_drive(["none"] * 20 + ["box"] * len(fine), said)], monkeypatch)["changes"]
+    notice = ["none"] * (20 - early) + ["box"] * early + ["box" if one == "1" else "none" for one in fine]
+    (row,) = latents_of([latent_drive(["none"] * 20 + ["box"] * len(fine), notice)], monkeypatch)["changes"]
     assert row["latent_ticks"] == (first if noticed else None)
 
 
@@ -306,9 +308,9 @@ def test_changes_within_two_and_a_half_seconds_are_counted(monkeypatch: pytest.M
         latent_drive(["none"] * 20 + ["box"] * 70, ["none"] * (20 + late) + ["box"] * (70 - late))
         for late in (10, 50, 51, 65)
     ]
-    told = latents_of(drives, monkeypatch)["adaptation"]["latent_ticks"]
-    assert (told["within"], told["of"], told["median"]) == (2, 4, 50.5)
-    assert told["interval_95"] == list(wilson_interval(2, 4))
+    reported = latents_of(drives, monkeypatch)["adaptation"]["latent_ticks"]
+    assert (reported["within"], reported["of"], reported["median"]) == (2, 4, 50.5)
+    assert reported["interval_95"] == list(wilson_interval(2, 4))
     most = latents_of(drives[2:], monkeypatch)["adaptation"]["latent_ticks"]
     assert (most["within"], most["median"]) == (0, None)
 
@@ -441,8 +443,8 @@ def test_curves_of_the_car_are_drawn_in_per_cent_and_their_names_do_not_overlap(
 
 def test_coverage_of_margins_is_drawn_in_per_cent_with_its_ends(drawn: Any) -> None:
     name = next(iter(MODELS))
-    told = {"epsilon": 0.1, "share": 0.75, "interval_95": [0.5, 1.0]}
-    models = {name: {"obstacle": {"conformal": told, "theorem": told | {"epsilon": 0.4}}}}
+    reported = {"epsilon": 0.1, "share": 0.75, "interval_95": [0.5, 1.0]}
+    models = {name: {"obstacle": {"conformal": reported, "theorem": reported | {"epsilon": 0.4}}}}
     result = {"margin": {"models": models, "coverage_wanted": 0.99}}
     left, right = drawn(car_figure_margin, car_figure_margin.margin_figure, result).axes
     assert sorted(bar.get_height() for bar in left.patches) == [0.1, 0.4]

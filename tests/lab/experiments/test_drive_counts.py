@@ -35,7 +35,7 @@ from safedpa_lab.experiments.car_conditions import Conditions
 from safedpa_lab.experiments.car_drives import Drive, cut_at_contact
 from safedpa_lab.experiments.car_methods import METHODS
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
-from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
+from safedpa_lab.experiments.sensing_reported import ReportsAllButWhoHides, ReportsEverything
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.sensing import StepsOut
@@ -219,13 +219,13 @@ def test_drives_under_a_delay_are_added_up(collisions: list[int], monkeypatch: P
 
     monkeypatch.setattr(delayed_drives, "drive", driven)
     lateness: Any = SimpleNamespace(model=load_model, robot=made)
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     found = delayed_drives.delayed_drives(
-        lateness, 3, 10, loads=("none", "box"), on_drive=lambda *done: told.append(done)
+        lateness, 3, 10, loads=("none", "box"), on_drive=lambda *done: reported.append(done)
     )
     assert (found.drives, found.collided, found.collisions) == (3, sum(map(bool, collisions)), sum(collisions))
     assert (found.goals, found.least_h, found.statuses) == (6, pytest.approx(-0.3), {"passed": 6, "corrected": 3})
-    assert (loads, told) == (["none", "box", "none"], [(1, 3), (2, 3), (3, 3)])
+    assert (loads, reported) == (["none", "box", "none"], [(1, 3), (2, 3), (3, 3)])
 
 
 def hit(speed: float, towards: float) -> Collision:
@@ -267,14 +267,14 @@ def test_contacts_are_counted_by_whether_the_car_moved_and_drove_towards_them(
 ) -> None:
     own = robot(goals=3)
     own.collisions = [hit(*one) for one in hits]
-    told, _ = among_people(monkeypatch, own)
-    assert (len(told["moving"]), told["run_into"], told["standing"]) == (moving, run_into, standing)
-    assert (told["goals"], told["microseconds"]) == (3, 100.0)
-    assert told["way"] == pytest.approx(4 * 0.05 * 0.8)
+    reported, _ = among_people(monkeypatch, own)
+    assert (len(reported["moving"]), reported["run_into"], reported["standing"]) == (moving, run_into, standing)
+    assert (reported["goals"], reported["microseconds"]) == (3, 100.0)
+    assert reported["way"] == pytest.approx(4 * 0.05 * 0.8)
 
 
 @pytest.mark.parametrize(
-    ("nominal_actions", "kept"),
+    ("nominal_actions", "retained"),
     [
         ([(1.0, 0.5), (-1.0, -0.5)], 0.5),
         ([(-2.0, -2.0), (2.0, 0.0)], 0.5),
@@ -284,28 +284,28 @@ def test_contacts_are_counted_by_whether_the_car_moved_and_drove_towards_them(
         ([(0.0, 0.0)], 0.0),
     ],
 )
-def test_the_kept_share_of_nominal_speeds_counts_either_direction(nominal_actions, kept, monkeypatch) -> None:
+def test_the_kept_share_of_nominal_speeds_counts_either_direction(nominal_actions, retained, monkeypatch) -> None:
     story = [tick(nominal=(nominal, 0.0), action=(action, 0.0)) for nominal, action in nominal_actions]
-    assert among_people(monkeypatch, story=story)[0]["kept"] == pytest.approx(kept)
+    assert among_people(monkeypatch, story=story)[0]["retained"] == pytest.approx(retained)
 
 
 @pytest.mark.parametrize(
-    ("stepped", "told"),
+    ("stepped", "reported"),
     [([True], True), ([False], False), ([False, True, False], True), ([None], False), ([None, True], True)],
 )
-def test_a_drive_notes_whether_any_person_stepped_out(stepped, told, monkeypatch) -> None:
+def test_a_drive_notes_whether_any_person_stepped_out(stepped, reported, monkeypatch) -> None:
     """None is a person who stands there from the beginning."""
 
-    class Stands(Person):
+    class IsStationary(Person):
         def velocity(self, *_: Any) -> tuple[float, float]:
             return 0.0, 0.0
 
     people: list[Any] = []
     for one in stepped:
-        people.append(Stands((0.0, 0.0)) if one is None else StepsOut((0.0, 0.0), (1.0, 0.0), 1.0, 2.0))
+        people.append(IsStationary((0.0, 0.0)) if one is None else StepsOut((0.0, 0.0), (1.0, 0.0), 1.0, 2.0))
         if one is not None:
             people[-1].stepped = one
-    assert among_people(monkeypatch, people=people)[0]["stepped_out"] is told
+    assert among_people(monkeypatch, people=people)[0]["stepped_out"] is reported
 
 
 LOOKS = (AdaptationNode, PerceptionNode, PolicyNode)
@@ -315,8 +315,8 @@ LOOKS = (AdaptationNode, PerceptionNode, PolicyNode)
     ("guard", "nodes"),
     [
         ("safedpa", (*LOOKS, SafetyFilterNode)),
-        ("told", (AdaptationNode, TellsEverything, PolicyNode, SafetyFilterNode)),
-        ("TOLD-BUT-HIDING", (AdaptationNode, TellsAllButWhoHides, PolicyNode, SafetyFilterNode)),
+        ("reported", (AdaptationNode, ReportsEverything, PolicyNode, SafetyFilterNode)),
+        ("TOLD-BUT-HIDING", (AdaptationNode, ReportsAllButWhoHides, PolicyNode, SafetyFilterNode)),
         ("monitor", (AdaptationNode, PolicyNode, CollisionMonitor)),
         ("MONITOR-2S", (*LOOKS, CollisionMonitor)),
         ("time-to-collision", (AdaptationNode, PolicyNode, TimeToCollision)),
@@ -328,11 +328,11 @@ def test_a_controller_that_looks_around_has_the_same_perception_behind_each_guar
     assert among_people(monkeypatch, guard=guard)[1] == list(nodes)
 
 
-@pytest.mark.parametrize(("counts", "kept"), [((0, 0, 0), 3), ((0, 1, 1), 1), ((1, 1, 2), 0), ((0, 0, 1), 2)])
-def test_a_drive_is_cut_at_its_first_contact(counts: tuple[int, ...], kept: int) -> None:
+@pytest.mark.parametrize(("counts", "retained"), [((0, 0, 0), 3), ((0, 1, 1), 1), ((1, 1, 2), 0), ((0, 0, 1), 2)])
+def test_a_drive_is_cut_at_its_first_contact(counts: tuple[int, ...], retained: int) -> None:
     messages: Any = tuple(SimpleNamespace(collisions=count) for count in counts)
     found = cut_at_contact(Drive(messages, ("a", "b", "c")))
-    assert (len(found.messages), found.loads) == (kept, ("a", "b", "c")[:kept])
+    assert (len(found.messages), found.loads) == (retained, ("a", "b", "c")[:retained])
 
 
 def at(speed: float = 0.0) -> Any:

@@ -30,7 +30,7 @@ BAD = Part("bad", ("controllers", "--controller", "no_such_controller"), (), 1)
 
 
 def test_every_experiment_is_a_part_or_is_said_why_not() -> None:
-    asked = {part.words[0] for part in PARTS}
+    asked = {part.phrase[0] for part in PARTS}
     assert asked | set(ELSEWHERE) == set(EXPERIMENTS)
     assert not asked & set(ELSEWHERE)
     assert len({part.name for part in PARTS}) == len(PARTS)
@@ -39,11 +39,11 @@ def test_every_experiment_is_a_part_or_is_said_why_not() -> None:
 @pytest.mark.parametrize("small", [False, True])
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
 def test_each_part_is_asked_for_as_its_command_wants(part: Part, small: bool, tmp_path: Path) -> None:
-    first, name, *words = part.command(tmp_path, tmp_path, small=small)
+    first, name, *phrase = part.command(tmp_path, tmp_path, small=small)
     assert first == "experiment"
     with click.Context(experiment) as context:
         found = experiment.get_command(context, name)  # type: ignore[attr-defined]
-        found.make_context(name, words)  # raises for an option that there is not, or a value of another kind
+        found.make_context(name, phrase)  # raises for an option that there is not, or a value of another kind
 
 
 def test_no_part_writes_into_another_one_s_place(tmp_path: Path) -> None:
@@ -70,32 +70,32 @@ def test_unknown_names_and_missing_recordings_are_reported(tmp_path: Path, monke
 
 @pytest.mark.long
 def test_a_result_of_the_current_code_is_not_made_again(tmp_path: Path) -> None:
-    said: list[str] = []
+    notice: list[str] = []
 
-    def tell(part: Part, words: str) -> None:
-        said.append(f"{part.name} {re.sub(r'[0-9.]+', 'N', words)}")
+    def report_progress(part: Part, phrase: str) -> None:
+        notice.append(f"{part.name} {re.sub(r'[0-9.]+', 'N', phrase)}")
 
     runs, done, old = (
-        f"{QUICK.name} {words}"
-        for words in ("runs; about N minutes", "done in N s", "made before, by the code of today")
+        f"{QUICK.name} {phrase}"
+        for phrase in ("runs; about N minutes", "done in N s", "made before, by the code of today")
     )
-    first = make([QUICK], tmp_path, small=True, tell=tell)
-    assert said == [runs, done]
+    first = make([QUICK], tmp_path, small=True, report_progress=report_progress)
+    assert notice == [runs, done]
     assert first["controllers"]["exit_code"] == 0
     assert json.loads((tmp_path / "all.json").read_text()) == first
-    assert make([QUICK], tmp_path, small=True, tell=tell) == first
-    assert said[2:] == [old]
+    assert make([QUICK], tmp_path, small=True, report_progress=report_progress) == first
+    assert notice[2:] == [old]
 
     result = QUICK.result(tmp_path)
     document: dict[str, Any] = json.loads(result.read_text())
     document[KEY]["code"]["safedpa.safety"] = "0" * 12
     result.write_text(json.dumps(document))
-    make([QUICK], tmp_path, small=True, tell=tell)
-    assert said[3:] == [runs, done], "its code is another one by now"
+    make([QUICK], tmp_path, small=True, report_progress=report_progress)
+    assert notice[3:] == [runs, done], "its code is another one by now"
 
     result.unlink()
-    make([QUICK], tmp_path, small=True, tell=tell)
-    assert said[5:] == [runs, done], "it is gone"
+    make([QUICK], tmp_path, small=True, report_progress=report_progress)
+    assert notice[5:] == [runs, done], "it is gone"
 
 
 @pytest.mark.long
@@ -110,29 +110,29 @@ def test_a_small_result_does_not_replace_the_whole_experiment(tmp_path: Path) ->
 def test_an_experiment_that_fails_is_reported_and_the_others_run(tmp_path: Path) -> None:
     account = make([BAD, QUICK], tmp_path, small=True)
     assert account["bad"]["exit_code"] != 0
-    assert "no_such_controller" in account["bad"]["last_words"]
+    assert "no_such_controller" in account["bad"]["last_text"]
     assert account["controllers"]["exit_code"] == 0
-    said: list[str] = []
-    make([BAD], tmp_path, small=True, tell=lambda _part, words: said.append(words))
-    assert said[0].startswith("runs"), "what failed is tried again"
+    notice: list[str] = []
+    make([BAD], tmp_path, small=True, report_progress=lambda _part, phrase: notice.append(phrase))
+    assert notice[0].startswith("runs"), "what failed is tried again"
 
 
 @pytest.mark.long
 def test_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "all", "--list"]) == 0
     listed = capsys.readouterr().out
-    assert all(f"safedpa experiment {' '.join(part.words)}" in listed for part in PARTS)
+    assert all(f"safedpa experiment {' '.join(part.phrase)}" in listed for part in PARTS)
     assert safedpa.run(["experiment", "all"]) == 2
     assert "wanted a folder" in capsys.readouterr().err
-    words = ["experiment", "all", "--small", "--only", "controllers", "--out", str(tmp_path / "new" / "all"), "--json"]
-    assert safedpa.run(words) == 0
-    told = capsys.readouterr()
-    assert json.loads(told.out)["controllers"]["exit_code"] == 0
-    assert "1 of 1: controllers: done" in told.err
+    phrase = ["experiment", "all", "--small", "--only", "controllers", "--out", str(tmp_path / "new" / "all"), "--json"]
+    assert safedpa.run(phrase) == 0
+    reported = capsys.readouterr()
+    assert json.loads(reported.out)["controllers"]["exit_code"] == 0
+    assert "1 of 1: controllers: done" in reported.err
 
 
-def told(*words: str) -> str:
-    found = CliRunner().invoke(command, list(words))
+def reported(*phrase: str) -> str:
+    found = CliRunner().invoke(command, list(phrase))
     assert isinstance(found.exception, InputError), found.output
     return str(found.exception)
 
@@ -142,7 +142,9 @@ def test_an_out_that_cannot_be_made_is_refused_before_anything_is_driven(name, t
     monkeypatch.setattr("safedpa_services.progress.progress", lambda *_: pytest.fail("work was begun"))
     monkeypatch.setattr("safedpa_lab.point.heat_map.heat_map", lambda *_, **__: pytest.fail("work was begun"))
     (tmp_path / "file").touch()
-    assert told(name, "--out", str(tmp_path / "file" / "in")).startswith(f"--out {tmp_path / 'file' / 'in'}: cannot be")
+    assert reported(name, "--out", str(tmp_path / "file" / "in")).startswith(
+        f"--out {tmp_path / 'file' / 'in'}: cannot be"
+    )
 
 
 @pytest.mark.parametrize(
@@ -150,7 +152,7 @@ def test_an_out_that_cannot_be_made_is_refused_before_anything_is_driven(name, t
 )
 def test_a_folder_that_is_named_and_not_there_is_not_replaced_by_what_ships(named, tmp_path) -> None:
     name, option = named.split()
-    assert told(name, option, str(tmp_path / "mistyped")) == (
+    assert reported(name, option, str(tmp_path / "mistyped")) == (
         f"{option} {tmp_path / 'mistyped'}: got no folder that exists, wanted one; without {option} what ships is taken"
     )
 
@@ -169,32 +171,32 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def kept(written: Path, tmp_path: Path) -> Path:
+def retained(written: Path, tmp_path: Path) -> Path:
     """A folder with a copy of it, to be changed."""
     shutil.copy(written, tmp_path)
     return tmp_path
 
 
 def test_a_result_holds_how_to_make_it_again(written: Path) -> None:
-    told = json.loads(written.read_text())[KEY]
-    assert told["command"] == "safedpa experiment theory car_learned --states 2000 --seed 4"
-    assert told["date"][:2] == "20"
-    assert told["machine"]["cores"] >= 1
-    assert {"safedpa.safety", "safedpa.dynamics", "safedpa.robots.car", "shipped models"} <= set(told["code"])
-    assert str(written.parent) not in json.dumps(told)
+    reported = json.loads(written.read_text())[KEY]
+    assert reported["command"] == "safedpa experiment theory car_learned --states 2000 --seed 4"
+    assert reported["date"][:2] == "20"
+    assert reported["machine"]["cores"] >= 1
+    assert {"safedpa.safety", "safedpa.dynamics", "safedpa.robots.car", "shipped models"} <= set(reported["code"])
+    assert str(written.parent) not in json.dumps(reported)
 
 
-def test_the_check_names_the_package_that_has_changed(kept: Path) -> None:
-    (now,) = standings(kept)
-    assert (now.changed, now.told) == ((), "made by the code of today")
-    path = kept / "theory.json"
+def test_the_check_names_the_package_that_has_changed(retained: Path) -> None:
+    (now,) = standings(retained)
+    assert (now.changed, now.reported) == ((), "made by the code of today")
+    path = retained / "theory.json"
     document = json.loads(path.read_text())
     document[KEY]["code"]["safedpa.safety"] = "0" * 12
     path.write_text(json.dumps(document))
-    (then,) = standings(kept)
+    (then,) = standings(retained)
     assert then.changed == ("safedpa.safety",)
-    assert then.told == f"older than its code in 1 of {then.rooms} rooms"
-    shown = CliRunner().invoke(results, ["check", str(kept), "--strict"], standalone_mode=False)
+    assert then.reported == f"older than its code in 1 of {then.rooms} rooms"
+    shown = CliRunner().invoke(results, ["check", str(retained), "--strict"], standalone_mode=False)
     assert "differ: safedpa.safety" in shown.output
     assert shown.return_value == 1
 
@@ -202,15 +204,15 @@ def test_the_check_names_the_package_that_has_changed(kept: Path) -> None:
 def test_a_result_without_provenance_is_not_called_current(tmp_path: Path) -> None:
     (tmp_path / "old.json").write_text('{"date": "2026-11-21", "rows": []}')
     (old,) = standings(tmp_path)
-    assert (old.date, old.rooms, old.told) == ("2026-11-21", 0, "made before its code was written down")
+    assert (old.date, old.rooms, old.reported) == ("2026-11-21", 0, "made before its code was written down")
     assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
     assert CliRunner().invoke(results, ["check", str(tmp_path), "--strict"], standalone_mode=False).return_value == 1
 
 
-def test_each_row_of_a_benchmark_is_checked_by_itself(kept: Path) -> None:
-    told = json.loads((kept / "theory.json").read_text())[KEY]
-    (kept / "theory.json").write_text(json.dumps({"rows": {"new": {KEY: told}, "old": {"name": "old"}}}))
-    assert [(each.name, bool(each.rooms)) for each in standings(kept)] == [
+def test_each_row_of_a_benchmark_is_checked_by_itself(retained: Path) -> None:
+    reported = json.loads((retained / "theory.json").read_text())[KEY]
+    (retained / "theory.json").write_text(json.dumps({"rows": {"new": {KEY: reported}, "old": {"name": "old"}}}))
+    assert [(each.name, bool(each.rooms)) for each in standings(retained)] == [
         ("theory.json: new", True),
         ("theory.json: old", False),
     ]
@@ -234,18 +236,18 @@ def test_no_results_and_no_json_are_refused(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_a_malformed_provenance_counts_as_unknown(tmp_path: Path, text: str) -> None:
     (tmp_path / "odd.json").write_text(text)
-    (told,) = standings(tmp_path)
-    assert (told.rooms, told.changed, told.date) == (0, (), None)
+    (reported,) = standings(tmp_path)
+    assert (reported.rooms, reported.changed, reported.date) == (0, (), None)
     assert CliRunner().invoke(results, ["check", str(tmp_path)], standalone_mode=False).return_value == 0
 
 
-def test_every_package_differs_if_the_module_is_gone(kept: Path) -> None:
-    path = kept / "theory.json"
+def test_every_package_differs_if_the_module_is_gone(retained: Path) -> None:
+    path = retained / "theory.json"
     document = json.loads(path.read_text())
     document[KEY]["module"] = "safedpa_lab.of.long.ago"
     document[KEY]["code"] = {"safedpa_lab.of": "0" * 12}
     path.write_text(json.dumps(document))
-    (then,) = standings(kept)
+    (then,) = standings(retained)
     assert "safedpa_lab.of" in then.changed
     assert len(then.changed) == then.rooms
 
@@ -263,15 +265,15 @@ def test_an_environment_within_another_project_bears_no_commit_of_that_project(t
     (package / "__init__.py").write_text("")
     (tmp_path / ".gitignore").write_text("env\n")
     own = ("-c", "user.name=a", "-c", "user.email=a@b")
-    for words in (("init", "-q"), ("add", "."), (*own, "commit", "-q", "-m", "theirs")):
-        subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
+    for phrase in (("init", "-q"), ("add", "."), (*own, "commit", "-q", "-m", "theirs")):
+        subprocess.run(["git", *phrase], cwd=tmp_path, check=True, capture_output=True)
     monkeypatch.setattr(record.safedpa, "__file__", str(package / "__init__.py"))
     write_result(tmp_path / "odd.json", {})
     assert json.loads((tmp_path / "odd.json").read_text())[KEY]["commit"] is None
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("phrase", "reported"),
     [
         (["--seed", "7", "--only", "box", "--only", "large chair", "--quick", "--processes", "1", "--out", "/x/y"],
          "drive --only box --only 'large chair' --seed 7 --quick"),
@@ -282,8 +284,8 @@ def test_an_environment_within_another_project_bears_no_commit_of_that_project(t
         (["--when", "now"], "drive"),
     ],
 )  # fmt: skip
-def test_a_command_is_recorded_as_typed_without_folders(words: list[str], told: str) -> None:
-    said: list[str] = []
+def test_a_command_is_recorded_as_typed_without_folders(phrase: list[str], reported: str) -> None:
+    notice: list[str] = []
 
     @click.command(name="drive")
     @click.option("--peers/--no-peers", default=True)
@@ -296,10 +298,10 @@ def test_a_command_is_recorded_as_typed_without_folders(words: list[str], told: 
     @click.option("--processes", type=int, default=2)
     @click.option("--out", type=click.Path(path_type=Path))
     def drive(**_: object) -> None:
-        said.append(command_line(click.get_current_context()))
+        notice.append(command_line(click.get_current_context()))
 
-    CliRunner().invoke(drive, words, prog_name="drive")
-    assert said == [told]
+    CliRunner().invoke(drive, phrase, prog_name="drive")
+    assert notice == [reported]
 
 
 @pytest.mark.parametrize(
@@ -316,7 +318,7 @@ def test_a_command_is_recorded_as_typed_without_folders(words: list[str], told: 
     ],
 )
 def test_comments_and_layout_do_not_count_and_all_else_does(before: str, after: str, same: bool) -> None:
-    assert (code.without_words(before) == code.without_words(after)) is same
+    assert (code.without_text(before) == code.without_text(after)) is same
 
 
 def test_code_that_is_only_named_counts_as_well() -> None:
@@ -346,7 +348,7 @@ CAR = "--models TMP/none --out TMP/results/car"
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("phrase", "reported"),
     [
         ("safty", "did you mean 'safety'"), ("safety --suite none", "--suite"), ("safety --seeds 0", "more than 0"),
         ("adversary --only programms", "did you mean 'programs'"), ("adversary --workers 0", "wanted at least 1"),
@@ -382,9 +384,11 @@ CAR = "--models TMP/none --out TMP/results/car"
         ("point --methods cppo", "did you mean"),
     ],
 )  # fmt: skip
-def test_what_no_experiment_can_do_is_refused_in_one_line_and_leaves_no_folder(words, told, tmp_path, capsys) -> None:
-    assert safedpa.run(["experiment", *words.replace("TMP", str(tmp_path)).split()]) == 2
+def test_what_no_experiment_can_do_is_refused_in_one_line_and_leaves_no_folder(
+    phrase, reported, tmp_path, capsys
+) -> None:
+    assert safedpa.run(["experiment", *phrase.replace("TMP", str(tmp_path)).split()]) == 2
     shown = capsys.readouterr()
     assert (shown.out, shown.err.count("\n")) == ("", 1)
-    assert told.lower() in shown.err.lower()
+    assert reported.lower() in shown.err.lower()
     assert list(tmp_path.iterdir()) == []

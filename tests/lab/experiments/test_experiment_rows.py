@@ -47,12 +47,12 @@ def test_controllers_are_compared_over_all_scenes_of_a_load(monkeypatch: pytest.
     }
     monkeypatch.setattr(controllers, "timed_drive", lambda _m, _s, _name, _load, seed, _seconds: drives[seed])
     model: Any = None
-    told: list[tuple[int, int, int]] = []
+    reported: list[tuple[int, int, int]] = []
     found = controllers.controllers_experiment(
         model, settings_named("car"), ("one", "two"), drives, 5.0,
-        lambda done, everything, result: told.append((done, everything, result["rows"][0]["drives"])),
+        lambda done, everything, result: reported.append((done, everything, result["rows"][0]["drives"])),
     )  # fmt: skip
-    assert told == [(1, 4, 1), (2, 4, 2), (3, 4, 3), (4, 4, 4)]
+    assert reported == [(1, 4, 1), (2, 4, 2), (3, 4, 3), (4, 4, 4)]
     assert [(row["load"], row["controller"]) for row in found["rows"]] == [
         (load, name) for load in controllers.LOADS for name in ("one", "two")
     ]
@@ -113,12 +113,12 @@ def test_episodes_with_an_incomplete_and_with_a_diagnosed_model(monkeypatch: pyt
     monkeypatch.setattr(safety_pays.MarginCalibration, "parse", lambda _: None)
     monkeypatch.setattr(safety_pays, "hidden_robot", lambda *_: robot())
     monkeypatch.setattr(safety_pays, "drive", driven)
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     period = safety_pays.PERIOD
     found = safety_pays.safety_pays(
-        safety_pays.SafetyPays((hidden,), (0, 1, 2, 3), 4 * period, processes=1), lambda *done: told.append(done)
+        safety_pays.SafetyPays((hidden,), (0, 1, 2, 3), 4 * period, processes=1), lambda *done: reported.append(done)
     )
-    assert told == [(number, 13) for number in range(1, 14)]
+    assert reported == [(number, 13) for number in range(1, 14)]
     assert [row["model"] for row in found["rows"]] == list(safety_pays.MODELS)
     assert found["rows"][1] == {
         "hidden": hidden, "model": "diagnosed", "effects": [effect.name for effect in model.effects], "episodes": 4,
@@ -168,14 +168,14 @@ def by_ros(
     }  # fmt: skip
     stalled = iter([9.0] * stalls)
     chains: list[float] = []
-    told: list[int] = []
+    reported: list[int] = []
 
     def drive(_loop: Any, _folder: Any, seed: int, _seconds: float) -> dict[str, Any]:
         return {"seed": seed, **usual, **own.get(seed, {}), "sense_to_act": pairs, "stalled": next(stalled, 0.0)}
 
-    def blind(seeds: Any, _: float, tell: Any) -> list[dict[str, Any]]:
-        tell(2)
-        tell(len(seeds))
+    def blind(seeds: Any, _: float, report_progress: Any) -> list[dict[str, Any]]:
+        report_progress(2)
+        report_progress(len(seeds))
         return [{"seed": seed, **usual, "collisions": 1} for seed in seeds]
 
     def bare(seconds: float, _: float) -> list[float]:
@@ -188,17 +188,21 @@ def by_ros(
     patch.setattr(ros, "unfiltered_drives", blind)
     patch.setattr(ros, "run_fault", lambda fault, seed: {"fault": fault, "seed": seed})
 
-    def tell(done: int, everything: int) -> None:
+    def report_progress(done: int, everything: int) -> None:
         assert everything == 2 * count + 3
-        told.append(done)
+        reported.append(done)
 
-    return ros.ros_experiment(list(range(10, 10 + count)), 30.0, ("a", "b", "c"), tell), told, len(chains)
+    return (
+        ros.ros_experiment(list(range(10, 10 + count)), 30.0, ("a", "b", "c"), report_progress),
+        reported,
+        len(chains),
+    )
 
 
 @pytest.mark.parametrize("count", [4, 6, 11])
 def test_drives_by_ros_are_counted_with_and_without_the_filter(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, told, chains = by_ros(monkeypatch, count)
-    assert told == [*range(1, count + 1), count + 2, 2 * count, *range(2 * count + 1, 2 * count + 4)]
+    found, reported, chains = by_ros(monkeypatch, count)
+    assert reported == [*range(1, count + 1), count + 2, 2 * count, *range(2 * count + 1, 2 * count + 4)]
     assert chains == -(-count // 5), "the bare chain is measured before every fifth drive"
     more = count - 4
     assert found["with_filter"] == {
@@ -234,7 +238,7 @@ def test_the_page_by_ros_has_a_table_of_faults_with_its_head(faults: int) -> Non
         "periods_braked_by_the_gateway": 11, "periods_braked_by_the_driver": 13, "share_95": (0.1, 0.256),
     }  # fmt: skip
     names = ("through_the_gateway", "waiting_for_its_turn", "both", "bare_chain")
-    fault = {"fault": "cut", "speed_before": 1.5, "stood_after": None, "stopping_way": 0.25, "told": "",
+    fault = {"fault": "cut", "speed_before": 1.5, "stood_after": None, "stopping_way": 0.25, "reported": "",
              "collisions": 3}  # fmt: skip
     latency = {name: {"p50": 1.25, "p99": 2.0, "samples": 17} for name in names}
     page = ros_page({
@@ -251,19 +255,19 @@ def test_the_page_by_ros_has_a_table_of_faults_with_its_head(faults: int) -> Non
 
 def sensed(seed: int, **changes: Any) -> dict[str, Any]:
     usual = {"load": "none", "moving": [], "run_into": 0, "standing": 0, "stepped_out": False, "goals": 2, "way": 30.0}
-    return {"seed": seed, **usual, "kept": 0.5, "microseconds": 100.0, **changes}
+    return {"seed": seed, **usual, "retained": 0.5, "microseconds": 100.0, **changes}
 
 
 def test_drives_among_people_are_compared_with_those_with_perfect_knowledge() -> None:
     drives = [
         sensed(1, moving=["a person", "a wall"], run_into=1, standing=2),
         sensed(2, standing=1, goals=0, way=0.0, stepped_out=True),
-        sensed(3, moving=["a person"], run_into=1, stepped_out=True, kept=0.8, microseconds=900.0),
+        sensed(3, moving=["a person"], run_into=1, stepped_out=True, retained=0.8, microseconds=900.0),
     ]  # fmt: skip
-    told = [sensed(seed, goals=goals) for seed, goals in ((1, 2), (2, 1), (3, 3))]
-    row = sensing.row_of(("crowd", "told"), drives, told, 30.0)
+    reported = [sensed(seed, goals=goals) for seed, goals in ((1, 2), (2, 1), (3, 3))]
+    row = sensing.row_of(("crowd", "reported"), drives, reported, 30.0)
     assert row == {
-        "scene": "crowd", "guard": "told", "drives": 3, "drives_in_which_the_car_moved_into_something": 2,
+        "scene": "crowd", "guard": "reported", "drives": 3, "drives_in_which_the_car_moved_into_something": 2,
         "share_95": clopper_pearson_interval(2, 3),
         "which": ["seed 1, load none: a person", "seed 1, load none: a wall", "seed 3, load none: a person"],
         "of_them_it_did_not_drive_towards": 2, "touched_while_it_stood": 3, "drives_in_which_somebody_stepped_out": 2,
@@ -272,12 +276,12 @@ def test_drives_among_people_are_compared_with_those_with_perfect_knowledge() ->
         "metres_a_minute": pytest.approx(40.0), "median_microseconds": 100.0,
     }  # fmt: skip
     for nothing in ([], [sensed(1, goals=0)] * 3):
-        assert sensing.row_of(("crowd", "told"), drives, nothing, 30.0)["goals_beside_perfect_knowledge"] is None
+        assert sensing.row_of(("crowd", "reported"), drives, nothing, 30.0)["goals_beside_perfect_knowledge"] is None
 
 
 def test_each_scene_guard_and_load_has_the_goals_of_its_own_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     """6, 2, 5 and 1 goals of each drive; a box costs one."""
-    goals = {("pillars", "told"): 6, ("pillars", "nothing"): 2, ("people", "told"): 5, ("people", "nothing"): 1}
+    goals = {("pillars", "reported"): 6, ("pillars", "nothing"): 2, ("people", "reported"): 5, ("people", "nothing"): 1}
 
     def done(_run: Any, wanted: Any, *_: Any) -> list[dict[str, Any]]:
         return [
@@ -288,12 +292,12 @@ def test_each_scene_guard_and_load_has_the_goals_of_its_own_drives(monkeypatch: 
 
     monkeypatch.setattr(sensing, "driven", done)
     found = sensing.sensing_experiment(
-        [1, 2], 60.0, 1.5, guards=("told", "nothing"), scenes=("pillars", "people"), loads=("none", "box")
+        [1, 2], 60.0, 1.5, guards=("reported", "nothing"), scenes=("pillars", "people"), loads=("none", "box")
     )
     assert [(row["scene"], row["guard"], row["drives"]) for row in found["rows"]] == [(*kind, 4) for kind in goals]
     assert [row["goals_a_minute"] for row in found["rows"]] == [count - 0.5 for count in goals.values()]
-    beside = [row["goals_beside_perfect_knowledge"][0] for row in found["rows"]]
-    assert beside == pytest.approx([1.0, 1.5 / 5.5, 1.0, 0.5 / 4.5])
+    alongside = [row["goals_beside_perfect_knowledge"][0] for row in found["rows"]]
+    assert alongside == pytest.approx([1.0, 1.5 / 5.5, 1.0, 0.5 / 4.5])
     assert [(row["load"], row["drives"]) for row in found["by_load"]] == [("none", 2), ("box", 2)] * 4
     assert [row["goals_a_minute"] for row in found["by_load"]] == [6.0, 5.0, 2.0, 1.0, 5.0, 4.0, 1.0, 0.0]
 
@@ -319,7 +323,7 @@ def test_the_page_of_drives_among_people_lists_every_contact() -> None:
             "metres_a_minute": 33.4,
         }  # fmt: skip
 
-    rows = [row("told", 2, ["a"]), row("nothing", 3, ["b", "c"])]
+    rows = [row("reported", 2, ["a"]), row("nothing", 3, ["b", "c"])]
     page = sensing_page({"seeds": [1, 2, 3], "loads": ["none"], "seconds": 5.0, "rows": rows})
     assert "Into what (in 5 of these car or load" in page
     assert page.count("\n- people, ") == 3
@@ -381,30 +385,32 @@ def test_medians_leave_out_what_did_not_happen_and_quiet_hours_are_counted(monke
     for seed, at in ((1, 8.0), (2, 3.0), (3, 1.0), (4, None)):
         found["hitch", seed] = LiveDrive("hitch", seed, changed=0.0, raised=at)
     monkeypatch.setattr(live, "drive_live", lambda case, seed, *_, **__: found[case, seed])
-    told = live.live_experiment(live.LiveExperiment(("hitch", "nothing"), seeds=(1, 2, 3, 4), quiet_seeds=(1, 2)))
-    assert told["rows"][0]["seconds_to_finding_median"] == 3.0
-    assert told["rows"][0]["seconds_to_effect_median"] is None
-    quiet = told["quiet"]
+    reported = live.live_experiment(live.LiveExperiment(("hitch", "nothing"), seeds=(1, 2, 3, 4), quiet_seeds=(1, 2)))
+    assert reported["rows"][0]["seconds_to_finding_median"] == 3.0
+    assert reported["rows"][0]["seconds_to_effect_median"] is None
+    quiet = reported["quiet"]
     assert (quiet["hours"], quiet["findings"], quiet["largest_evidence"], quiet["collisions"]) == (2.0, 3, 3.5, 4)
     assert quiet["stated_probability_at_most"] == pytest.approx(live.ALPHA * 7200.0)
 
 
 def test_diagnoses_at_several_horizons_are_equal_if_verdict_and_names_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = iter([("model", "a")] * 3 + [("effect", "a")] * 4 + [("effect", "b")])
+    notice = iter([("model", "a")] * 3 + [("effect", "a")] * 4 + [("effect", "b")])
 
     def diagnose(*_: Any) -> Any:
-        verdict, name = next(said)
+        verdict, name = next(notice)
         return SimpleNamespace(verdict=verdict, added=[name], stages=[SimpleNamespace(heldout_error=0.5)])
 
     cases = [SimpleNamespace(name=name, effects={}) for name in "abcd"]
     monkeypatch.setattr(hidden_horizons, "cases_of", lambda *_: cases)
     monkeypatch.setattr(hidden_horizons, "write_case", lambda *_: SimpleNamespace(model="car", runs=()))
     monkeypatch.setattr(hidden_horizons, "diagnose", diagnose)
-    told: list[tuple[int, int]] = []
-    found = hidden_horizons.hidden_horizons(["one"], 3, horizons=(0.2, 1.0), tell=lambda *done: told.append(done))
+    reported: list[tuple[int, int]] = []
+    found = hidden_horizons.hidden_horizons(
+        ["one"], 3, horizons=(0.2, 1.0), report_progress=lambda *done: reported.append(done)
+    )
     assert (found["equal"], found["of"]) == (2, 4)
     assert [row["equal"] for row in found["cases"]] == [True, False, True, False]
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_payloads_named_within_their_deviations_and_false_alarms_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -444,7 +450,7 @@ def test_an_episode_of_the_point_robot_is_safe_if_it_cost_nothing(monkeypatch: p
     monkeypatch.setattr(point_story, "diagnose", lambda *_: SimpleNamespace(models=[None]))
     for name in ("hide", "SimulatedPointModel", "ModelBelief", "point_logs"):
         monkeypatch.setattr(point_story, name, lambda *_: None)
-    monkeypatch.setattr(point_story, "beside_the_truth", lambda *_: {})
+    monkeypatch.setattr(point_story, "alongside_the_truth", lambda *_: {})
     hidden = next(iter(point_story.HIDDEN))
     found = point_story.point_story(point_story.PointStory(hidden=(hidden,), robots=5, seconds=0.1))
     rows = found["cases"][hidden]["rows"]

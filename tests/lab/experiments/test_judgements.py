@@ -22,7 +22,7 @@ def share(hits: int, trials: int) -> dict[str, Any]:
 
 def case(name: str = "a", suite: str = "one", **changes: Any) -> Any:
     usual = {
-        "suite": suite, "case": name, "hidden": (), "added": ("x",), "told": ("y",), "verdict": "model", "right": True,
+        "suite": suite, "case": name, "hidden": (), "added": ("x",), "reported": ("y",), "verdict": "model", "right": True,
         "first_named": True, "all_named": True, "wrong": (), "false_laws": (), "deviations": (), "error_ratio": 1.0,
         "seconds": 1.0, "processor_seconds": NAN,
     }  # fmt: skip
@@ -88,10 +88,10 @@ def group(kind: str, robots: str, *effects: str) -> dict[str, Any]:
 def fleet(groups: list[Any], found: dict[str, Any] | None = None, common: Any = None) -> dict[str, Any]:
     """A document of a fleet: groups, what was found in its robots, and in all of them."""
     names = [name for own in groups for name in own["robots"]]
-    told = {
+    reported = {
         name: [{"effect": effect, "parameters": own} for effect, own in (found or {}).get(name, [])] for name in names
     }
-    robots = [{"robot": name, "found": own} for name, own in told.items()]
+    robots = [{"robot": name, "found": own} for name, own in reported.items()]
     return {"groups": groups, "robots": robots, "common": common, "false_discovery": 0.05}
 
 
@@ -173,9 +173,9 @@ def test_a_robot_is_right_if_all_that_is_hidden_is_named_and_nothing_else(hidden
 def test_a_kind_of_hidden_effects_is_right_if_its_robots_make_up_one_group(groups: str, count: int) -> None:
     """a and b drag, c tows, x and h are healthy."""
     truth: dict[str, Any] = {"a": {"drag": {}}, "b": {"drag": {}}, "c": {"tow": {}}, "x": {}, "h": {}}
-    told = [group("missing", names, "tow" if names[0] == "c" else "drag") for names in groups.split(";")]
-    rest = [name for name in truth if not any(name in one["robots"] for one in told)]
-    judged = judged_fleet(fleet([*told, *[group("nothing", name) for name in rest]]), truth)
+    reported = [group("missing", names, "tow" if names[0] == "c" else "drag") for names in groups.split(";")]
+    rest = [name for name in truth if not any(name in one["robots"] for one in reported)]
+    judged = judged_fleet(fleet([*reported, *[group("nothing", name) for name in rest]]), truth)
     assert (judged["groups_hidden"], judged["groups_right"], judged["groups_false"]) == (2, count, 0)
 
 
@@ -190,9 +190,9 @@ def test_costs_of_a_fleet_are_medians_and_the_largest_of_each(monkeypatch: pytes
     monkeypatch.setattr(fleet_diagnosis, "write_fleet", lambda *_, **__: logs)
     monkeypatch.setattr(fleet_diagnosis, "robots_in_folder", lambda _: [])
     monkeypatch.setattr(fleet_diagnosis, "diagnose_fleet", lambda *_: document)
-    told = fleet_diagnosis.fleet_diagnosis_experiment(4, 1, tmp_path)
-    assert told["processor_seconds_a_robot"] == {"median": 3.0, "largest": 9.0, "nothing": 2.0, "unexplained": 4.0}
-    assert (told["memory_mebibytes_of_a_worker"], told["diagnosed_now"]) == (500, 3)
+    reported = fleet_diagnosis.fleet_diagnosis_experiment(4, 1, tmp_path)
+    assert reported["processor_seconds_a_robot"] == {"median": 3.0, "largest": 9.0, "nothing": 2.0, "unexplained": 4.0}
+    assert (reported["memory_mebibytes_of_a_worker"], reported["diagnosed_now"]) == (500, 3)
 
 
 def test_limits_of_a_screen_are_those_of_healthy_cars_of_the_same_drive(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,18 +211,18 @@ def test_limits_of_a_screen_are_those_of_healthy_cars_of_the_same_drive(monkeypa
     monkeypatch.setattr(
         fleet_screen, "initial_search", lambda *_: SimpleNamespace(error=SimpleNamespace(value=float(next(errors))))
     )
-    told = fleet_screen.fleet_screen(0, 6)
+    reported = fleet_screen.fleet_screen(0, 6)
     healthy, ill = cases[:6], cases[6:]
     assert all(not one.effects for one in healthy)
-    assert (told["healthy"], told["effects"]) == (6, len(ill))
-    assert {row["effect"]: row["error"] for row in told["rows"]} == {
+    assert (reported["healthy"], reported["effects"]) == (6, len(ill))
+    assert {row["effect"]: row["error"] for row in reported["rows"]} == {
         next(iter(one.effects)): 7.0 + n for n, one in enumerate(ill)
     }
-    for drive, limit in told["limits"].items():
+    for drive, limit in reported["limits"].items():
         own = [n + 1.0 for n, one in enumerate(healthy) if one.drive == drive]
-        assert len(own) == 6 // len(told["limits"])
-        assert limit == pytest.approx(float(np.quantile(own, told["quantile"])))
-    assert told["missed"] == [row["effect"] for row in told["rows"] if row["over_limit"] <= 1.0] == []
+        assert len(own) == 6 // len(reported["limits"])
+        assert limit == pytest.approx(float(np.quantile(own, reported["quantile"])))
+    assert reported["missed"] == [row["effect"] for row in reported["rows"] if row["over_limit"] <= 1.0] == []
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_a_target_is_met_where_the_report_says_that_it_holds(after: float, met: 
 def test_the_pendulum_meets_its_targets(added, errors, met, measured) -> None:
     found = targets_of([{"part": "pendulum", "added": added, "errors": errors}])
     assert [one["met"] for one in found] == met
-    assert all(said in one["measured"] for one, said in zip(found, measured, strict=True))
+    assert all(notice in one["measured"] for one, notice in zip(found, measured, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -329,13 +329,15 @@ def test_recordings_are_diagnosed_together_and_with_each_log_left_out(errors, ch
     monkeypatch.setattr(real_logs, "report_text", lambda _: SimpleNamespace(lead="so"))
     monkeypatch.setattr(real_logs, "uncovered", lambda *_: 0.0)
     monkeypatch.setattr(real_logs, "windows_of", Windows)
-    monkeypatch.setattr(real_logs, "told_windows", lambda _, windows: np.arange(25) < covered[windows.name])
+    monkeypatch.setattr(real_logs, "reported_windows", lambda _, windows: np.arange(25) < covered[windows.name])
     monkeypatch.setattr(real_logs, "rollout_error", error)
     found = real_logs.real_logs_experiment(real_logs.RealLogs(tmp_path, parts=("car",), processes=1))
     assert [row["name"] for row in found["rows"]] == ["", "x.csv", "y.csv", "z.csv"]
     assert found["folds_together"] == -0.6875
-    told = [(row["unseen_change"], row["unseen_told"], row["unseen_where_told"]) for row in found["rows"][1:]]
-    assert told == [(-0.75, 0.8, [4.0, 1.0]), (-0.5, 0.76, None), (-0.75, 1.0, [2.0, 0.5])], "of 20 windows at least"
+    reported = [(row["unseen_change"], row["unseen_told"], row["unseen_where_told"]) for row in found["rows"][1:]]
+    assert reported == [(-0.75, 0.8, [4.0, 1.0]), (-0.5, 0.76, None), (-0.75, 1.0, [2.0, 0.5])], (
+        "of 20 windows at least"
+    )
     assert list(found["stable_names"].items()) == [("b", 2), ("a", 1), ("c", 1)]
     row = found["rows"][0]
     assert (row["change"], row["errors"]) == (change, list(errors))

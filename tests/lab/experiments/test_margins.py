@@ -58,11 +58,11 @@ def cases(out: Path, **changes: Any) -> MarginCases:
 
 def test_margins_come_from_all_drives_and_count_what_they_cover(tmp_path, monkeypatch) -> None:
     drives = Drives(monkeypatch)
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     wanted = cases(tmp_path)
-    found = margins_experiment(wanted, lambda *done: told.append(done))
+    found = margins_experiment(wanted, lambda *done: reported.append(done))
     total = wanted.first + 2 * 6 + 2 * 2
-    assert (found["missing"], told[-1], len(drives.made)) == (0, (total, total), total)
+    assert (found["missing"], reported[-1], len(drives.made)) == (0, (total, total), total)
     row = found["robots"]["car"]
     behind = [order for order in drives.made if order.kind == "conformal" and order.margin is not None][:6]
     assert behind[0].margin is not None
@@ -92,11 +92,11 @@ def test_drives_that_are_kept_are_not_made_again(tmp_path: Path, monkeypatch: py
     cut = margins_experiment(cases(tmp_path / "cut", minutes=3.5 / 60.0))
     whole = cases(tmp_path / "cut")
     assert (cut["missing"], len(drives.made)) == (whole.total - 4, 4)
-    told: list[tuple[int, int]] = []
-    rest = margins_experiment(whole, lambda *done: told.append(done))
+    reported: list[tuple[int, int]] = []
+    rest = margins_experiment(whole, lambda *done: reported.append(done))
     assert (rest["missing"], len(drives.made)) == (0, whole.total)
     assert len({(order.seed, order.kind, order.margin is None) for order in drives.made}) == whole.total
-    assert told[0][0] > 0, "kept drives count as done at once"
+    assert reported[0][0] > 0, "kept drives count as done at once"
     assert margins_experiment(cases(tmp_path / "other"))["robots"] == rest["robots"]
     assert len(drives.made) == 2 * whole.total
     files = [path.name for path in (tmp_path / "cut").rglob("*.npz")]

@@ -26,7 +26,7 @@ from safedpa_sim.robots.shared_field import CarContact
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("guard", ["safedpa", "told", "nothing"])
+@pytest.mark.parametrize("guard", ["safedpa", "reported", "nothing"])
 def test_a_meeting_repeats_bit_for_bit(guard: str) -> None:
     once, again = (run_meeting(Meeting(4690, 2, 1.5, 2.0, guard)) for _ in "12")
     assert once == again
@@ -111,11 +111,11 @@ def test_contacts_of_a_meeting_are_counted_by_who_moved(monkeypatch: pytest.Monk
     path = [[SimpleNamespace(state=SimpleNamespace(values=values)) for values in tick] for tick in moved]
     monkeypatch.setattr(meeting, "meeting_field", lambda *_: own)
     monkeypatch.setattr(meeting, "drive_together", lambda *_: iter(path))
-    told = run_meeting(Meeting(4690, 2, 0.1, 2.0))
-    assert (len(told["moving"]), told["into_standing"], told["both_standing"]) == (4, 3, 2)
-    assert told["moving"][0] == "car of robot 0 at 0.50 m/s against load of robot 1 at 0.00 m/s, t=1.00 s"
-    assert (len(told["solid"]), told["fastest_driven"]) == (3, 1.75)
-    assert (told["standing_share"], told["stuck"]) == (0.5, [])
+    reported = run_meeting(Meeting(4690, 2, 0.1, 2.0))
+    assert (len(reported["moving"]), reported["into_standing"], reported["both_standing"]) == (4, 3, 2)
+    assert reported["moving"][0] == "car of robot 0 at 0.50 m/s against load of robot 1 at 0.00 m/s, t=1.00 s"
+    assert (len(reported["solid"]), reported["fastest_driven"]) == (3, 1.75)
+    assert (reported["standing_share"], reported["stuck"]) == (0.5, [])
 
 
 def meetings(
@@ -165,12 +165,12 @@ def test_a_row_and_its_line_count_all_contacts_and_stuck_pairs(monkeypatch: pyte
 def test_meetings_have_a_row_for_each_number_of_cars_and_guard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two and three cars behind two guards, with two seeds and two loads; each kind has other goals."""
     goals = {(2, "safedpa"): 1, (2, "nothing"): 2, (3, "safedpa"): 3, (3, "nothing"): 4}
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     found = meetings(
         monkeypatch, lambda one: {"goals": [goals[one.robots, one.guard]] * one.robots}, [5, 6], [2, 3], 60.0,
-        guards=("safedpa", "nothing"), loads=("none", "box"), on_drive=lambda *one: told.append(one),
+        guards=("safedpa", "nothing"), loads=("none", "box"), on_drive=lambda *one: reported.append(one),
     )  # fmt: skip
-    assert told == [(number, 16) for number in range(1, 17)]
+    assert reported == [(number, 16) for number in range(1, 17)]
     assert {(row["robots"], row["guard"]): row["drives"] for row in found["rows"]} == dict.fromkeys(goals, 4)
     assert [row["goals_a_minute_and_robot"] for row in found["rows"]] == [1.0, 2.0, 3.0, 4.0]
     assert len({(one["seed"], one["load"], one["robots"], one["guard"]) for one in found["drives"]}) == 16
@@ -178,8 +178,8 @@ def test_meetings_have_a_row_for_each_number_of_cars_and_guard(monkeypatch: pyte
 
 def test_by_command_with_a_page(tmp_path: Path) -> None:
     out, page = tmp_path / "meeting.json", tmp_path / "meeting.md"
-    words = ["experiment", "meeting", "--robots", "2", "--seeds", "1", "--first-seed", "4694", "--seconds", "0.5"]
-    assert safedpa.run([*words, "--guard", "nothing", "--processes", "1", "--out", str(out), "--page", str(page)]) == 0
+    phrase = ["experiment", "meeting", "--robots", "2", "--seeds", "1", "--first-seed", "4694", "--seconds", "0.5"]
+    assert safedpa.run([*phrase, "--guard", "nothing", "--processes", "1", "--out", str(out), "--page", str(page)]) == 0
     result = json.loads(out.read_text(encoding="utf-8"))
     assert [row["robots"] for row in result["rows"]] == [2]
     assert "--first-seed 4694" in page.read_text(encoding="utf-8")

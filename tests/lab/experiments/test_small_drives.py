@@ -89,18 +89,18 @@ def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         DelayEstimator, "observe", lambda *_: None
     )  # else what nobody tells is found, and looked past too
-    told = delayed_drives(Lateness(0.13, told="clock"), 4, 31_000, 8.0)
-    assert told.collided == 0
-    assert told.goals > 0
-    silent = delayed_drives(Lateness(0.13, told="nobody"), 4, 31_000, 8.0)
-    assert told.least_h > silent.least_h
+    reported = delayed_drives(Lateness(0.13, reported="clock"), 4, 31_000, 8.0)
+    assert reported.collided == 0
+    assert reported.goals > 0
+    silent = delayed_drives(Lateness(0.13, reported="no_one"), 4, 31_000, 8.0)
+    assert reported.least_h > silent.least_h
     trouble = ("relaxed", "violated")
-    assert sum(told.statuses[one] for one in trouble) < sum(silent.statuses[one] for one in trouble)
+    assert sum(reported.statuses[one] for one in trouble) < sum(silent.statuses[one] for one in trouble)
 
 
 @pytest.mark.long
 def test_an_unknown_delay_causes_no_collision() -> None:
-    assert delayed_drives(Lateness(0.15, told="nobody"), 4, 31_000, 8.0).collided == 0
+    assert delayed_drives(Lateness(0.15, reported="no_one"), 4, 31_000, 8.0).collided == 0
 
 
 @pytest.mark.long
@@ -112,10 +112,10 @@ def test_invalid_delays_are_refused() -> None:
     with pytest.raises(InputError, match="channel: got 'wheel', wanted one of both, drive, steer"):
         Lateness(0.1, "wheel")
     with pytest.raises(InputError, match="told: got 'all', wanted one of model, clock, nobody"):
-        Lateness(0.1, told="all")
+        Lateness(0.1, reported="all")
     with pytest.raises(InputError, match="channel: got 'drive', wanted both"):
-        Lateness(0.1, "drive", told="clock")
-    for allowed in (Lateness(0.1, "drive"), Lateness(0.1, "steer", "nobody"), Lateness(0.1, told="clock")):
+        Lateness(0.1, "drive", reported="clock")
+    for allowed in (Lateness(0.1, "drive"), Lateness(0.1, "steer", "no_one"), Lateness(0.1, reported="clock")):
         assert allowed.seconds == 0.1
 
 
@@ -125,7 +125,7 @@ STATE = StateMessage(
 )  # fmt: skip
 
 
-class Says(AbstractNode):
+class FixedPolicy(AbstractNode):
     """Always the same nominal action."""
 
     name, inputs, outputs = PolicyNode.name, PolicyNode.inputs, PolicyNode.outputs
@@ -155,11 +155,11 @@ def nominal_values(node: AbstractNode, state: StateMessage = STATE) -> tuple[flo
     ("values", "wanted"), [((0.5, 0.2), (1.0, 0.2)), ((-0.5, 0.2), (-0.5, 0.2)), ((0.0, -0.1), (0.0, -0.1))]
 )
 def test_only_driving_forwards_is_quicker(values: tuple[float, ...], wanted: tuple[float, ...]) -> None:
-    assert nominal_values(QuickerPolicyNode(Says(*values), 2.0)) == wanted
+    assert nominal_values(QuickerPolicyNode(FixedPolicy(*values), 2.0)) == wanted
 
 
 def test_a_quicker_policy_takes_the_place_of_its_policy_and_forgets_with_it() -> None:
-    policy = Says(0.5, 0.0)
+    policy = FixedPolicy(0.5, 0.0)
     node = QuickerPolicyNode(policy, 2.0)
     node.forget("car_7")
     assert policy.forgotten == ["car_7"]
@@ -167,12 +167,12 @@ def test_a_quicker_policy_takes_the_place_of_its_policy_and_forgets_with_it() ->
 
 
 def test_an_explored_action_lasts_for_its_time_and_stays_within_the_bounds() -> None:
-    node, told = ExploringPolicyNode(Says(0.6, 0.1), 4), list[tuple[float, ...]]()
+    node, reported = ExploringPolicyNode(FixedPolicy(0.6, 0.1), 4), list[tuple[float, ...]]()
     for tick in range(200):
-        told.append(nominal_values(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))
-    starts = [0, *(tick for tick in range(1, 200) if told[tick] != told[tick - 1])]
+        reported.append(nominal_values(node, dataclasses.replace(STATE, tick=tick, robot_time=0.05 * tick)))
+    starts = [0, *(tick for tick in range(1, 200) if reported[tick] != reported[tick - 1])]
     held = [0.05 * (end - start) for start, end in itertools.pairwise(starts)]
     assert len(held) > 5
     assert min(held) >= 0.4 - 1e-9
     assert max(held) <= 1.5 + 0.05 + 1e-9
-    assert all(-0.6 <= speed <= 2.0 and abs(steer) <= 0.34 for speed, steer in told)
+    assert all(-0.6 <= speed <= 2.0 and abs(steer) <= 0.34 for speed, steer in reported)

@@ -71,25 +71,25 @@ def verdict(tick: int) -> VerdictMessage:
     ],
 )  # fmt: skip
 def test_recovery_counts_to_the_end_of_the_last_outage(marks, fallbacks, seconds) -> None:
-    episode = Episode(struck=6 * PERIOD, mended=10 * PERIOD, ended=40 * PERIOD)
+    episode = Episode(struck=6 * PERIOD, corrected=10 * PERIOD, ended=40 * PERIOD)
     found = recovery_of(evidence(trace(marks), fallbacks), episode)
     assert found == (seconds if seconds is None else pytest.approx(seconds))
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("changed", "phrase"),
     [
         ({"action_tick": 2}, "action of tick 2"), ({"action_epoch": 4}, "action of tick 3"),
         ({"applied_at": PERIOD * 5.1}, "began to act after 0.105 s"),
         ({"applied": (1.0, 0.2)}, "the filter never sent"),
     ],
 )  # fmt: skip
-def test_an_action_that_must_not_act_is_found(changed: Any, words: str) -> None:
+def test_an_action_that_must_not_act_is_found(changed: Any, phrase: str) -> None:
     periods = trace("ddddd")
     assert stale_in(periods, evidence(periods)) == []
     periods[3] = replace(periods[3], **changed)
     (found,) = stale_in(periods, evidence(periods))
-    assert words in found
+    assert phrase in found
 
 
 def test_what_the_watchdog_did_is_never_stale_and_what_was_not_heard_is_not_held_against_the_robot() -> None:
@@ -119,14 +119,14 @@ def test_an_action_was_sent_if_any_action_for_its_state_equals_it(sent, stale) -
     periods = [lived(7)]
     found = stale_in(periods, Evidence(periods, {}, {} if sent is None else {(5, 7): sent}, PERIOD))
     assert len(found) == stale
-    assert all("tick 7: the filter never sent" in words for words in found)
+    assert all("tick 7: the filter never sent" in phrase for phrase in found)
 
 
 @pytest.mark.parametrize(("status", "driven"), [("passed", True), ("corrected", True), ("fallback", False)])
 def test_a_period_is_driven_if_the_filter_had_all_its_inputs(status: str, driven: bool) -> None:
-    told = {(5, 2): replace(verdict(2), status=status)}
-    assert Evidence([], told, {}, PERIOD).is_driven(lived(2)) is driven
-    assert not Evidence([], told, {}, PERIOD).is_driven(lived(2, "watchdog"))
+    reported = {(5, 2): replace(verdict(2), status=status)}
+    assert Evidence([], reported, {}, PERIOD).is_driven(lived(2)) is driven
+    assert not Evidence([], reported, {}, PERIOD).is_driven(lived(2, "watchdog"))
     assert Evidence([], {}, {}, PERIOD).is_driven(lived(2)), "its verdict was not heard"
 
 
@@ -152,14 +152,14 @@ class Script:
     """m/s: at first, and after a restart of the robot."""
     now: float = 0.0
     struck: list[float] = field(default_factory=list)
-    mended: list[float] = field(default_factory=list)
+    corrected: list[float] = field(default_factory=list)
     fleets: list[Fleet] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)
 
     def fault(self, name: str = "kill policy", seconds: float = 10 * PERIOD, **changes: Any) -> Fault:
         """A fault that notes when it struck and was mended; one with a capital wants the stand-in for a diagnosis."""
         return Fault(
-            name, "it is killed", strike=lambda _: self._strike(name), mend=lambda _: self.mended.append(self.now),
+            name, "it is killed", strike=lambda _: self._strike(name), repair=lambda _: self.corrected.append(self.now),
             seconds=seconds, diagnosis="ready" if name.isupper() else "real", **{"recovers_within": 5.0, **changes},
         )  # fmt: skip
 
@@ -314,14 +314,14 @@ def test_what_a_fault_started_is_ended_even_if_striking_fails(run: Any) -> None:
 
     with pytest.raises(RuntimeError, match="planted"):
         run(script, [replace(script.fault(), strike=fails)])
-    assert len(script.mended) == 1
+    assert len(script.corrected) == 1
 
 
 @pytest.mark.parametrize(("hasty", "lasts"), [(False, 9.0), (True, 1.5)])
 def test_a_hasty_fault_lasts_at_most_a_second_and_a_half(hasty: bool, lasts: float, run: Any) -> None:
     script = Script()
     run(script, [script.fault(seconds=9.0)], is_hasty=hasty)
-    assert script.mended[0] - script.struck[0] == pytest.approx(lasts)
+    assert script.corrected[0] - script.struck[0] == pytest.approx(lasts)
 
 
 @pytest.mark.parametrize(
@@ -352,13 +352,13 @@ def test_a_fault_strikes_while_the_car_is_fast(speeds, hasty, restarts, waited, 
 )
 def test_faults_strike_one_fleet_as_long_as_it_drives_and_time_is_left(faults, failing, absent, seconds, suffered, run):
     script = Script(failing=failing, absent=absent)
-    told: list[tuple[str, int, int]] = []
+    reported: list[tuple[str, int, int]] = []
     names = "".join(suffered)
     given = [script.fault(name, seconds=2.25) for name in faults]
-    found = run(script, given, tell=lambda *progress: told.append(progress), seconds=seconds)
+    found = run(script, given, report_progress=lambda *progress: reported.append(progress), seconds=seconds)
     assert ["".join(fleet.suffered) for fleet in script.fleets] == suffered
     assert [outcome.name for outcome in found.outcomes] == list(names)
-    assert told == [(name, done, len(faults)) for done, name in enumerate(names)]
+    assert reported == [(name, done, len(faults)) for done, name in enumerate(names)]
     assert [fleet.settings.seed for fleet in script.fleets] == [7 + number for number in range(len(suffered))]
     assert [fleet.settings.diagnosis for fleet in script.fleets] == [
         "ready" if n.isupper() else "real" for n in suffered
@@ -479,10 +479,10 @@ def test_several_fleets_are_added_up() -> None:
 
 
 def test_the_report_is_two_files_or_one_line_of_complaint(tmp_path: Path) -> None:
-    told = result(campaign_report(outcome("kill policy")))
-    write_report(told, tmp_path / "out")
+    reported = result(campaign_report(outcome("kill policy")))
+    write_report(reported, tmp_path / "out")
     assert json.loads((tmp_path / "out" / "faults.json").read_text())["rows"][0]["name"] == "kill policy"
-    assert (tmp_path / "out" / "faults.md").read_text() == markdown_of(told)
+    assert (tmp_path / "out" / "faults.md").read_text() == markdown_of(reported)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="--out"):
-        write_report(told, tmp_path / "file")
+        write_report(reported, tmp_path / "file")

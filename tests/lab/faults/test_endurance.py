@@ -15,7 +15,7 @@ from safedpa.bus import NOMINAL, STATE, VERDICT, ModelMessage, TakeoverMessage
 from safedpa.errors import InputError
 from safedpa_lab.commands.experiments.faults import command
 from safedpa_lab.faults import recorded
-from safedpa_lab.faults.endurance import Kept, Resources, Sample, kept_by
+from safedpa_lab.faults.endurance import Resources, Retained, Sample, retained_by
 from safedpa_lab.faults.member import Member
 from safedpa_lab.faults.model_changes import partitioned_changes
 from safedpa_lab.faults.report import markdown_of
@@ -29,25 +29,25 @@ def life(name: str, pid: int, begin: float, mib: list[float], handles: int = 9) 
 
 
 @pytest.mark.parametrize(
-    ("samples", "kept"),
+    ("samples", "retained"),
     [
         # the first half minute of a life is left out: samples at 130, 140, 150 and 160 s
         (life("policy", 7, 100.0, [10.0, 20.0, 30.0, 50.0, 50.0, 52.0, 60.0]),
-         [Kept("policy", 1, 60.0, (50.0, 60.0), (9, 9), (4, 4))]),
+         [Retained("policy", 1, 60.0, (50.0, 60.0), (9, 9), (4, 4))]),
         # quarters are of the time, not of the lives: samples at 30, 40, 50, 130, 140, 150 s have quarters of 30 s
         ([*life("policy", 7, 0.0, [0.0, 0.0, 0.0, 40.0, 42.0, 44.0]),
           *life("policy", 8, 100.0, [0.0, 0.0, 0.0, 70.0, 80.0, 90.0], handles=30)],
-         [Kept("policy", 2, 50.0, (42.0, 80.0), (9, 30), (4, 4))]),
+         [Retained("policy", 2, 50.0, (42.0, 80.0), (9, 30), (4, 4))]),
         # a process that lives for less than half a minute is left out; names are in order
         ([*life("robot", 3, 0.0, [5.0] * 4), *life("policy", 7, 0.0, [5.0] * 4), *life("adaptation", 8, 0.0, [5.0])],
-         [Kept(name, 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)) for name in ("policy", "robot")]),
+         [Retained(name, 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)) for name in ("policy", "robot")]),
         # a process with the pid of an earlier one is not as old as that one
         ([*life("policy", 7, 0.0, [5.0] * 4), *life("robot", 7, 100.0, [1.0, 1.0, 1.0, 8.0])],
-         [Kept("policy", 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)), Kept("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))]),
+         [Retained("policy", 1, 30.0, (5.0, 5.0), (9, 9), (4, 4)), Retained("robot", 1, 30.0, (8.0, 8.0), (9, 9), (4, 4))]),
     ],
 )  # fmt: skip
-def test_processes_are_summed_up_by_name(samples: list[Sample], kept: list[Kept]) -> None:
-    assert kept_by(samples) == kept
+def test_processes_are_summed_up_by_name(samples: list[Sample], retained: list[Retained]) -> None:
+    assert retained_by(samples) == retained
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_processes_are_summed_up_by_name(samples: list[Sample], kept: list[Kept]
     ],
 )
 def test_growth_of_memory_or_open_files_is_reported(mib, handles, flat) -> None:
-    assert Kept("policy", 1, 600.0, mib, handles, (4, 4)).flat is flat
+    assert Retained("policy", 1, 600.0, mib, handles, (4, 4)).flat is flat
 
 
 def test_a_look_finds_this_process_and_no_other() -> None:
@@ -88,7 +88,7 @@ def test_processes_are_looked_at_every_few_seconds_until_the_fleet_ends(monkeypa
     monkeypatch.setattr(threading.Event, "wait", quickly)
     resources = Resources()
     world: Any = SimpleNamespace(members={"here": SimpleNamespace(pid=os.getpid())})
-    with resources.beside(world):
+    with resources.alongside(world):
         for _ in range(500):
             time.sleep(0.01)
             if len(resources.samples) >= 3:
@@ -113,13 +113,13 @@ def test_an_hour_of_faults_comes_in_rounds_of_all_faults_of_one_fleet() -> None:
 
 def test_the_page_of_a_long_run_has_a_row_for_each_process() -> None:
     rows = [fault_row("kill policy", 0.4), fault_row("kill robot", 0.9), fault_row("stop policy", 0.1)]
-    kept = {"name": "policy", "processes": 3, "longest_life_seconds": 612.4, "mib": (50.0, 90.0)}
+    retained = {"name": "policy", "processes": 3, "longest_life_seconds": 612.4, "mib": (50.0, 90.0)}
     page = markdown_of(
         {
             "command": "safedpa experiment faults --minutes 60 --seed 3", "date": "2026-11-27 14:20", "seconds": 3600.0,
             "cores": 2, "load_before": 1.0, "load_after": 2.0, "collisions": 0, "stale_actions": 0, "periods": 72000,
             "acknowledged": 5, "recorded": 6, "rows": rows,
-            "resources": [kept | {"handles": (9, 30), "threads": (4, 5), "flat": False}],
+            "resources": [retained | {"handles": (9, 30), "threads": (4, 5), "flat": False}],
         }
     )  # fmt: skip
     assert "| policy | 3 | 612 | 50.0 to 90.0 | 9 to 30 | 4 to 5 | **grew** |" in page
@@ -206,17 +206,17 @@ OTHERS = [model("offer"), takeover("adaptation", "ready"), takeover("policy", "t
 @pytest.mark.parametrize("before", [[], [model("take"), takeover("policy", "ready"), takeover("diagnosis", "ready")]])
 def test_a_service_is_cut_off_at_its_moment_of_a_change(fault, heard, came, before) -> None:
     """Messages from before the fault do not count."""
-    said = [(0.0, message) for message in before]
+    notice = [(0.0, message) for message in before]
     steps: list[Any] = []
 
     def until(condition: Any, _: float) -> bool:
         found = condition()
         steps.append(found)
-        said.extend((1.0, message) for message in heard if len(steps) == 1)
+        notice.extend((1.0, message) for message in heard if len(steps) == 1)
         return bool(found)
 
     world: Any = SimpleNamespace(
-        observer=SimpleNamespace(said=said), until=until, request=lambda *_: None,
+        observer=SimpleNamespace(notice=notice), until=until, request=lambda *_: None,
         bend=lambda _conduct, name: steps.append(name),
     )  # fmt: skip
     (wanted,) = [one for one in partitioned_changes() if one.name == fault]

@@ -173,9 +173,9 @@ def test_loss_takes_whole_batches_of_data_and_nothing_else(proxy: Proxy) -> None
         while not found.endswith(b"\x02\x00\x04\x07"):
             found += connection.recv(4096)
     assert found.count(SIGN_OF_LIFE) == 1000
-    kept = found.count(DATA)
-    assert kept == 1000 - proxy.lost("a")
-    assert 400 < kept < 580, "0.7 of 0.7 of them"
+    retained = found.count(DATA)
+    assert retained == 1000 - proxy.lost("a")
+    assert 400 < retained < 580, "0.7 of 0.7 of them"
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_heartbeats_report_services_and_acknowledged_messages(fleet: Fleet) -> N
     assert fleet.observer.silent_for("policy", heard) == float("inf")
 
 
-def told(service: str, pid: int) -> HealthMessage:
+def reported(service: str, pid: int) -> HealthMessage:
     return HealthMessage(
         epoch=0, tick=0, robot_time=0.0, publish_time=0.0, service=service, pid=pid, state="running"
     )  # fmt: skip
@@ -143,7 +143,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> RunMonitor:
     broker = MemoryBroker()
     watch = RunMonitor(Bus(MemoryTransport(broker), "test"))
     sender = Bus(MemoryTransport(broker), "test")
-    sender.publish(HEALTH, NO_ROBOT, told("policy", 77), "policy")
+    sender.publish(HEALTH, NO_ROBOT, reported("policy", 77), "policy")
     watch.listen(0.0)
     heard = watch.health["policy"][1]
     monkeypatch.setattr(time, "monotonic", lambda: heard + 9.0)

@@ -58,12 +58,12 @@ def test_each_is_noticed_with_the_right_sentence(name, good, monkeypatch):
     if name not in files:
         pytest.skip("a car with a speed servo has no command of which 1 is all")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [])
-    kinds, said = noticed(name, good)
+    kinds, notice = noticed(name, good)
     bad = BAD[name]
-    assert bad.said in said
+    assert bad.notice in notice
     if bad.kind == "refused":
         assert kinds is None
-        assert said.count("\n") == 0
+        assert notice.count("\n") == 0
     else:
         assert bad.kind in kinds
 
@@ -104,21 +104,21 @@ def test_what_comes_late_is_aligned_and_what_was_cut_is_kept_on_request(good):
     late = mapped(model, speed='{ from = "speed", shift = 0.3 }')
     assert "time_offset" not in {item.kind for item in load_run(files["speed_late"], model.system, late).findings}
     keep = mapped(model, 'keep = ["frozen"]')
-    cut, kept = (load_run(files["frozen_speed"], model.system, item) for item in (None, keep))
-    assert len(cut.t) < len(kept.t)
-    assert any("kept, as the map says" in item.message for item in kept.findings)
+    cut, retained = (load_run(files["frozen_speed"], model.system, item) for item in (None, keep))
+    assert len(cut.t) < len(retained.t)
+    assert any("kept, as the map says" in item.message for item in retained.findings)
 
 
 def test_the_command_writes_them(good, tmp_path, capsys):
     log, _ = good
     assert safedpa.run(["experiment", "bad-data", str(log.runs[0]), "--out", str(tmp_path / "bad")]) == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     assert len(list((tmp_path / "bad").iterdir())) >= 19
-    assert all(path.stem in told for path in (tmp_path / "bad").iterdir())
-    assert safedpa.run(["experiment", "bad-data", str(log.runs[0]), "--out", str(tmp_path / "told"), "--json"]) == 0
+    assert all(path.stem in reported for path in (tmp_path / "bad").iterdir())
+    assert safedpa.run(["experiment", "bad-data", str(log.runs[0]), "--out", str(tmp_path / "reported"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["files"]
-    assert {row["file"] for row in rows} == {str(path) for path in (tmp_path / "told").iterdir()}
-    assert all(row["kind"] and row["said"] for row in rows)
+    assert {row["file"] for row in rows} == {str(path) for path in (tmp_path / "reported").iterdir()}
+    assert all(row["kind"] and row["notice"] for row in rows)
 
 
 def test_a_suite_has_each_fault_in_one_run_of_three_where_nothing_is_hidden():

@@ -30,9 +30,9 @@ def test_the_safety_experiment_prints_one_document(tmp_path, capsys):
     out = tmp_path / "safety.json"
     assert run("safety", "--seeds", 1, "--seconds", 0.5, "--out", out, "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    kept = json.loads(out.read_text())
-    assert kept.pop("provenance")["command"] == "safedpa experiment safety --seeds 1 --seconds 0.5"
-    assert (found, found["seeds"]) == (kept, [0, 0])
+    retained = json.loads(out.read_text())
+    assert retained.pop("provenance")["command"] == "safedpa experiment safety --seeds 1 --seconds 0.5"
+    assert (found, found["seeds"]) == (retained, [0, 0])
     assert {row["filter_on"]["episodes"] for row in found["rows"]} == {1}
 
 
@@ -75,9 +75,9 @@ def test_the_command_prints_one_document(tmp_path, capsys, monkeypatch):
     arguments = ["--suite", "none", "--cases", "1", "--processes", "1", "--out", str(out)]
     assert safedpa.run(["experiment", "hidden-effects", *arguments, "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
-    kept = json.loads(out.read_text())
-    assert kept.pop("provenance")["command"] == "safedpa experiment hidden-effects --cases 1 --suite none"
-    assert shown == kept
+    retained = json.loads(out.read_text())
+    assert retained.pop("provenance")["command"] == "safedpa experiment hidden-effects --cases 1 --suite none"
+    assert shown == retained
     assert shown["suites"][0]["right"]["of"] == 1
     assert safedpa.run(["experiment", "hidden-effects", *arguments]) == 0
     assert "none" in capsys.readouterr().out
@@ -91,9 +91,9 @@ def test_the_diagnosed_model_needs_less_margin(monkeypatch, tmp_path, capsys):
     arguments += ["--drive-seconds", "20", "--processes", "1", "--out", str(out), "--json"]
     assert safedpa.run(["experiment", "safety-pays", *arguments]) == 0
     result = json.loads(capsys.readouterr().out)
-    kept = json.loads(out.read_text(encoding="utf-8"))
-    assert kept.pop("provenance")["command"].startswith("safedpa experiment safety-pays --hidden steering_offset")
-    assert result == kept
+    retained = json.loads(out.read_text(encoding="utf-8"))
+    assert retained.pop("provenance")["command"].startswith("safedpa experiment safety-pays --hidden steering_offset")
+    assert result == retained
     rows = {row["model"]: row for row in result["rows"]}
     assert rows["diagnosed"]["effects"] == ["steering_offset"]
     assert rows["diagnosed"]["epsilon"]["obstacle"] < 0.7 * rows["incomplete"]["epsilon"]["obstacle"]
@@ -120,13 +120,13 @@ def test_every_horizon_gives_the_same_verdict(tmp_path, capsys):
     asked = ["experiment", "hidden-effects", "--suite", "pendulum", "--horizons", "--out", str(out)]
     assert safedpa.run(asked) == 0
     assert "equal for every horizon in 2 of 2 cases" in capsys.readouterr().out
-    kept = json.loads(out.read_text())
-    with_friction, without = kept["cases"]
-    assert with_friction["said"][0]["added"] == ["coulomb_friction"]
-    assert without["said"][0]["added"] == []
-    errors = [own["error"] for own in with_friction["said"]]
+    retained = json.loads(out.read_text())
+    with_friction, without = retained["cases"]
+    assert with_friction["notice"][0]["added"] == ["coulomb_friction"]
+    assert without["notice"][0]["added"] == []
+    errors = [own["error"] for own in with_friction["notice"]]
     assert errors[0] != errors[1]  # other horizons were shown
-    assert kept["provenance"]["command"] == "safedpa experiment hidden-effects --suite pendulum --horizons"
+    assert retained["provenance"]["command"] == "safedpa experiment hidden-effects --suite pendulum --horizons"
 
 
 @pytest.mark.slow
@@ -138,6 +138,6 @@ def test_a_case_that_differs_is_reported(monkeypatch, capsys):
     }
     monkeypatch.setattr(experiment, "diagnose", lambda _model, _runs, horizon: reports[horizon])
     assert safedpa.run(["experiment", "hidden-effects", "--suite", "pendulum", "--horizons"]) == 0
-    told = capsys.readouterr().out
-    assert "in 0 of 2 cases" in told
-    assert "0.2 s effect_missing tip_mass; 1.0 s undecided" in told
+    reported = capsys.readouterr().out
+    assert "in 0 of 2 cases" in reported
+    assert "0.2 s effect_missing tip_mass; 1.0 s undecided" in reported

@@ -75,12 +75,12 @@ def test_two_roads_meet(logs, key):
     robot = log.case.robot
     plain = "throttle" if log.case.drive == "throttle" else robot
     floor = error(logs[f"{plain}/nothing"], {})
-    told, untold = error(log, log.case.effects), error(log, {})
+    reported, untold = error(log, log.case.effects), error(log, {})
     # the library rounds dry friction off near rest, the simulator does not: a difference of one slow row at each stop
     # and a command that changes within a period counts by its mean, which a quick wheel at its limit tells apart
     near = 2.5 if key in WITHIN else 2.2 if set(log.case.effects) & DRY else 1.5
-    assert (told.per_state * told.scale < near * floor.per_state * floor.scale).all()
-    assert untold.value > 1.3 * told.value
+    assert (reported.per_state * reported.scale < near * floor.per_state * floor.scale).all()
+    assert untold.value > 1.3 * reported.value
 
 
 @pytest.mark.long
@@ -128,8 +128,8 @@ def test_the_truth_is_sealed_apart(tmp_path):
 def test_a_case_repeats_whatever_else_runs(tmp_path):
     one, other = (replace(case, runs=2, seconds=3.0) for case in cases_of("two", 2))
     alone = write_case(one, tmp_path / "alone")
-    beside = write_cases([other, one], [tmp_path / "other", tmp_path / "beside"])[1]
-    assert [path.read_bytes() for path in alone.runs] == [path.read_bytes() for path in beside.runs]
+    alongside = write_cases([other, one], [tmp_path / "other", tmp_path / "alongside"])[1]
+    assert [path.read_bytes() for path in alone.runs] == [path.read_bytes() for path in alongside.runs]
     assert alone.runs[0].read_bytes() != alone.runs[1].read_bytes()
 
 

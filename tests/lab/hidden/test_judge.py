@@ -89,8 +89,8 @@ def test_equal_effects_must_be_reported_not_guessed():
     guessed = judge(case, document(["speed_command_gain"]))
     assert not guessed.right
     assert guessed.wrong == ()
-    said = judge(case, document(["speed_command_gain"], groups={"speed_command_gain": ["viscous_drag"]}))
-    assert said.right
+    notice = judge(case, document(["speed_command_gain"], groups={"speed_command_gain": ["viscous_drag"]}))
+    assert notice.right
 
 
 @pytest.mark.parametrize(
@@ -120,21 +120,21 @@ def test_a_law_must_have_the_right_direction():
     effects = {"rolling_resistance": {"deceleration": 1.0, "x_above": 0.5}}
     case = Case("patches", 1, effects, laws={"rolling_resistance": "where x above"})
 
-    def said(words, border=0.55, effect="rolling_resistance", kind="where"):
+    def notice(phrase, border=0.55, effect="rolling_resistance", kind="where"):
         found = document([effect])
         found["parameters"] = {
             f"{effect}.{name}": {"value": value, "std": 0.02, "unit": ""}
             for name, value in (("deceleration", 1.05), ("x_above", border))
         }
-        found["conditions"] = [{"effect": effect, "kind": kind, "words": words}] if words else []
+        found["conditions"] = [{"effect": effect, "kind": kind, "phrase": phrase}] if phrase else []
         return judge(case, found)
 
-    assert said("x above").right
-    assert said("x above").deviations == pytest.approx((2.5, 2.5))
-    for wrong in (said("x below"), said(""), said("x above", border=0.8), said("x above", kind="varies")):
+    assert notice("x above").right
+    assert notice("x above").deviations == pytest.approx((2.5, 2.5))
+    for wrong in (notice("x below"), notice(""), notice("x above", border=0.8), notice("x above", kind="varies")):
         assert not wrong.right
     plain = judge(Case("ordinary", 1, DRAG), {**document(["quadratic_drag"]), "conditions": [
-        {"effect": "quadratic_drag", "kind": "varies", "words": "coefficient with time"}]})  # fmt: skip
+        {"effect": "quadratic_drag", "kind": "varies", "phrase": "coefficient with time"}]})  # fmt: skip
     assert plain.right
     assert plain.false_laws == ("quadratic_drag varies coefficient with time",)
 
@@ -178,17 +178,17 @@ def test_an_interrupted_experiment_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(hidden_effects, "run_cases", judged)
     path = tmp_path / "record.json"
     first = hidden_effects_experiment(["ordinary"], 2, 3, processes=1, record=path)
-    told = []
+    reported = []
     more = hidden_effects_experiment(
-        ["ordinary", "none"], 3, 3, processes=1, record=path, tell=lambda *counts: told.append(counts)
+        ["ordinary", "none"], 3, 3, processes=1, record=path, report_progress=lambda *counts: reported.append(counts)
     )
     assert len(asked) == len(set(asked)) == 6
-    assert told[-1] == (4, 4)
+    assert reported[-1] == (4, 4)
     names = {row["case"] for row in more["cases"]}
     assert {row["case"] for row in first["cases"]} < names
-    kept = json.loads(path.read_text())
-    assert kept.pop("provenance")["date"]
-    assert (kept, [row["cases"] for row in more["suites"]]) == (more, [3, 3])
+    retained = json.loads(path.read_text())
+    assert retained.pop("provenance")["date"]
+    assert (retained, [row["cases"] for row in more["suites"]]) == (more, [3, 3])
     again = hidden_effects_experiment(["none"], 3, 3, processes=1, record=path)
     assert (again["cases"], again["seeds"]) == (more["cases"], [3])
 
@@ -222,8 +222,8 @@ def test_the_cases_of_the_page_are_those_of_its_suites_and_of_its_list(cases):
     assert int(re.search(r"^(\d+) cases", page, re.MULTILINE)[1]) == len(cases)
     begun = page[page.index("## By suite") : page.index("## By effect") if "## By effect" in page else None]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in begun.splitlines() if line.startswith("|")]
-    told = {row[0]: int(row[1]) for row in rows[2:]}
-    assert {name: told[name] for name in {case.suite for case in cases}} == Counter(case.suite for case in cases)
+    reported = {row[0]: int(row[1]) for row in rows[2:]}
+    assert {name: reported[name] for name in {case.suite for case in cases}} == Counter(case.suite for case in cases)
     wrong = sum(case.suite == "none" for case in cases)
     assert page.partition("## Missed")[2].count("\n- `") == wrong
 

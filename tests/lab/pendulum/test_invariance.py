@@ -121,11 +121,11 @@ def test_the_shelter_keeps_the_corridor(angle: float, ahead: float, torque: floa
     def after(bound: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy(blown(state.numpy(), bound.numpy(), wind))
 
-    kept = CorridorShelter(1, BALANCING).decide(after, state, torch.tensor([[torque]], dtype=torch.float64))
-    following = after(kept)[0]
+    retained = CorridorShelter(1, BALANCING).decide(after, state, torch.tensor([[torque]], dtype=torch.float64))
+    following = after(retained)[0]
     room = BALANCING[1] - abs(float(following[0] + AHEAD * following[1]))
     assert room >= 0.5 * (BALANCING[1] - abs(ahead)) - 1e-3
-    assert abs(float(kept)) <= TORQUE
+    assert abs(float(retained)) <= TORQUE
 
 
 def test_starts_lie_in_the_safe_set_and_move_towards_the_hazard() -> None:

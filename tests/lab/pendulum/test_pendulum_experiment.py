@@ -67,7 +67,7 @@ def test_with_a_margin_that_is_not_its_own_a_fixed_wind_fails() -> None:
 class Small:
     """The whole experiment, run once: what came of it, how far it said that it was, and the seeds that it drew from."""
 
-    told: list[tuple[int, int]] = field(default_factory=list)
+    reported: list[tuple[int, int]] = field(default_factory=list)
     calibrated: set[int] = field(default_factory=set)
     """For its margins."""
     chosen: set[int] = field(default_factory=set)
@@ -106,7 +106,7 @@ def small() -> Small:
         for module in ("pendulum", "pendulum_sweeps"):
             patch.setattr(f"safedpa_lab.experiments.{module}.accounts", lambda work, _: map(account, work))
             patch.setattr(f"safedpa_lab.experiments.{module}.best_penalty", penalty)
-        found.result = pendulum_experiment(asked, lambda done, every: found.told.append((done, every)))
+        found.result = pendulum_experiment(asked, lambda done, every: found.reported.append((done, every)))
     return found
 
 
@@ -116,9 +116,9 @@ def each_once(workers: Workers) -> Callable[[Work], dict[str, Any]]:
 
     def account(work: Work) -> dict[str, Any]:
         method = work.method if some((work.method,)) else replace(work.method, name="fix_45", filter="fix_45")
-        told = deepcopy(computed(replace(work, shown=False, method=replace(method, title="one"))))
-        told["title"] = work.method.title
-        return told if work.shown else {name: value for name, value in told.items() if name != "shown"}
+        reported = deepcopy(computed(replace(work, shown=False, method=replace(method, title="one"))))
+        reported["title"] = work.method.title
+        return reported if work.shown else {name: value for name, value in reported.items() if name != "shown"}
 
     return account
 
@@ -186,10 +186,10 @@ def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
     ]
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 135.0), seed=3)
     ticks = list(drive(robot, nodes, 120, hear=heard.append))
-    said = {name: [one.message for one in heard if one.topic.name == name] for name in ("latent", "nominal")}
+    notice = {name: [one.message for one in heard if one.topic.name == name] for name in ("latent", "nominal")}
     rows = [
         np.array([message.values for message in messages])
-        for messages in ([tick.state for tick in ticks], said["nominal"], said["latent"])
+        for messages in ([tick.state for tick in ticks], notice["nominal"], notice["latent"])
     ]
     barriers = CompiledBatchBarriers.of([[corridor(BALANCING)]] * len(ticks), 2)
     ours = BatchFilter(model, filter_settings(epsilon)).decide(*rows, barriers=barriers)
@@ -240,9 +240,9 @@ def test_what_is_asked_is_what_happens() -> None:
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
-    told, result = small.told, small.result
+    reported, result = small.reported, small.result
     whole = (8 + 15) + (7 + 8) + 7 + (7 + 4)  # with own margins, with the same one, and both questions of the sweeps
-    assert told == [(done + 1, whole) for done in range(whole)]
+    assert reported == [(done + 1, whole) for done in range(whole)]
     assert "| SafeDPA | " in markdown_of(result)
     write_report(result, tmp_path)
     written = json.loads((tmp_path / "pendulum.json").read_text())
@@ -301,10 +301,10 @@ def test_the_claims_are_its_figures(repository: Path, result: Any) -> None:
     claims = " ".join((repository / "docs" / "claims.md").read_text(encoding="utf-8").split())
     assert all(own["balancing"][name]["safe"] == count for name in ("safedpa", *others))
     upright = [own["hazard"][name]["both"] for name in others]
-    kept = [same["balancing"][name]["safe"] for name in others]
+    retained = [same["balancing"][name]["safe"] for name in others]
     both = own["hazard"]["safedpa"]["both"]
     assert f"every filter with its own margin {count} of {count} without a violation" in claims
-    assert f"with SafeDPA's margin for all the others {min(kept)} to {max(kept)}" in claims
+    assert f"with SafeDPA's margin for all the others {min(retained)} to {max(retained)}" in claims
     assert f"SafeDPA {both} of {count} upright and never in the hazard" in claims
     assert f"filters that do not adapt {min(upright)} to {max(upright)}" in claims
 

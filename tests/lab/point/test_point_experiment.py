@@ -137,8 +137,8 @@ def test_methods_are_compared_on_seeds_on_which_nothing_was_chosen() -> None:
 
 def _row(goals: list[int], safe: str) -> dict[str, Any]:
     reached = "".join("1" if one else "0" for one in goals)
-    told = {"safe": safe.count("1"), "success": reached.count("1"), "both": safe.count("1")}
-    return {"goals_each": goals, "safe_each": safe, "success_each": reached, **told}
+    reported = {"safe": safe.count("1"), "success": reached.count("1"), "both": safe.count("1")}
+    return {"goals_each": goals, "safe_each": safe, "success_each": reached, **reported}
 
 
 MARGINS = {"safedpa": 0.002, "mix": 0.012, "safedpa_17": 0.006}
@@ -171,7 +171,7 @@ def test_the_advantage_is_that_of_the_exact_tests_in_the_same_episodes(monkeypat
     assert safe["mcnemar"] == pytest.approx(2 * 0.5**8)
     assert safe["mcnemar_holm"] == pytest.approx(3 * safe["mcnemar"])
     assert safe["goals"] == pytest.approx([-1.0, -1.0, -1.0])
-    page = against_table({"advantages": rows, "methods": {"ppo": {"title": "PPO", "told": "lidar"}}})
+    page = against_table({"advantages": rows, "methods": {"ppo": {"title": "PPO", "reported": "lidar"}}})
     assert "| PPO | lidar | +8 -0 | 0.02 |" in page
 
 
@@ -198,7 +198,7 @@ def test_goals_over_those_of_ppo_are_reported_where_it_reached_any(ppo, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("mistaken", "told"),
+    ("mistaken", "reported"),
     [
         (lambda: PointExperiment(Path(), Path(), drives=98), "--drives: got 98, wanted 99"),
         (lambda: PointExperiment(Path(), Path(), episodes=0), "--episodes"),
@@ -209,8 +209,8 @@ def test_goals_over_those_of_ppo_are_reported_where_it_reached_any(ppo, monkeypa
         (lambda: PointGoalEnvironment().step(np.zeros(2)), "call reset first"),
     ],
 )
-def test_what_cannot_be_is_refused(mistaken, told) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_cannot_be_is_refused(mistaken, reported) -> None:
+    with pytest.raises(InputError, match=reported):
         mistaken()
 
 
@@ -243,9 +243,9 @@ def driven_accounts(first_goal: tuple[float, ...] = (INF, 2.0, 4.0, INF, INF, 3.
 
 def account(monkeypatch: pytest.MonkeyPatch, found: Driven) -> dict[str, Any]:
     monkeypatch.setattr(point_episodes, "driven", lambda *_: found)
-    told = account_of(Work("oracle", "", "", "", None, 0.002, 2, 3, 50, 0.008, 1))
-    assert (told["method"], told["epsilon"], told["steps"]) == ("oracle", 0.002, 50)
-    row: dict[str, Any] = told["account"]
+    reported = account_of(Work("oracle", "", "", "", None, 0.002, 2, 3, 50, 0.008, 1))
+    assert (reported["method"], reported["epsilon"], reported["steps"]) == ("oracle", 0.002, 50)
+    row: dict[str, Any] = reported["account"]
     return row
 
 
@@ -276,10 +276,10 @@ def test_the_best_penalty_has_the_highest_return_less_cost() -> None:
     def one(reward: float, cost: float, safe: int) -> dict[str, Any]:
         return {"reward": [reward, 0.0, 9.0], "cost": [cost, 0.0, 9.0], "safe_episodes": safe}
 
-    told = best_penalty({"much": one(20.0, 15.0, 1), "best": one(12.0, 5.0, 2), "none": one(6.0, 0.0, 9)})
-    assert told["chosen"] == "best"
-    assert {name: row["score"] for name, row in told["rows"].items()} == {"much": 5.0, "best": 7.0, "none": 6.0}
-    assert told["seed"] in SEEDS["development"]
+    reported = best_penalty({"much": one(20.0, 15.0, 1), "best": one(12.0, 5.0, 2), "none": one(6.0, 0.0, 9)})
+    assert reported["chosen"] == "best"
+    assert {name: row["score"] for name, row in reported["rows"].items()} == {"much": 5.0, "best": 7.0, "none": 6.0}
+    assert reported["seed"] in SEEDS["development"]
 
 
 def test_several_training_seeds_have_students_interval_over_seeds() -> None:
@@ -288,11 +288,11 @@ def test_several_training_seeds_have_students_interval_over_seeds() -> None:
         5: {"safe_episodes": 10, "episodes": 20, "goals": [1.0, 0.0, 2.0], "cost": [4.0, 0.0, 9.0]},
         7: {"safe_episodes": 30, "episodes": 40, "goals": [3.0, 0.0, 9.0], "cost": [4.0, 0.0, 9.0]},
     }
-    told = over_seeds(accounts)
-    assert told["training_seeds"] == [5, 7]
-    assert told["safe"] == pytest.approx([0.625, 0.625 - 1.58828, 0.625 + 1.58828], abs=1e-4)
-    assert told["goals"] == pytest.approx([2.0, 2.0 - 12.7062, 2.0 + 12.7062], abs=1e-3)
-    assert (told["cost"], told["each"]) == ([4.0, 4.0, 4.0], [[0.5, 1.0, 4.0], [0.75, 3.0, 4.0]])
+    reported = over_seeds(accounts)
+    assert reported["training_seeds"] == [5, 7]
+    assert reported["safe"] == pytest.approx([0.625, 0.625 - 1.58828, 0.625 + 1.58828], abs=1e-4)
+    assert reported["goals"] == pytest.approx([2.0, 2.0 - 12.7062, 2.0 + 12.7062], abs=1e-3)
+    assert (reported["cost"], reported["each"]) == ([4.0, 4.0, 4.0], [[0.5, 1.0, 4.0], [0.75, 3.0, 4.0]])
 
 
 def learnt(seeds: int, monkeypatch: pytest.MonkeyPatch, **counts: float) -> tuple[dict[str, Any], list[Learning]]:
@@ -320,17 +320,17 @@ def learnt(seeds: int, monkeypatch: pytest.MonkeyPatch, **counts: float) -> tupl
     ("seeds", "steps", "goals"), [(1, 400, None), (2, 1200, (1.0, 12.7062)), (3, 2400, (2.0, 4.30265 * 2.0 / 3.0**0.5))]
 )
 def test_all_steps_of_all_training_seeds_are_added_up(seeds, steps, goals, monkeypatch) -> None:
-    told, _ = learnt(seeds, monkeypatch)
-    assert told["steps"] == steps
-    assert (told["unsafe"], told["goals"], told["relaxed"]) == (seeds, 4.0 * seeds, 5.5 * seeds)
-    assert (told["episodes"], told["safe_episodes"]) == (20.0 * seeds, 18.0 * seeds)
-    assert told["safe_95"] == list(wilson_interval(18 * seeds, 20 * seeds))
-    assert list(told["rows"]) == list(told["judged"]) == [str(seed) for seed in range(seeds)]
+    reported, _ = learnt(seeds, monkeypatch)
+    assert reported["steps"] == steps
+    assert (reported["unsafe"], reported["goals"], reported["relaxed"]) == (seeds, 4.0 * seeds, 5.5 * seeds)
+    assert (reported["episodes"], reported["safe_episodes"]) == (20.0 * seeds, 18.0 * seeds)
+    assert reported["safe_95"] == list(wilson_interval(18 * seeds, 20 * seeds))
+    assert list(reported["rows"]) == list(reported["judged"]) == [str(seed) for seed in range(seeds)]
     if goals is None:
-        assert told["goals_at_the_end"] is None
+        assert reported["goals_at_the_end"] is None
     else:
         mean, half = goals
-        assert told["goals_at_the_end"] == pytest.approx([mean, mean - half, mean + half], abs=1e-3)
+        assert reported["goals_at_the_end"] == pytest.approx([mean, mean - half, mean + half], abs=1e-3)
 
 
 def test_without_a_whole_episode_there_is_no_share_of_safe_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -441,8 +441,8 @@ def test_errors_are_what_was_predicted_less_what_was_found(monkeypatch: pytest.M
     """With the truth known the steering's lag alone is left; without the wind the filter is off by more."""
     monkeypatch.setattr(margin, "COVERAGE", 0.6)
     found = measured_margins(Calibration("oracle,physics", NOWHERE, drives=4, steps=60))["margins"]
-    told, ignorant = found["oracle"], found["physics"]
-    assert (told["drives"], told["steps"]) == (4, 60)
-    assert 5 < told["transitions"] < 4 * 60, "those near hazards alone"
-    assert abs(told["largest_error"]) < 0.005
-    assert told["median_error"] < ignorant["median_error"] < NEAR
+    reported, ignorant = found["oracle"], found["physics"]
+    assert (reported["drives"], reported["steps"]) == (4, 60)
+    assert 5 < reported["transitions"] < 4 * 60, "those near hazards alone"
+    assert abs(reported["largest_error"]) < 0.005
+    assert reported["median_error"] < ignorant["median_error"] < NEAR

@@ -101,8 +101,8 @@ def test_the_true_belief_predicts_what_the_simulator_does() -> None:
     action = np.c_[random.uniform(-1, 1, 60), random.uniform(-0.6, 0.6, 60)]
     done = action * ACTION_SCALE
     following, _ = after_one_period(state, done, done[:, 1], simulation.force.T / simulation.body.mass)
-    told = SimulatedPointModel(simulation).believed(state, np.zeros((60, 0))).next_state(action)
-    assert np.abs(told - following).max() < 2e-3
+    reported = SimulatedPointModel(simulation).believed(state, np.zeros((60, 0))).next_state(action)
+    assert np.abs(reported - following).max() < 2e-3
 
 
 def test_models_and_networks_show_at_the_probes_how_the_robot_moves() -> None:
@@ -225,18 +225,18 @@ def test_most_one_step_errors_of_h_are_below_the_margin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mistaken", "told"),
+    ("mistaken", "reported"),
     [
         (lambda: shield_of("fix_90", PointTask(2, 0)), "method 'fix_90'"),
         (lambda: shield_of("safedpa", PointTask(2, 0), adapts=""), "got no model to adapt with"),
-        (lambda: weights_named("nobody"), "safedpa train point"),
+        (lambda: weights_named("no_one"), "safedpa train point"),
         (lambda: HeatMap(moments=2, shown=3), "no more shown"),
         (lambda: PointStory(hidden=("ghost",)), "--hidden: got 'ghost'"),
         (lambda: PointStory(robots=0), "--robots: got 0"),
     ],
 )
-def test_mistakes_are_named(mistaken, told) -> None:
-    with pytest.raises(InputError, match=told):
+def test_mistakes_are_named(mistaken, reported) -> None:
+    with pytest.raises(InputError, match=reported):
         mistaken()
 
 
@@ -356,9 +356,9 @@ def test_the_sensed_state_is_what_the_benchmark_observes_without_its_lidar() -> 
         task.advance(np.full((6, 2), 0.4))
     seen = sensed(task.simulation, task.control, task.layout.goal)
     np.testing.assert_array_equal(seen, task.observation()[:, :15])
-    kept = without_goal(seen)
-    np.testing.assert_array_equal(kept[:, :12], seen[:, :12])
-    assert not kept[:, 12:].any()
+    retained = without_goal(seen)
+    np.testing.assert_array_equal(retained[:, :12], seen[:, :12])
+    assert not retained[:, 12:].any()
     assert [part for group in GROUPS.values() for part in range(15)[group]] == list(range(15))
 
 
@@ -454,15 +454,15 @@ def test_the_method_drives_safer_than_without_a_filter() -> None:
 
 
 def test_the_policy_sees_the_same_behind_the_filter_of_five_states() -> None:
-    told = []
+    reported = []
     for name in ("safedpa", "safedpa_17"):
         task = windy_task(3, 1, 0.008, 9)
         driver = driver_of(METHODS[name], task, Wheel(NOWHERE, margins={name: 0.01}))
         assert isinstance(driver, ShieldedDriver)
         for _ in range(40):
-            told.append(driver.shield.see(task).copy())
+            reported.append(driver.shield.see(task).copy())
             driver.shield.acted(np.full((3, 2), 0.3))
             task.advance(np.full((3, 2), 0.3))
-    np.testing.assert_array_equal(told[:40], told[40:])
-    assert np.abs(told[39]).max() > 0.0
+    np.testing.assert_array_equal(reported[:40], reported[40:])
+    assert np.abs(reported[39]).max() > 0.0
     assert METHODS["safedpa_17"].policy == METHODS["safedpa"].policy

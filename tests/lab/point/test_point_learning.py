@@ -127,9 +127,9 @@ def test_policy_and_filter_know_the_same_latent_through_new_episodes(monkeypatch
     for _ in range(30):
         nominal = random.uniform(-1.0, 1.0, (16, 2)).astype(np.float32)
         observed, _, over, _ = environment.step(nominal)
-        told = observed[:, -2:]
-        np.testing.assert_allclose(told, shields[0].see(task), atol=1e-6)
-        seen.append((over, told))
+        reported = observed[:, -2:]
+        np.testing.assert_allclose(reported, shields[0].see(task), atol=1e-6)
+        seen.append((over, reported))
     ended = next(step for step, (over, _) in enumerate(seen) if over[:8].all())
     fresh = seen[ended][1][:8]
     np.testing.assert_allclose(fresh, np.broadcast_to(fresh[0], fresh.shape), atol=0.5)
@@ -156,17 +156,17 @@ def test_each_episode_has_a_wind_of_full_force_towards_one_of_the_directions() -
 
 @pytest.mark.parametrize(("start", "moves"), [("shipped", False), ("nothing", True)])
 def test_a_trained_policy_stays_as_it_is_while_its_critic_is_learned(start, moves, short, monkeypatch) -> None:
-    kept: list[dict[str, NDArray[np.float32]]] = []
+    retained: list[dict[str, NDArray[np.float32]]] = []
 
     def policy(*given: Any) -> BaselinePolicy:
         found = policy_of(*given)
-        kept.append(found.tensors)
+        retained.append(found.tensors)
         return found
 
     monkeypatch.setattr(online_learning, "policy_of", policy)
     for steps in (0, 2048):
         learned(replace(LEARNING, start=start, epsilon=None, steps=steps))
-    before, after = kept
+    before, after = retained
     assert any(not np.array_equal(before[name], after[name]) for name in before) is moves
     if STARTS[start].key:
         shipped = baseline_named(STARTS[start].key, Path()).tensors
@@ -182,19 +182,19 @@ def test_an_experiment_that_was_cut_off_comes_to_the_same(short: None, tmp_path:
     lines = record.read_text(encoding="utf-8").splitlines(keepends=True)
     assert len(lines) == 1 + 2
     record.write_text("".join(lines[:2]) + lines[2][:40], encoding="utf-8")
-    told: list[tuple[int, int]] = []
-    assert point_learning(replace(asked, record=record), lambda done, all_: told.append((done, all_))) == whole
-    assert told == [(2, 2)], "the learning behind the filter is not done again"
+    reported: list[tuple[int, int]] = []
+    assert point_learning(replace(asked, record=record), lambda done, all_: reported.append((done, all_))) == whole
+    assert reported == [(2, 2)], "the learning behind the filter is not done again"
 
 
 @pytest.mark.long
 def test_the_small_experiment_from_the_command_line(short, tmp_path, capsys) -> None:
-    words = ["--quick", "--starts", "careless", "--out", str(tmp_path), "--json"]
-    assert safedpa.run(["experiment", "point-learning", *words]) == 0
-    told = json.loads(capsys.readouterr().out)
+    phrase = ["--quick", "--starts", "careless", "--out", str(tmp_path), "--json"]
+    assert safedpa.run(["experiment", "point-learning", *phrase]) == 0
+    reported = json.loads(capsys.readouterr().out)
     result = json.loads((tmp_path / "point-learning.json").read_text(encoding="utf-8"))
     assert result["provenance"]["command"].startswith("safedpa experiment point-learning --starts careless")
-    assert told["starts"] == result["starts"]
+    assert reported["starts"] == result["starts"]
     row = result["starts"]["careless"]["filter"]
     assert (row["steps"], len(row["rows"]["0"]), row["judged_before"]["episodes"]) == (4096, 2, 24)
     alone = result["starts"]["careless"]["none"]

@@ -176,8 +176,8 @@ def test_errors_of_the_car_are_reported_by_state() -> None:
 
 @pytest.mark.long
 def test_the_whole_command_in_small(tmp_path: Path) -> None:
-    words = ["experiment", "point-relinearised", "--quick", "--drives", "99", "--out", str(tmp_path)]
-    ended = CliRunner().invoke(safedpa, words, catch_exceptions=False)
+    phrase = ["experiment", "point-relinearised", "--quick", "--drives", "99", "--out", str(tmp_path)]
+    ended = CliRunner().invoke(safedpa, phrase, catch_exceptions=False)
     assert ended.exit_code == 0, ended.output
     found = json.loads((tmp_path / "relinearised.json").read_text(encoding="utf-8"))
     assert [row["count"] for row in found["rows"]] == [2] * 8

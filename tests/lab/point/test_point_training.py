@@ -163,9 +163,9 @@ def test_each_training_seed_has_a_folder_and_each_plan_a_name(tmp_path: Path, mo
     assert one.inputs == "equal"
     assert not np.array_equal(one.tensors["policy.0.weight"], other.tensors["policy.0.weight"])
     account = found["seed_0/trpo_lagrangian_wind_equal_0_5"]
-    told = markdown_of(baselines_in(tmp_path, 3))
-    assert "| trpo_lagrangian_wind_equal_0_5 | equal | 0.5 |" in told
-    assert told.rstrip().endswith("| 3 |")
+    reported = markdown_of(baselines_in(tmp_path, 3))
+    assert "| trpo_lagrangian_wind_equal_0_5 | equal | 0.5 |" in reported
+    assert reported.rstrip().endswith("| 3 |")
     scores = {row[0]: row[3] for row in account["compared"]}
     assert scores[account["chosen"]["steps"]] == max(scores.values())
 
@@ -294,7 +294,7 @@ def test_the_proportional_part_falls_back_with_the_cost() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mistaken", "told"),
+    ("mistaken", "reported"),
     [
         (lambda: Plan(multiplier="pdi"), "multiplier 'pdi'"), (lambda: Plan(inputs="camera"), "inputs 'camera'"),
         (lambda: inputs_of("radar", PointTask(1, 0)), "inputs 'radar'"),
@@ -302,6 +302,6 @@ def test_the_proportional_part_falls_back_with_the_cost() -> None:
          "got no margin for the filter 'mix'"),
     ],
 )  # fmt: skip
-def test_unknown_multipliers_and_inputs_and_a_filter_without_a_margin_are_refused(mistaken, told) -> None:
-    with pytest.raises(InputError, match=told):
+def test_unknown_multipliers_and_inputs_and_a_filter_without_a_margin_are_refused(mistaken, reported) -> None:
+    with pytest.raises(InputError, match=reported):
         mistaken()

@@ -14,9 +14,9 @@ from safedpa.safety.margins.conformal import split_conformal_margin
 from safedpa_lab.experiments import tuning_real
 from safedpa_lab.experiments.tuning import CarTuning, car_tuning
 from safedpa_lab.experiments.tuning_errors import errors_of_drive, metrics_of, ratios_of
-from safedpa_lab.experiments.tuning_kept import Kept, key_of
 from safedpa_lab.experiments.tuning_page import tuning_page
 from safedpa_lab.experiments.tuning_real import RealTuning, parts_of, real_tuning
+from safedpa_lab.experiments.tuning_retained import Retained, key_of
 from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import AbstractPredictor, NetworkPredictor, open_loop_errors
 from safedpa_sim.training.tuning_data import TuningDrive, record_circles
@@ -52,11 +52,11 @@ def test_a_ratio_counts_every_step_and_its_interval_every_draw_of_groups() -> No
 
     base = [[of(2, 4.0, 1.0), of(1, 2.0, 3.0)], [of(3, 6.0, 2.0)]]
     row = [[of(2, 1.0, 1.0), of(1, 2.0, 2.0)], [of(3, 3.0, 3.0)]]
-    told = ratios_of(base, row, np.array([1.0, 2.0]))
-    assert told["mean_square"] == pytest.approx([2.25 / 1.25, (2.0 + 1.0 / 6.0) / 1.25, (2.0 + 1.0 / 3.0) / 1.25])
-    assert told["squared_norm"] == pytest.approx([1.5, 4.0 / 3.0, 5.0 / 3.0])
+    reported = ratios_of(base, row, np.array([1.0, 2.0]))
+    assert reported["mean_square"] == pytest.approx([2.25 / 1.25, (2.0 + 1.0 / 6.0) / 1.25, (2.0 + 1.0 / 3.0) / 1.25])
+    assert reported["squared_norm"] == pytest.approx([1.5, 4.0 / 3.0, 5.0 / 3.0])
     roots = [(np.sqrt(2.0) + 0.5 * np.sqrt(second)) / 1.5 for second in (1.0, 2.0 / 3.0, 4.0 / 3.0)]
-    assert told["root_mean_square"] == pytest.approx(roots)
+    assert reported["root_mean_square"] == pytest.approx(roots)
 
 
 @pytest.mark.parametrize(("share", "cuts"), [(0.5, (5, 2)), (0.25, (2, 1)), (1.0, (10, 4))])
@@ -94,7 +94,7 @@ def test_each_log_is_judged_in_its_second_half_with_a_margin_of_the_others_last_
     folds = real_tuning(RealTuning(tmp_path))["folds"]
     assert own == [[166], [360]]
     assert [(fold["log"][0], fold["transitions"]) for fold in folds] == [("a", 166), ("b", 360)]
-    assert folds[0]["said"] == {"ours": "refused: no better", "online": "ridge 0.1"}
+    assert folds[0]["notice"] == {"ours": "refused: no better", "online": "ridge 0.1"}
     for fold, other in zip(folds, reversed(drives.values()), strict=True):
         judged = parts_of([drives[fold["log"]]], 0.5)[1][0]
         known = parts_of([other], 0.75)[1][0]
@@ -135,16 +135,16 @@ def test_unpaired_drives_are_refused():
 
 def test_a_kept_result_is_made_once_for_each_key(tmp_path):
     made = []
-    kept = Kept(tmp_path / "kept")
+    retained = Retained(tmp_path / "retained")
 
     def make():
         made.append(1)
         return {"errors": [0.1, 0.2]}
 
-    assert [kept.table("row", key, make) for key in ("a", "a", "b")] == [{"errors": [0.1, 0.2]}] * 3
+    assert [retained.table("row", key, make) for key in ("a", "a", "b")] == [{"errors": [0.1, 0.2]}] * 3
     assert len(made) == 2
     numbers = (np.arange(3.0), np.eye(2))
-    again = [kept.arrays("drive", "a", lambda: numbers) for _ in range(2)][1]
+    again = [retained.arrays("drive", "a", lambda: numbers) for _ in range(2)][1]
     np.testing.assert_array_equal(again[1], numbers[1])
     module = "safedpa_sim.training.paper_tuning"
     assert key_of(module, 0) == key_of(module, 0)
@@ -154,7 +154,7 @@ def test_a_kept_result_is_made_once_for_each_key(tmp_path):
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be made"):
-        Kept(tmp_path / "file" / "kept")
+        Retained(tmp_path / "file" / "retained")
 
 
 @pytest.mark.parametrize(
@@ -185,8 +185,8 @@ def test_a_small_run_resumes_and_its_page_has_every_metric(tmp_path):
         rows=("shipped", "online_shipped"),
     )  # fmt: skip
     first = car_tuning(experiment)
-    told = []
-    assert car_tuning(experiment, told.append) == first
+    reported = []
+    assert car_tuning(experiment, reported.append) == first
     rows = first["rows"]
     assert list(rows) == ["untuned", "untuned_point", "shipped", "online_shipped"]
     assert rows["shipped"]["ratios"]["none"]["one_step"]["untuned"]["root_mean_square"][0] > 3.0

@@ -56,10 +56,10 @@ def main(arguments: list[str]) -> None:
     for name in given.names or list(RUNS):
         path = HERE / f"{name}.mcap"
         with tempfile.TemporaryDirectory() as folder:
-            anew = recorded(Path(folder), *RUNS[name])
+            again = recorded(Path(folder), *RUNS[name])
             differing = differing_fields(path)
-            compacted(anew, path)
-        kept(CHANGES, name, given.why, differing, path)
+            compacted(again, path)
+        retained(CHANGES, name, given.why, differing, path)
 
 
 def differing_fields(path: Path) -> list[dict[str, Any]]:
@@ -76,7 +76,7 @@ def differing_fields(path: Path) -> list[dict[str, Any]]:
     return [found[key] for key in sorted(found)]
 
 
-def kept(changes: Path, name: str, why: str, differing: list[dict[str, Any]], path: Path) -> None:
+def retained(changes: Path, name: str, why: str, differing: list[dict[str, Any]], path: Path) -> None:
     """Writes down that a run was recorded anew."""
     known: dict[str, list[dict[str, Any]]] = json.loads(changes.read_text("utf-8")) if changes.exists() else {}
     entry = {"date": datetime.date.today().isoformat(), "why": why, "differing": differing, "sha256": sum_of(path)}

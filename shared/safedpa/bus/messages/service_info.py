@@ -34,7 +34,7 @@ def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
 
     The fields about model, settings, margin and controller are empty; ``dataclasses.replace`` fills them.
     """
-    told = {name: _told(value) for name, value in options.items() if value is not None}
+    reported = {name: _reported(value) for name, value in options.items() if value is not None}
     return SetupMessage(
         epoch=0,
         tick=0,
@@ -44,14 +44,14 @@ def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
         instance=uuid.uuid4().hex[:12],
         pid=os.getpid(),
         software=json.dumps(_software(), sort_keys=True),
-        options=json.dumps(told, sort_keys=True),
+        options=json.dumps(reported, sort_keys=True),
     )
 
 
-def _told(value: object) -> object:
+def _reported(value: object) -> object:
     """As JSON can say it: lists as such, since what was recorded is taken as options again."""
     if isinstance(value, list | tuple):
-        return [_told(item) for item in value]
+        return [_reported(item) for item in value]
     return value if isinstance(value, str | int | float) else str(value)
 
 

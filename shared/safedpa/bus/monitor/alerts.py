@@ -109,9 +109,9 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Alert]:
             sentence = f"{100.0 * share:.1f} % of the last verdicts {status}"
             yield Alert("attention", sentence, name, "safety_filter", status, share)
     if verdict.tick >= _WATCHED_STEPS and 0.0 <= verdict.coverage < verdict.promised - _MISSED_COVERAGE:
-        told, wanted = 100.0 * verdict.coverage, 100.0 * verdict.promised
-        sentence = f"the margin held in {told:.1f} % of the steps, promised {wanted:.1f} %"
-        yield Alert("attention", sentence, name, kind="coverage", size=wanted - told)
+        reported, wanted = 100.0 * verdict.coverage, 100.0 * verdict.promised
+        sentence = f"the margin held in {reported:.1f} % of the steps, promised {wanted:.1f} %"
+        yield Alert("attention", sentence, name, kind="coverage", size=wanted - reported)
 
 
 def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
@@ -126,8 +126,8 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Alert]:
             yield Alert("trouble", f"{service}: failing, {heard[0].detail}", robot.name, service)
     models = {service: robot.health[service][0].model for service in _LOOP if service in robot.health}
     if len({model for model in models.values() if model}) > 1:
-        told = ", ".join(f"{service} {model}" for service, model in models.items())
-        yield Alert("trouble", f"not all use one model: {told}", robot.name)
+        reported = ", ".join(f"{service} {model}" for service, model in models.items())
+        yield Alert("trouble", f"not all use one model: {reported}", robot.name)
 
 
 def _about_model(robot: RobotOverview) -> Iterator[Alert]:
@@ -137,12 +137,12 @@ def _about_model(robot: RobotOverview) -> Iterator[Alert]:
 
 
 def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Alert]:
-    name, health, told = service.name, service.health, service.name not in _LOOP
+    name, health, reported = service.name, service.health, service.name not in _LOOP
     if service.age(now) > _SILENT_SECONDS:
-        if told and not fleet.replaced(service):
+        if reported and not fleet.replaced(service):
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
             yield Alert(level, f"{name}: silent for {service.age(now):.0f} s", service=name)
-    elif told and service.failing:
+    elif reported and service.failing:
         yield Alert("trouble", f"{name}: failing, {service.detail}", service=name)
     elif name == "recorder" and 0 < health.free_bytes < _LITTLE_ROOM_BYTES:
         yield Alert("attention", f"recorder: {health.free_bytes / 1e6:.0f} MB of disk left", service=name)

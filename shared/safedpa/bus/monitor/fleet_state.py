@@ -81,7 +81,7 @@ class SlidingCounter:
             self._slices.popleft()
 
 
-_KEPT_LATENCIES = 400
+_RETAINED_LATENCIES = 400
 """20 s at 20 Hz."""
 
 
@@ -109,7 +109,7 @@ class RobotOverview:
     recent_verdicts: SlidingCounter = field(default_factory=SlidingCounter)
     recent_ticks: SlidingCounter = field(default_factory=SlidingCounter)
     """Kinds: who chose the action that was in force (``filter``, ``watchdog``, ``none``)."""
-    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT_LATENCIES))
+    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_RETAINED_LATENCIES))
     """s from publishing a state to accepting its action, as the robot measured it, newest last."""
     new_latencies: list[float] = field(default_factory=list)
     """The same since somebody emptied the list; for histograms."""
@@ -159,8 +159,8 @@ class RobotOverview:
         """s since each of its sources measured what was looked at last, by its clock; None: nothing was."""
         names = () if self.state is None else self.state.sources
         ages = () if self.seen is None else self.seen.ages
-        told = dict(zip(names, ages, strict=False))
-        return {name: told[name] if told.get(name, -1.0) >= 0.0 else None for name in names}
+        reported = dict(zip(names, ages, strict=False))
+        return {name: reported[name] if reported.get(name, -1.0) >= 0.0 else None for name in names}
 
     def latency(self, share: float) -> float | None:
         """The ``share``-quantile of the kept latencies [s]: the smallest one that so many do not exceed."""
@@ -181,7 +181,7 @@ class ServiceOverview:
     """The newest heartbeat, about whichever robot."""
     at: float
     """s; when it came."""
-    kept: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
+    retained: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
     """By robot (``-``: none): the newest heartbeat about it, and when it came."""
 
     def __post_init__(self) -> None:
@@ -191,27 +191,27 @@ class ServiceOverview:
     @property
     def robots(self) -> list[str]:
         """Those that it serves."""
-        return [name for name in self.kept if name != "-"]
+        return [name for name in self.retained if name != "-"]
 
     @property
     def steps(self) -> int:
         """Of all robots together; never falls while the process lives."""
-        return self._gone_steps + sum(message.steps for message, _ in self.kept.values())
+        return self._gone_steps + sum(message.steps for message, _ in self.retained.values())
 
     @property
     def stale(self) -> int:
         """Steps without some input, of all robots together; never falls while the process lives."""
-        return self._gone_stale + sum(message.stale for message, _ in self.kept.values())
+        return self._gone_stale + sum(message.stale for message, _ in self.retained.values())
 
     @property
     def refused(self) -> int:
         """Refused messages: the most that it tells of one robot, those of nobody included; at least so many."""
-        return max((message.refused for message, _ in self.kept.values()), default=0)
+        return max((message.refused for message, _ in self.retained.values()), default=0)
 
     @property
     def failing(self) -> HealthMessage | None:
         """A heartbeat that tells of a failure; None while there is none."""
-        return next((message for message, _ in self.kept.values() if message.state == "failing"), None)
+        return next((message for message, _ in self.retained.values() if message.state == "failing"), None)
 
     @property
     def state(self) -> str:
@@ -225,14 +225,14 @@ class ServiceOverview:
 
     def hear(self, robot: str, message: HealthMessage, at: float) -> None:
         """Takes one heartbeat; one that was overtaken by a newer one is left out."""
-        before = self.kept.get(robot)
+        before = self.retained.get(robot)
         if before is not None and message.publish_time < before[0].publish_time:
             return
         if before is not None and (message.steps < before[0].steps or message.stale < before[0].stale):
             self._remember(before[0])  # the robot began anew, and with it the counts
         elif before is not None:
             self._seen_steps += message.steps - before[0].steps
-        self.kept[robot] = (message, at)
+        self.retained[robot] = (message, at)
         self.health, self.at = message, at
         if not self._samples or at - self._samples[-1][0] >= _SAMPLE_SECONDS:
             self._samples.append((at, self._seen_steps))
@@ -241,8 +241,8 @@ class ServiceOverview:
 
     def forget(self, oldest: float) -> None:
         """Leaves out robots of which it told nothing since ``oldest`` [s]; what was counted for them stays."""
-        for robot in [name for name, (_, at) in self.kept.items() if at < oldest]:
-            self._remember(self.kept.pop(robot)[0])
+        for robot in [name for name, (_, at) in self.retained.items() if at < oldest]:
+            self._remember(self.retained.pop(robot)[0])
 
     def _remember(self, message: HealthMessage) -> None:
         self._gone_steps += message.steps
@@ -288,7 +288,7 @@ class FleetOverview:
         self.since = self.clock()
 
     @property
-    def nobody(self) -> bool:
+    def no_one(self) -> bool:
         """Whether nothing at all was heard so far."""
         return not self.robots and not self.services
 

@@ -33,7 +33,7 @@ from safedpa.bus.messages.topics import (
 from safedpa.errors import InputError
 
 __all__ = [
-    "NOBODY",
+    "NO_ONE",
     "ROBOT",
     "ROLES",
     "ROUTER",
@@ -47,7 +47,7 @@ __all__ = [
     "size_limits",
 ]
 
-NOBODY = "-"
+NO_ONE = "-"
 """Stands for the robot in the keys of a service that serves the whole fleet."""
 ROBOT = "robot"
 ROUTER = "router"
@@ -134,7 +134,7 @@ def check_names(fleet: str, robots: tuple[str, ...]) -> None:
     """Raises InputError unless these can be the names of one fleet and of different robots, each of one robot."""
     for name in (fleet, *robots):
         key_of(name, name, STATE)
-        if name in ("*", NOBODY, BUNDLE):
+        if name in ("*", NO_ONE, BUNDLE):
             raise InputError(f"name '{name}': stands for every robot, none or many, wanted one")
     if len(set(robots)) < len(robots):
         raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
@@ -180,7 +180,7 @@ def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_
         yield role_of_robot(robot), _rights(ROLES[ROBOT], fleet, (robot,), robot)
     for role in ROLES.values():
         if role.name != ROBOT:
-            yield role.name, _rights(role, fleet, (*robots, BUNDLE, NOBODY), "*")
+            yield role.name, _rights(role, fleet, (*robots, BUNDLE, NO_ONE), "*")
 
 
 def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_AccessRule]]]:
@@ -241,7 +241,7 @@ def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
     if robot == BUNDLE and not topic.bundles:
         return False
     if not topic.per_service:
-        return role.name == topic.writer and robot != NOBODY
+        return role.name == topic.writer and robot != NO_ONE
     return role.takes_over if topic is TAKEOVER else role.lives
 
 
@@ -255,7 +255,7 @@ def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule
     Where it may bring messages of some robots only, it may still tell what its clients want to read and ask.
     """
     everything = (f"safedpa/{fleet}/**",)
-    brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NOBODY)) if robots else everything
+    brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NO_ONE)) if robots else everything
     return [
         _AccessRule("brings", _CARRIED, _IN, brings),
         _AccessRule("wants", _WANTED, _IN, everything),
@@ -275,7 +275,7 @@ def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
     lives = [role.name for role in ROLES.values() if role.lives] + [ROUTER]
     rules += [
         {"key_expr": key_of(fleet, robot, HEALTH, service), "freq": _MOST_BEATS}
-        for robot in (*names, NOBODY, BUNDLE)
+        for robot in (*names, NO_ONE, BUNDLE)
         for service in lives
     ]
     return [{"id": "rates", "flows": [_IN], "messages": ["put"], "rules": rules}] if names else []

@@ -103,13 +103,13 @@ class PemCredentials:
         """Reads what ``pipe`` put there, and closes it. Raises BusError for anything else."""
         try:
             with os.fdopen(descriptor, "rb") as pipe:
-                said = pipe.read(_LONGEST_CARD)
+                notice = pipe.read(_LONGEST_CARD)
         except OSError as error:
             raise BusError(f"--card {descriptor}: {error.strerror}; whoever starts this process sets it") from error
-        parts = said.split(b"\0")
+        parts = notice.split(b"\0")
         if len(parts) != _PARTS or not all(part.startswith(b"-----BEGIN ") for part in parts):
             raise BusError(
-                f"--card {descriptor}: got {len(said)} bytes that are no authority, certificate and key in PEM; only "
+                f"--card {descriptor}: got {len(notice)} bytes that are no authority, certificate and key in PEM; only "
                 "whoever starts this process sets it"
             )
         return cls(role, *parts)

@@ -38,11 +38,11 @@ _MANY = 32
 """Connections on their way in, beyond which nobody has as long."""
 _SHORT_SECONDS = 0.1
 """Where no descriptor is left."""
-_KEPT_BACK = 160
+_RETAINED_BACK = 160
 """Descriptors: more than Zenoh accepts before it looks at those it has."""
 _ROOM_SECONDS = 0.25
 _LOOK_SECONDS = 0.1
-_TOLD_SECONDS = 1.0
+_REPORTED_SECONDS = 1.0
 _MOST_DESCRIPTORS = 65_536
 
 Address = tuple[str, int]
@@ -108,10 +108,10 @@ class ConnectionReaper:
     ) -> None:
         self._ports, self._members, self._clock = ports, members, clock
         self._strangers: dict[int, _UnauthenticatedConnection] = {}
-        self._kept_back: list[int] = []
+        self._retained_back: list[int] = []
         self._keep_back()
         self._ended = threading.Event()
-        self._cut, self._told = 0, clock()
+        self._cut, self._reported = 0, clock()
         self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)
         self._thread.start()
 
@@ -149,26 +149,26 @@ class ConnectionReaper:
     def _keep_back(self) -> bool:
         """Takes descriptors up to the number to be kept back; whether there was one to be had."""
         highest = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        wanted = min(_KEPT_BACK, highest // 6)
+        wanted = min(_RETAINED_BACK, highest // 6)
         try:
-            while len(self._kept_back) < wanted:
-                self._kept_back.append(os.dup(2))
+            while len(self._retained_back) < wanted:
+                self._retained_back.append(os.dup(2))
             os.close(os.dup(2))
         except OSError:
             return False
         return True
 
     def _let_go(self) -> None:
-        while self._kept_back:
-            os.close(self._kept_back.pop())
+        while self._retained_back:
+            os.close(self._retained_back.pop())
 
     def _watch(self) -> None:
         while not self._ended.wait(_LOOK_SECONDS):
             self._cut += self.look()
-            if self._cut and self._clock() - self._told > _TOLD_SECONDS:
+            if self._cut and self._clock() - self._reported > _REPORTED_SECONDS:
                 sentence = f"{self._cut} connections were cut off: they did not prove in time who they are"
                 log_event("bus.strangers_cut_off", sentence, level="warning", count=self._cut)
-                self._cut, self._told = 0, self._clock()
+                self._cut, self._reported = 0, self._clock()
 
     def _connections(self) -> Iterable[tuple[int, Address]]:
         for descriptor in _sockets():

@@ -168,7 +168,7 @@ class ModelVersions(Generic[Held]):
         self._prepare(robot, known, wait=state.lockstep)
         if not known.answers:
             return None
-        message, outcome, said = known.answers.popleft()
+        message, outcome, notice = known.answers.popleft()
         return TakeoverMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -178,8 +178,8 @@ class ModelVersions(Generic[Held]):
             change=message.change,
             fingerprint=message.fingerprint,
             state=outcome,
-            reason=said if outcome == "refused" else "",
-            expected_effect=said if outcome == "ready" else "",
+            reason=notice if outcome == "refused" else "",
+            expected_effect=notice if outcome == "ready" else "",
         )
 
     def forget(self, robot: str) -> None:
@@ -239,8 +239,8 @@ class ModelVersions(Generic[Held]):
     def _load_offer(self, robot: str, known: _RobotModels[Held], offer: ModelMessage) -> None:
         known.prepared = self._made(robot, known, offer)
         if known.prepared is not None:
-            told = "" if self._foretell is None else self._foretell(robot, known.prepared.held)
-            known.answers.append((offer, "ready", told[:_LONGEST_REASON]))
+            reported = "" if self._foretell is None else self._foretell(robot, known.prepared.held)
+            known.answers.append((offer, "ready", reported[:_LONGEST_REASON]))
 
     def _has(self, known: _RobotModels[Held], offer: ModelMessage) -> bool:
         return any(_same(version, offer.fingerprint, offer.margin) for version in (known.version, self._first))

@@ -58,12 +58,12 @@ class AbstractNode(ABC):
     lingers: ClassVar[bool] = True
     """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
 
-    senses: ClassVar[tuple[Topic, ...]] = ()
+    sensor_inputs: ClassVar[tuple[Topic, ...]] = ()
     """Further inputs, for the ticks of robots whose states name sources."""
 
     def needs(self, state: StateMessage) -> tuple[Topic, ...]:
         """The inputs besides the state that this tick's step is given."""
-        return (*self.inputs, *self.senses) if state.sources else self.inputs
+        return (*self.inputs, *self.sensor_inputs) if state.sources else self.inputs
 
     @abstractmethod
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:

@@ -97,7 +97,7 @@ class RobotSlot:
     next_heartbeat: float
     bundled: bool = False
     """Whether the newest state came among others: then the answer may, too."""
-    told: bool = False
+    reported: bool = False
     """Whether there was a heartbeat already."""
     counts: HeartbeatCounts = field(default_factory=HeartbeatCounts)
     inputs: dict[Topic, Message] = field(default_factory=dict)

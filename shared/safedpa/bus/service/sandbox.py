@@ -239,12 +239,12 @@ def _forked(work: Callable[[Any], dict[str, Any]], content: bytes) -> dict[str, 
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
-        said = pipe.read(_LARGEST_RESULT)
+        notice = pipe.read(_LARGEST_RESULT)
     with contextlib.suppress(ProcessLookupError):
         os.kill(child, signal.SIGKILL)  # it has said everything, or too much
     _, status = os.waitpid(child, 0)
     try:
-        found = json.loads(said)
+        found = json.loads(notice)
     except ValueError:
         found = {"problem": _ending(status)}
     return found if isinstance(found, dict) else {"problem": "it answered nothing that can be read"}

@@ -19,10 +19,10 @@ from safedpa.bus.messages.messages import SetupMessage, StateMessage
 from safedpa.bus.messages.service_info import SETUP_SECONDS
 from safedpa.bus.messages.topics import ACTION, HEALTH, SETUP, STATE
 from safedpa.bus.service.handshake import ModelHandshake
-from safedpa.bus.service.journal import ServiceLog
 from safedpa.bus.service.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.service.robot_slot import NO_ROBOT, ComputationTrace, HeartbeatCounts, RobotSlot, consumed, heartbeat
 from safedpa.bus.service.scheduler import MAX_HOLD_SECONDS, Scheduler, TimerQueue, batch_interval
+from safedpa.bus.service.service_log import ServiceLog
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import ReceivedMessage, RejectedMessage
 from safedpa.errors import BusError, InputError
@@ -61,20 +61,20 @@ class ServiceLoop:
         robot: str = "*",
         clock: Callable[[], float] = time.monotonic,
         setup: SetupMessage | None = None,
-        journal: ServiceLog | None = None,
+        service_log: ServiceLog | None = None,
     ) -> None:
-        self._journal = journal or ServiceLog.silent()
+        self._service_log = service_log or ServiceLog.silent()
         self._node = node
         self._bus = bus
         self.clock = clock
         self.inbox = bus.inbox(
-            tuple(dict.fromkeys((STATE, *node.inputs, *node.senses, *node.listens))), robot, clock=clock
+            tuple(dict.fromkeys((STATE, *node.inputs, *node.sensor_inputs, *node.listens))), robot, clock=clock
         )
-        self._greeting = ModelHandshake(node, bus, self.inbox, clock, self._failed)
+        self._handshake = ModelHandshake(node, bus, self.inbox, clock, self._failed)
         self._slots: dict[str, RobotSlot] = {}
         self._spoken_of: dict[str, float] = {}
         """s; when a robot that was not heard itself was spoken of last."""
-        self._agenda = TimerQueue()
+        self._timers = TimerQueue()
         self._touched: dict[str, None] = {}
         """Robots of which something came since the last look, in that order."""
         self._strangers = HeartbeatCounts()
@@ -115,10 +115,10 @@ class ServiceLoop:
                 self._refuse(item.reason, item.robot)
             else:
                 self._take(item)
-        for known in self._greeting.ready():
+        for known in self._handshake.ready():
             self._take_known(known)
         slots = self._slots
-        self._touched.update(dict.fromkeys(filter(self._is_awaited, self._agenda.due(self.clock()))))
+        self._touched.update(dict.fromkeys(filter(self._is_awaited, self._timers.due(self.clock()))))
         if self._touched:
             touched, self._touched = self._touched, {}
             self._serve([(robot, slots[robot]) for robot in touched if robot in slots])
@@ -128,21 +128,21 @@ class ServiceLoop:
             self._next_heartbeat = self.clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
             if not self._slots:
-                self._tell_health(NO_ROBOT, None)
-            self._tell_of_silent()
-            self._tell_setup()
+                self._report_health(NO_ROBOT, None)
+            self._report_of_silent()
+            self._report_setup()
 
-    def _tell_of_silent(self) -> None:
+    def _report_of_silent(self) -> None:
         """Who speaks is told of when it speaks; waking up for each heartbeat would cost more than the heartbeat."""
         silent = [entry for entry in self._slots.items() if entry[1].next_heartbeat <= self.clock()]
         self._hold_for(silent)
         for robot, slot in silent:
-            self._tell_health(robot, slot)
+            self._report_health(robot, slot)
         self._bus.flush()
 
     def patience(self, longest_wait: float) -> float:
         """s until something is due, at most ``longest_wait``."""
-        moment = min(self._agenda.next(self._is_awaited), self._greeting.deadline(), self._next_heartbeat)
+        moment = min(self._timers.next(self._is_awaited), self._handshake.deadline(), self._next_heartbeat)
         return max(0.0, min(longest_wait, moment - self.clock()))
 
     def _is_awaited(self, robot: str) -> bool:
@@ -158,11 +158,11 @@ class ServiceLoop:
         for robot, slot in touched:
             if slot.unfinished_since is not None and now >= slot.unfinished_since + _FINISH_SHARE * slot.state.period:
                 if self.inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
-                    self._agenda.at(now, robot)
+                    self._timers.at(now, robot)
                     continue
                 self._finish(robot, slot)
             if now >= slot.next_heartbeat:
-                self._tell_health(robot, slot)
+                self._report_health(robot, slot)
         self._bus.flush()
 
     def _step_all(self, touched: list[tuple[str, RobotSlot]]) -> None:
@@ -185,7 +185,7 @@ class ServiceLoop:
                 self._finish(robot, slot)
             elif slot.unfinished_since is not None:
                 slot.unfinished_since = now
-                self._agenda.at(now + _FINISH_SHARE * slot.state.period, robot)
+                self._timers.at(now + _FINISH_SHARE * slot.state.period, robot)
 
     def _hold_for(self, touched: list[tuple[str, RobotSlot]]) -> None:
         """Whether what is said now travels together: while batches are made, or of robots that speak together."""
@@ -213,8 +213,8 @@ class ServiceLoop:
             return
         if topic in node.listens:
             self._hear(item)
-        if (topic is STATE or topic in node.inputs or topic in node.senses) and (
-            known or not self._greeting.holds(item)
+        if (topic is STATE or topic in node.inputs or topic in node.sensor_inputs) and (
+            known or not self._handshake.holds(item)
         ):
             self._take_known(item)
 
@@ -264,7 +264,7 @@ class ServiceLoop:
         self._slots[robot] = slot = RobotSlot(state, at, at, self.clock(), item.bundled)
         slot.keeps_pace(state, at)
         self._spoken_of.pop(robot, None)
-        self._journal.met(robot, state.tick, again=again)
+        self._service_log.met(robot, state.tick, again=again)
         self._next_setup = self.clock()  # whoever records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
 
@@ -286,7 +286,7 @@ class ServiceLoop:
         """Looks at the robot now, and again when in real time its share of the period is over."""
         self._touched[robot] = None
         if self._node.needs(slot.state):  # else it is stepped now
-            self._agenda.at(self._deadline(slot), robot)  # in lockstep never: it waits for its inputs alone
+            self._timers.at(self._deadline(slot), robot)  # in lockstep never: it waits for its inputs alone
 
     def _deadline(self, slot: RobotSlot) -> float:
         return float("inf") if slot.state.lockstep else slot.arrived + self._node.share * slot.state.period
@@ -327,7 +327,7 @@ class ServiceLoop:
             self._rescue(robot, slot, error)
             return
         slot.outputs, counts = outputs, slot.counts
-        self._journal.said(robot, outputs)
+        self._service_log.notice(robot, outputs)
         late = [item.sentence for item in inputs.values() if type(item) is Stale] if needs else []
         counts.failing, counts.detail = False, "; ".join(late) if late else ""
         counts.steps += 1
@@ -344,7 +344,7 @@ class ServiceLoop:
             outputs = slot.trace.on(self._node.rescue(robot, slot.state, reason))
             self._publish(robot, outputs)
             slot.outputs = outputs
-            self._journal.said(robot, outputs)
+            self._service_log.notice(robot, outputs)
         except _NOT_A_ROBOTS:
             raise
         except Exception as again:  # noqa: BLE001  then the robot's own watchdog acts
@@ -363,7 +363,7 @@ class ServiceLoop:
             self._failed(robot, error, slot.state.tick)
             return
         if further:
-            self._journal.said(robot, further)
+            self._service_log.notice(robot, further)
             slot.outputs = {**(slot.outputs or {}), **further}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
@@ -377,19 +377,19 @@ class ServiceLoop:
         for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
             del self._slots[robot]
             self._leave(robot)
-            self._journal.forgot(robot)
+            self._service_log.forgot(robot)
         for robot in [robot for robot, at in self._spoken_of.items() if at < oldest]:
             del self._spoken_of[robot]
             self._leave(robot)
 
     def _leave(self, robot: str) -> None:
         self._node.leave(robot)
-        self._greeting.forget(robot)
+        self._handshake.forget(robot)
         self._bus.forget(robot)
 
     def _refuse(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
         """Counts what was not taken: for its robot, or for nobody where that one is not served."""
-        self._journal.refused(reason, robot, tick, second=second)
+        self._service_log.refused(reason, robot, tick, second=second)
         slot = self._slots.get(robot)
         counts = self._strangers if slot is None else slot.counts
         counts.refused += 1
@@ -401,19 +401,19 @@ class ServiceLoop:
             self._refuse(str(error), robot, tick)
             return str(error)
         reason = f"{type(error).__name__}: {error}"
-        self._journal.failed(reason, error, robot, tick)
+        self._service_log.failed(reason, error, robot, tick)
         slot = self._slots.get(robot)
         (self._strangers if slot is None else slot.counts).detail = f"failed: {reason}"
         return reason
 
-    def _tell_setup(self) -> None:
+    def _report_setup(self) -> None:
         if self._setup is not None and self.clock() >= self._next_setup:
             self._next_setup = self.clock() + SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, self._node.name)
 
-    def _tell_health(self, robot: str, slot: RobotSlot | None) -> None:
+    def _report_health(self, robot: str, slot: RobotSlot | None) -> None:
         if slot is not None:
-            share = 1.0 if slot.told else (_SPREAD * len(self._slots)) % 1.0
-            slot.told, slot.next_heartbeat = True, self.clock() + share * _HEARTBEAT_SECONDS
+            share = 1.0 if slot.reported else (_SPREAD * len(self._slots)) % 1.0
+            slot.reported, slot.next_heartbeat = True, self.clock() + share * _HEARTBEAT_SECONDS
         message = heartbeat(self._node.name, slot, self._strangers, self._node.model_of(robot) if slot else "")
         self._bus.publish(HEALTH, robot, message, self._node.name)

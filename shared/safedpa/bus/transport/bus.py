@@ -159,13 +159,13 @@ class Bus:
         self,
         answer: Callable[[str, Request], Answer],
         robot: str = "*",
-        tell: Callable[[str, Request | None, Answer], None] | None = None,
+        report_progress: Callable[[str, Request | None, Answer], None] | None = None,
         kinds: tuple[str, ...] = (REQUEST, STATUS),
     ) -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
         What is no request, and what ``answer`` refuses by InputError, is answered with the reason; so is all but
-        ``status`` under the key where nothing else may be asked. ``tell`` hears of every request (None: it was none)
+        ``status`` under the key where nothing else may be asked. ``report_progress`` hears of every request (None: it was none)
         and its answer before the asker does.
         """
 
@@ -178,8 +178,8 @@ class Bus:
                 given = answer(about, request)
             except InputError as error:
                 given = Answer(ok=False, sentence=f"refused: {error}")
-            if tell is not None:
-                tell(about, request, given)
+            if report_progress is not None:
+                report_progress(about, request, given)
             return encode(given)
 
         for kind in kinds:

@@ -202,12 +202,12 @@ class Inbox:
             latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, SharedPayload(key, b"", bundled=parcel.bundled))
 
     def _put_last(self, parcel: SharedPayload, at: float) -> None:
-        kept, key = _cut(parcel.payload, _LARGEST_QUEUED), parcel.key
+        retained, key = _cut(parcel.payload, _LARGEST_QUEUED), parcel.key
         queue = self._queues.setdefault(key, _Queue())
-        queue.messages.append((kept, at))
-        queue.size += len(kept)
+        queue.messages.append((retained, at))
+        queue.size += len(retained)
         self._queued += 1
-        self._queued_bytes += len(kept)
+        self._queued_bytes += len(retained)
         while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
             self._drop_one()
 
@@ -293,9 +293,9 @@ def _cut(payload: bytes, largest: int) -> bytes:
 def _check_speaker(key: str, message: Message) -> None:
     """The router vouches for the key's last part, so nobody speaks as another service in the message either."""
     service = key.rsplit("/", 1)[1]
-    said = getattr(message, "service", service)
-    if said != service:
-        raise MessageError(f"key '{key}': got a message of service '{said[:40]}', wanted one of '{service}'")
+    notice = getattr(message, "service", service)
+    if notice != service:
+        raise MessageError(f"key '{key}': got a message of service '{notice[:40]}', wanted one of '{service}'")
 
 
 @final

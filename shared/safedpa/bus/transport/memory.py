@@ -144,7 +144,7 @@ def _spread(hearers: list[OnSample], key: str, payload: bytes) -> None:
     """
     first: InboxReceiver | None = None
     shared: list[SharedPayload] = []
-    told: list[InboxReceiver] = []
+    reported: list[InboxReceiver] = []
     for on_sample in hearers:
         if not isinstance(on_sample, InboxReceiver):
             on_sample(key, payload)
@@ -154,6 +154,6 @@ def _spread(hearers: list[OnSample], key: str, payload: bytes) -> None:
         parcels = shared if on_sample is first or on_sample.asks_as(first) else on_sample.opened(key, payload)
         if parcels:
             on_sample.put(parcels)
-            told.append(on_sample)
-    for accepting in told:
+            reported.append(on_sample)
+    for accepting in reported:
         accepting.announce()

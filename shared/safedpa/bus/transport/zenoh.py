@@ -198,10 +198,10 @@ def _tls(certificates: Certificates | PemCredentials) -> dict[str, Any]:
 
 def _own_door(connect: tuple[str, ...]) -> str:
     """Where a peer listens that was not told: beside the socket of those it joins, or on the loopback interface."""
-    beside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
-    if not beside:
+    alongside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
+    if not alongside:
         return "tcp/127.0.0.1:0"
-    return f"{beside.rpartition('/')[0]}/{os.getpid()}-{os.urandom(4).hex()}"
+    return f"{alongside.rpartition('/')[0]}/{os.getpid()}-{os.urandom(4).hex()}"
 
 
 def _in_haste(endpoint: str) -> str:
@@ -251,7 +251,7 @@ class ZenohTransport(AbstractTransport):
         defer_accept(ports)
         # of TLS each one cut off costs Zenoh 0.1 s; at a socket in the file system there are no strangers
         guards = settings.listen and settings.certificates is None and ports
-        self._doorkeeper = ConnectionReaper(ports, self._far_ends) if guards else None
+        self._connection_reaper = ConnectionReaper(ports, self._far_ends) if guards else None
         _warn_of_plain_text(settings.plain_endpoints)
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
@@ -303,7 +303,7 @@ class ZenohTransport(AbstractTransport):
             with query:  # ends the answer, whatever happens
                 try:
                     key, payload = str(query.key_expr), b"" if query.payload is None else query.payload.to_bytes()
-                    if _astray(key, query.attachment):
+                    if _misrouted(key, query.attachment):
                         return
                     answer = on_question(key, payload)
                     if answer is not None:
@@ -328,7 +328,7 @@ class ZenohTransport(AbstractTransport):
                 consolidation=zenoh.ConsolidationMode.NONE,  # the first answer at once, not when all have answered
             )
             answers = (reply.ok for reply in replies if reply.ok is not None)
-            own = (answer for answer in answers if not _astray(str(answer.key_expr), answer.attachment))
+            own = (answer for answer in answers if not _misrouted(str(answer.key_expr), answer.attachment))
             return next((answer.payload.to_bytes() for answer in own), None)
         except zenoh.ZError as error:
             raise BusError(f"{key}: could not be asked ({short_error_text(error)}); was the bus closed?") from error
@@ -366,8 +366,8 @@ class ZenohTransport(AbstractTransport):
         return found
 
     def close(self) -> None:  # noqa: D102
-        if self._doorkeeper is not None:
-            self._doorkeeper.close()
+        if self._connection_reaper is not None:
+            self._connection_reaper.close()
         close_session(self._session)
 
 
@@ -421,15 +421,15 @@ class _ZenohSubscription(Subscription):
             return
         try:
             key = str(sample.key_expr)
-            if not _astray(key, sample.attachment):
+            if not _misrouted(key, sample.attachment):
                 self._on_sample(key, sample.payload.to_bytes())
         except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
             sys.excepthook(type(error), error, error.__traceback__)
 
 
-def _astray(key: str, beside: zenoh.ZBytes | None) -> bool:
+def _misrouted(key: str, alongside: zenoh.ZBytes | None) -> bool:
     """Whether what came was sent under another key; that it was is told."""
-    if not is_misrouted(key, None if beside is None else beside.to_bytes()):
+    if not is_misrouted(key, None if alongside is None else alongside.to_bytes()):
         return False
     log_event(
         "bus.astray",

@@ -101,7 +101,7 @@ def _rest(variable: Variable) -> float:
 
 
 def choose_experiment(
-    models: dict[str, PhysicsModel], noise: FloatArray, tell: Callable[[], None] = lambda: None
+    models: dict[str, PhysicsModel], noise: FloatArray, report_progress: Callable[[], None] = lambda: None
 ) -> Experiment | None:
     """Simulates every manoeuvre with every surviving model; None where fewer than two survive or nothing separates.
 
@@ -116,7 +116,7 @@ def choose_experiment(
         differences = [
             float(np.sqrt(np.mean(((runs[i] - runs[j]) / noise) ** 2))) for i in range(len(runs)) for j in range(i)
         ]
-        tell()
+        report_progress()
         smallest = min(differences)
         if np.isfinite(smallest) and smallest > best[0]:
             best = (smallest, text)

@@ -45,9 +45,9 @@ def prepare_runs(model: PhysicsModel, runs: Sequence[Run], most_rows: int = MOST
     rows = sum(len(part) for run in once for part in run.stretches)
     used = subsample_runs(once, most_rows, seconds)
     if rows > most_rows:
-        kept = sum(len(part) for run in used for part in run.stretches)
-        message = f"of {rows} rows, {kept} in evenly spread pieces were used for fitting and judging"
-        quality.append(finding_row("all", Finding("thinned", message, rows - kept)))
+        retained = sum(len(part) for run in used for part in run.stretches)
+        message = f"of {rows} rows, {retained} in evenly spread pieces were used for fitting and judging"
+        quality.append(finding_row("all", Finding("thinned", message, rows - retained)))
     for run in used:
         quality += [finding_row(run.name, item) for item in _inputs(run)]
     return PreparedRuns(used, quality, seconds)

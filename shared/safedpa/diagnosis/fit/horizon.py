@@ -86,11 +86,11 @@ def select_horizon(model: PhysicsModel, runs: Sequence[Run]) -> float:
     check_system(model.system, runs[0].system, runs[0].name)
     period = float(np.median([run.period for run in runs]))
     longest = max(LONGEST, _ROWS * period)
-    ladder = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _FEWEST_ROWS * period]
-    if not _count(runs, ladder[-1]):
-        raise RunError(_too_short(runs, ladder[-1]))
-    enough = [seconds for seconds in ladder[:-1] if _count(runs, seconds) >= _ENOUGH]
-    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _GROWTH), ladder[-1])
+    hierarchy = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _FEWEST_ROWS * period]
+    if not _count(runs, hierarchy[-1]):
+        raise RunError(_too_short(runs, hierarchy[-1]))
+    enough = [seconds for seconds in hierarchy[:-1] if _count(runs, seconds) >= _ENOUGH]
+    return next((seconds for seconds in enough if _growth(model, runs, seconds) <= _GROWTH), hierarchy[-1])
 
 
 def _too_short(runs: Sequence[Run], seconds: float) -> str:

@@ -154,9 +154,9 @@ def _begin(track: LinearizedTrajectory, noise: Noise, paths: int) -> tuple[Float
 
 def _pushes(track: LinearizedTrajectory, noise: Noise) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What is left of a disturbance after each row (variants, pieces, rows), its fresh variance, that of the states."""
-    kept = np.exp(-track.period / noise.seconds[:, None, None])
-    fresh = (1.0 - kept**2)[..., None] * noise.pushes[:, None, None] ** 2
-    return kept, fresh, (_SMALL * noise.measured) ** 2
+    retained = np.exp(-track.period / noise.seconds[:, None, None])
+    fresh = (1.0 - retained**2)[..., None] * noise.pushes[:, None, None] ** 2
+    return retained, fresh, (_SMALL * noise.measured) ** 2
 
 
 def _onward(
@@ -169,12 +169,12 @@ def _onward(
     step: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """From one row to the next; ``step`` (variants, pieces, entries, entries) is written over, zeros at first."""
-    kept, fresh, small = push
+    retained, fresh, small = push
     size = track.seen.shape[-1]
     step[..., :size, :size] = track.transition[:, row]
     for entry, state in enumerate(track.disturbed.tolist(), start=size):
         step[..., state, entry] = track.period[:, row]
-        step[..., entry, entry] = kept[..., row]
+        step[..., entry, entry] = retained[..., row]
     mean = step @ mean
     mean[..., :size, 0] += track.drift[:, row]
     mean[..., :size, 1:] += wide[:, row]

@@ -120,8 +120,8 @@ class Fit:
         low, high = bounds_of(self.model, self.paths)
         with np.errstate(all="ignore"):
             distance = (np.sqrt(slope**2 + curvature) - slope) / curvature
-        told = ~self.free & np.isfinite(distance) & (distance > 0) & (distance < high - low)
-        return np.where(told, distance, np.nan)
+        reported = ~self.free & np.isfinite(distance) & (distance > 0) & (distance < high - low)
+        return np.where(reported, distance, np.nan)
 
     def without(self, shooting: Shooting) -> dict[int, FloatArray]:
         """Parameters (paths,) fitted without each fold, to first order, by fold."""

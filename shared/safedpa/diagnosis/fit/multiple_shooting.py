@@ -225,8 +225,8 @@ def _robust(residual: FloatArray, counts: FloatArray) -> FloatArray:
     found = np.empty(residual.shape[-1])
     for state in range(len(found)):
         squares = residual[..., state][counts[..., state] > 0] ** 2
-        kept = max(1, int(0.95 * len(squares)))
-        found[state] = np.sqrt(np.partition(squares, kept - 1)[:kept].mean())
+        retained = max(1, int(0.95 * len(squares)))
+        found[state] = np.sqrt(np.partition(squares, retained - 1)[:retained].mean())
     return np.maximum(found, 1e-7)
 
 
@@ -248,13 +248,13 @@ def _counts(shooting: Shooting, residual: FloatArray, *, by_rate: bool = False) 
         else:
             usual = np.median(rough.reshape(-1, rough.shape[-1]), axis=0)
         typical = 1.4826 * usual + 1e-6
-        kept = inside & (rough <= _GLITCH * typical).all(axis=-1, keepdims=True)
+        retained = inside & (rough <= _GLITCH * typical).all(axis=-1, keepdims=True)
     else:
-        kept = np.broadcast_to(inside, residual.shape)
-    scale = _robust(residual, kept * np.ones_like(residual))
-    size = np.sqrt((((residual / scale) ** 2) * kept).sum(axis=(1, 2)) / np.maximum(kept.sum(axis=(1, 2)), 1))
+        retained = np.broadcast_to(inside, residual.shape)
+    scale = _robust(residual, retained * np.ones_like(residual))
+    size = np.sqrt((((residual / scale) ** 2) * retained).sum(axis=(1, 2)) / np.maximum(retained.sum(axis=(1, 2)), 1))
     light = np.minimum(1.0, (_PUSH * np.median(size) + 1e-12) / (size + 1e-12)) ** 2
-    return np.asarray(kept * light[:, None, None] * np.ones_like(residual))
+    return np.asarray(retained * light[:, None, None] * np.ones_like(residual))
 
 
 def _usual(rough: FloatArray, inside: NDArray[np.bool_], windows: Windows) -> FloatArray:
@@ -269,9 +269,9 @@ def _usual(rough: FloatArray, inside: NDArray[np.bool_], windows: Windows) -> Fl
 
 
 def _one_after_the_other(windows: Windows) -> NDArray[np.int64]:
-    kept, free = [], -1
+    retained, free = [], -1
     for index, (start, end) in enumerate(zip(windows.start.tolist(), windows.end.tolist(), strict=True)):
         if start >= free:
-            kept.append(index)
+            retained.append(index)
             free = end
-    return np.array(kept, dtype=np.int64)
+    return np.array(retained, dtype=np.int64)

@@ -72,7 +72,7 @@ def initial_values(item: AbstractEffect) -> list[dict[str, float]]:
     return [every[index] for index in spread]
 
 
-def _grid(parameter: Parameter, beside: int) -> list[float]:
+def _grid(parameter: Parameter, alongside: int) -> list[float]:
     """Fractions of what is ordinary, to both sides where the bounds allow it."""
     neutral, typical = parameter.neutral, parameter.typical
     if typical == 0.0 and not neutral:
@@ -80,10 +80,10 @@ def _grid(parameter: Parameter, beside: int) -> list[float]:
     elif neutral is None:
         found = [0.4 * typical, typical, 2.5 * typical]
     elif neutral == 0.0:
-        parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if beside == 1 else (0.4, 1.5)
+        parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if alongside == 1 else (0.4, 1.5)
         found = [part * typical for part in parts] if typical else [0.0]
         if parameter.low < 0.0:
-            found = [sign * value for value in found[: 3 if beside == 1 else 1] for sign in (-1.0, 1.0)]
+            found = [sign * value for value in found[: 3 if alongside == 1 else 1] for sign in (-1.0, 1.0)]
     elif abs(neutral - typical) < 0.5 * neutral:
         found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
     else:
@@ -101,7 +101,7 @@ def fit_trials(
     items: Sequence[AbstractEffect],
     shooting: Shooting,
     before: Mapping[str, EffectTrial],
-    tell: Callable[[int], None] = lambda _done: None,
+    report_progress: Callable[[int], None] = lambda _done: None,
 ) -> list[EffectTrial]:
     """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
 
@@ -115,7 +115,7 @@ def fit_trials(
             known = {p.name: settings[f"{item.name}.{p.name}"].value for p in item.parameters}
             starts = [with_effect_at(null.fit.model, item, known), *starts[::3]]
         found.append(fit_trial(null, [item], shooting, starts, _ROUGH))
-        tell(number)
+        report_progress(number)
     found.sort(key=lambda trial: trial.loss)
     by_name = {item.name: item for item in items}
     for index, rough in enumerate(found[:_PROMISING]):

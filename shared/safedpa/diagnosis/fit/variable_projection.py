@@ -26,7 +26,7 @@ _LEAST = 1e-9
 """Share of curvature that is added in every direction: a start may be seen by nothing."""
 _TOGETHER = 64
 """Windows that are reduced in one go: what they need stays in the cache, which took a quarter of the time."""
-_REMEMBERED = 4
+_CACHED = 4
 """Scales whose inverses are kept: a fit asks for the last two again."""
 
 
@@ -86,7 +86,7 @@ class VariableProjection:
         """(A'A)^-1 of each window, (windows, starts, starts)."""
         key = scale.tobytes()
         if key not in self._inverses:
-            while len(self._inverses) >= _REMEMBERED:
+            while len(self._inverses) >= _CACHED:
                 self._inverses.pop(next(iter(self._inverses)))
             gram = np.einsum("wsjk,s->wjk", self._grams, scale**-2.0)
             size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)) + 1e-30

@@ -33,7 +33,7 @@ class IdentifiabilityCheck:
     sizes: tuple[Detectable, ...]
     data_quality: tuple[dict[str, Any], ...]
 
-    def told(self) -> list[Detectable]:
+    def reported(self) -> list[Detectable]:
         """Numbers of which an ordinary size would be found, and of which nothing else does the same."""
         return [item for item in self.sizes if item.shown and not item.only_with]
 
@@ -81,7 +81,7 @@ def check_lines(check: IdentifiabilityCheck) -> list[str]:
     ]
     if check.why_not:
         lines += [f"Nothing can be told: {check.why_not}."]
-    lines += _part("Would be found, from this size on:", check.told())
+    lines += _part("Would be found, from this size on:", check.reported())
     lines += _part("Would be found, but only as a sum with something else:", check.as_sums())
     lines += _part("Would not be found at an ordinary size:", check.hidden())
     messages = list(dict.fromkeys(str(item["message"]) for item in check.data_quality))

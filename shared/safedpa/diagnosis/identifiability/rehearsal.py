@@ -76,7 +76,7 @@ def rehearse_diagnosis(
     sizes: Sequence[float] = (1.0,),
     names: Sequence[str] = (),
     seed: int = 0,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> RehearsalResult:
     """Hides each effect of the library, or of ``names``, in each of ``sizes``, in ordinary changes, and diagnoses.
 
@@ -90,13 +90,13 @@ def rehearse_diagnosis(
     jobs = [(item, size) for item in chosen for size in sizes]
     trials = []
     for number, (item, size) in enumerate(jobs):
-        tell(number, len(jobs))
+        report_progress(number, len(jobs))
         own = next(effect for effect in library if effect.name == item.effect)
         random = np.random.default_rng([seed, number + 1])
         trials.append(
             _trial(model, own, item, size, list(simulate_runs(_with(model, own, item, size), runs, noise, random)))
         )
-    tell(len(jobs), len(jobs))
+    report_progress(len(jobs), len(jobs))
     return RehearsalResult(check, tuple(trials))
 
 
@@ -169,9 +169,9 @@ def simulate_runs(
     for run in runs:
         states = run.states.copy()
         pieces = [piece for part in run.stretches for piece in _pieces(run, part)]
-        kept = [Stretch(piece.start, _driven(model, run, piece, states)) for piece in pieces]
+        retained = [Stretch(piece.start, _driven(model, run, piece, states)) for piece in pieces]
         states = states + noise * random.standard_normal(states.shape)
-        yield replace(run, states=states, stretches=tuple(part for part in kept if len(part) > 2), findings=())
+        yield replace(run, states=states, stretches=tuple(part for part in retained if len(part) > 2), findings=())
 
 
 def _pieces(run: Run, part: Stretch) -> list[Stretch]:

@@ -45,7 +45,7 @@ class LibraryMatcher:
             if block_gain(trial, formula, shooting) < SIMPLER
             or (explanation_correlation(trial, formula) > ALIKE and block_gain(trial, formula, shooting) < SURE)
         ]
-        return self._told(same, "no formula and no place says more")
+        return self._reported(same, "no formula and no place says more")
 
     def of_function(self, left: FloatArray, scale: FloatArray) -> bool:
         """Whether a candidate takes as much off unseen blocks as a function of one variable.
@@ -57,7 +57,7 @@ class LibraryMatcher:
             own = (trial.heldout / scale**2).sum(axis=1)
             if _sure(own - left, self.search.shooting.block) < SIMPLER:
                 same.append(trial)
-        return self._told(same, "no function of one variable says more")
+        return self._reported(same, "no function of one variable says more")
 
     def _every(self) -> list[EffectTrial]:
         """Candidates of the last stage on top of the present model, those that unseen blocks favour."""
@@ -84,7 +84,7 @@ class LibraryMatcher:
         start = with_effect_at(self.search.current.fit.model, effect, known)
         return fit_trial(self.search.current, [effect], self.search.shooting, [start])
 
-    def _told(self, same: Sequence[EffectTrial], why: str) -> bool:
+    def _reported(self, same: Sequence[EffectTrial], why: str) -> bool:
         for trial in sorted(same, key=lambda trial: trial.loss):
             if trial.effects not in {item.trial.effects for item in self.found}:
                 gain = block_gain(self.search.current, trial, self.search.shooting)

@@ -166,8 +166,8 @@ def _formula(trial: EffectTrial, shooting: Shooting, most: int = 4) -> tuple[Sel
             return (selected, fitted) if fitted.loss < trial.loss else None
         if not sure.any():
             return None
-        kept = tuple(item for item, keep in zip(selected.terms, sure, strict=True) if keep)
-        selected = SelectedTerms(kept, values[sure], selected.alternatives if sure[0] else ())
+        retained = tuple(item for item, keep in zip(selected.terms, sure, strict=True) if keep)
+        selected = SelectedTerms(retained, values[sure], selected.alternatives if sure[0] else ())
     return None
 
 

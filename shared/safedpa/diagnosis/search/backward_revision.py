@@ -351,8 +351,8 @@ def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout
         trial, new = best
         idle = [other for other in search.added if other != name and other in effects_at_bounds(trial)]
         if idle:
-            kept = [other for other in search.added if other not in (name, *idle)]
-            trial = refit_effects(search, [by_name[item] for item in (*kept, *new)])
+            retained = [other for other in search.added if other not in (name, *idle)]
+            trial = refit_effects(search, [by_name[item] for item in (*retained, *new)])
         gain = block_gain(search.current, trial, search.shooting)
         if trial.fit.free.all() and passes(gain, error_with(trial.fit, search.shooting, heldout), search.error):
             _replaced(search, (name, *idle), new, trial, heldout)

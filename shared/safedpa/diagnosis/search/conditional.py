@@ -57,19 +57,19 @@ def conditions_of(model: PhysicsModel, names: Iterable[str]) -> tuple[Condition,
             law = item.law
             assert isinstance(law, (Varies, Where))
             edge = law.edge if isinstance(law, Where) else None
-            found.append(Condition(item.name, law.key, law.words, edge, _sentence(model, item)))
+            found.append(Condition(item.name, law.key, law.phrase, edge, _sentence(model, item)))
     return tuple(sorted(found, key=lambda one: wanted.index(one.effect)))
 
 
 def _sentence(model: PhysicsModel, item: Conditioned) -> str:
     values = {p.name: model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
-    told = item.law.sentence(values, item.inner, model.system)
+    reported = item.law.sentence(values, item.inner, model.system)
     every = item.inner.parameters
     numbers = [_number(p.name if len(every) > 1 else "", values[p.name], p.unit) for p in every]
     name = item.name.replace("_", " ")
     if isinstance(item.law, Varies):
-        return f"{name} {', '.join(numbers)} at {item.law.begin(model.system)}, {told}"
-    return f"{name} {', '.join(numbers)} {told}"
+        return f"{name} {', '.join(numbers)} at {item.law.begin(model.system)}, {reported}"
+    return f"{name} {', '.join(numbers)} {reported}"
 
 
 def _number(name: str, value: float, unit: str) -> str:
@@ -250,8 +250,8 @@ def _with_law(
     own = {p.name: Setting(float(np.clip(begin[p.name], p.low, p.high))) for p in made.parameters}
     gone = {item.name, *without}
     rest = [other for other in model.effects if other.name not in gone]
-    kept = {path: value for path, value in model.settings.items() if path.split(".")[0] not in gone}
-    return PhysicsModel(model.base, rest, kept, model.period).with_effect(made, own)
+    retained = {path: value for path, value in model.settings.items() if path.split(".")[0] not in gone}
+    return PhysicsModel(model.base, rest, retained, model.period).with_effect(made, own)
 
 
 def _fitted(search: SearchState, proposal: ConditionalCandidate, without: Sequence[str] = ()) -> EffectTrial | None:
@@ -376,8 +376,8 @@ def _in_most_runs(trial: EffectTrial, search: SearchState, heldout: Heldout) -> 
 def _most(sums: Sequence[float], least: float) -> bool:
     """Whether most of what is larger than the least, and than _THERE_AT_ALL of the largest, is above 0."""
     least = max(least, _THERE_AT_ALL * max(map(abs, sums), default=0.0))
-    told = [value for value in sums if abs(value) > least]
-    return not told or sum(value > 0 for value in told) > _MOST_RUNS * len(told)
+    reported = [value for value in sums if abs(value) > least]
+    return not reported or sum(value > 0 for value in reported) > _MOST_RUNS * len(reported)
 
 
 def add_region_effect(search: SearchState, floor: EffectTrial, stage: int, heldout: Heldout) -> bool:
@@ -399,19 +399,17 @@ def _accept(search: SearchState, best: EffectTrial, heldout: Heldout, stage: int
     search.error = error_with(again, shooting, heldout)
     if stage is None:
         stage = max((own.stage for own in search.candidates), default=0)
-    reason = (
-        f"{item.law.key} {item.law.words}: gain on unseen blocks {gain:.1f} standard errors over the same model without"
-    )
+    reason = f"{item.law.key} {item.law.phrase}: gain on unseen blocks {gain:.1f} standard errors over the same model without"
     search.candidates.append(JudgedTrial(stage, best, gain, search.error, "accepted", reason, (), before.value))
     for index, own in enumerate(search.candidates[:-1]):  # the same effect under another law
         paths = [path for path in own.trial.fit.paths if path.split(".")[0] == name]
         if own.decision == "accepted" and not set(paths) <= set(again.paths):
-            said = with_reason(own, "rejected", f"gave way to {name} {item.law.key} {item.law.words}")
-            search.candidates[index] = said
+            notice = with_reason(own, "rejected", f"gave way to {name} {item.law.key} {item.law.phrase}")
+            search.candidates[index] = notice
     gone = [other for other in search.added if other not in {own.name for own in again.model.effects}]
     if gone:
         search.added = [other for other in search.added if other not in gone]
-        withdraw_candidates(search, gone, f"gave way to {name} {item.law.key} {item.law.words}")
+        withdraw_candidates(search, gone, f"gave way to {name} {item.law.key} {item.law.phrase}")
     if name not in search.added:
         search.added.append(name)
 

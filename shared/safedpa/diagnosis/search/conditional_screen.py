@@ -185,10 +185,10 @@ def _weights(shooting: Shooting, *, anywhere: bool = False) -> Iterator[_Weights
     if room:
         points = np.stack([_values(name, at, shooting) for name in PLACE], axis=-1)
         for place in (CircularRegion(), StripRegion()):
-            kept = list(_places(place, points))
-            if kept:
+            retained = list(_places(place, points))
+            if retained:
                 law = Where(place.shape, "", _EDGE_OF_PLACE)
-                yield _Weights(law, "", [start for start, _ in kept], np.stack([inside for _, inside in kept]))
+                yield _Weights(law, "", [start for start, _ in retained], np.stack([inside for _, inside in retained]))
 
 
 def _regions(name: str, values: FloatArray, edge: float) -> Iterator[_Weights]:
@@ -258,22 +258,22 @@ class _NormalEquations:
 
     def judged(self, column: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(laws, windows) fall of unseen squares, (laws, paths + 1) numbers of all windows."""
-        beside = (column[:, None, :] @ self.columns)[:, 0]
+        alongside = (column[:, None, :] @ self.columns)[:, 0]
         size, slope = (column**2).sum(axis=1), (column * self.residual).sum(axis=1)
         squared = weights**2
-        cross, own_size, own_slope = weights @ beside, squared @ size, weights @ slope
+        cross, own_size, own_slope = weights @ alongside, squared @ size, weights @ slope
         ridge, left = _ridge(own_size), np.empty(weights.shape)
         for own, rest in zip(self.folds, self.rests, strict=True):
             part, square = weights[:, own], squared[:, own]
             known, last = _solved(
                 *rest,
-                cross - part @ beside[own],
+                cross - part @ alongside[own],
                 own_size - square @ size[own] + ridge,
                 own_slope - part @ slope[own],
             )
             outer = (known[:, :, None] * known[:, None, :]).reshape(len(known), self.flat.shape[1])
             change = 2.0 * known @ self.slopes[own].T + outer @ self.flat[own].T
-            mixed = slope[own] + known @ beside[own].T
+            mixed = slope[own] + known @ alongside[own].T
             left[:, own] = change + 2.0 * last[:, None] * part * mixed + last[:, None] ** 2 * square * size[own]
         known, last = _solved(*self.whole, cross, own_size + ridge, own_slope)
         return self.before - left, np.concatenate([known, last[:, None]], axis=1)
@@ -301,8 +301,8 @@ def _solved(
 def _best(column: _ParameterColumn, weights: _Weights, sums: _NormalEquations) -> ConditionalCandidate | None:
     """The best law of one kind for one number, by the fall of unseen squares."""
     usual = np.abs(weights.values).mean(axis=1)
-    kept = np.flatnonzero((usual > _RARE) & (usual < _USUAL)) if weights.law is not None else np.arange(1)
-    parts = np.array_split(kept, -(-len(kept) // 100)) if len(kept) else []
+    retained = np.flatnonzero((usual > _RARE) & (usual < _USUAL)) if weights.law is not None else np.arange(1)
+    parts = np.array_split(retained, -(-len(retained) // 100)) if len(retained) else []
     best: tuple[float, int, FloatArray, FloatArray] | None = None
     for part in parts:
         falls, values = sums.judged(column.column, weights.values[part])

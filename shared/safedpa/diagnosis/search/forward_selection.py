@@ -56,7 +56,7 @@ from safedpa.diagnosis.search.search_state import JudgedTrial, SearchState
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
-__all__ = ["JudgedTrial", "SearchState", "Tell", "accept_trial", "add_best_trial", "run_search"]
+__all__ = ["JudgedTrial", "ReportProgress", "SearchState", "accept_trial", "add_best_trial", "run_search"]
 
 MOST = 12
 """Additions."""
@@ -66,10 +66,10 @@ _ASKED = 3
 _SETTLED = 4
 """Trials of one stage that are fitted about their own model while MUCH is missing."""
 
-Tell = Callable[[int, int, str], None]
+ReportProgress = Callable[[int, int, str], None]
 """(done, of how many, what is looked for and the best that is known so far): of this stage, for nobody knows how many
 will follow."""
-Beside = Callable[[], Iterable[HorizonData]]
+Alongside = Callable[[], Iterable[HorizonData]]
 """Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
 
 
@@ -78,19 +78,19 @@ def run_search(
     library: Sequence[AbstractEffect],
     shooting: Shooting,
     heldout: Heldout,
-    tell: Tell = lambda _done, _all, _said: None,
-    beside: Beside = lambda: (),
+    report_progress: ReportProgress = lambda _done, _all, _message: None,
+    alongside: Alongside = lambda: (),
 ) -> SearchState:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
     search = initial_search(model, shooting, heldout)
-    _additions(search, library, heldout, tell, beside)
-    tell(0, 3, f"second thoughts about all that was added; {_so_far(search)}")
+    _additions(search, library, heldout, report_progress, alongside)
+    report_progress(0, 3, f"second thoughts about all that was added; {_so_far(search)}")
     _second_thoughts(search, library, heldout)
-    tell(1, 3, f"where and when it acts; {_so_far(search)}")
+    report_progress(1, 3, f"where and when it acts; {_so_far(search)}")
     if library and add_conditions(search, library, heldout):
-        _additions(search, library, heldout, tell, beside)  # a law may lay bare what it hid
+        _additions(search, library, heldout, report_progress, alongside)  # a law may lay bare what it hid
         _second_thoughts(search, library, heldout)
-    tell(2, 3, f"final numbers; {_so_far(search)}")
+    report_progress(2, 3, f"final numbers; {_so_far(search)}")
     if library:
         final, search.error = with_final_values(search.current.fit, search.shooting, heldout)
         search.current = replace(search.current, fit=with_model_uncertainty(final, search))
@@ -98,31 +98,41 @@ def run_search(
 
 
 def _additions(
-    search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout, tell: Tell, beside: Beside
+    search: SearchState,
+    library: Sequence[AbstractEffect],
+    heldout: Heldout,
+    report_progress: ReportProgress,
+    alongside: Alongside,
 ) -> None:
     """One effect after the other, until none passes; while MUCH is missing then, one step further."""
-    _added_in_turn(search, library, heldout, tell, beside)
+    _added_in_turn(search, library, heldout, report_progress, alongside)
     while search.error.value > MUCH:
         ahead = look_one_step_ahead(search, heldout)
         if ahead is None:
             return
-        _added_in_turn(ahead, library, heldout, tell, beside)
+        _added_in_turn(ahead, library, heldout, report_progress, alongside)
         if not improves_clearly(search, ahead, library):
             return
         search.take(ahead)
 
 
 def _added_in_turn(
-    search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout, tell: Tell, beside: Beside
+    search: SearchState,
+    library: Sequence[AbstractEffect],
+    heldout: Heldout,
+    report_progress: ReportProgress,
+    alongside: Alongside,
 ) -> None:
     """One effect after the other, until none passes."""
     before: dict[str, EffectTrial] = {}
     first = 1 + max((item.stage for item in search.candidates), default=-1)
     for stage in range(first, MOST if library else 0):
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
-        trials = fit_trials(search.current, rest, search.shooting, before, _stage_told(tell, search, stage, len(rest)))
+        trials = fit_trials(
+            search.current, rest, search.shooting, before, _stage_reported(report_progress, search, stage, len(rest))
+        )
         before = {trial.effects[0]: trial for trial in trials}
-        if not add_best_trial(search, stage, trials, rest, heldout, beside):
+        if not add_best_trial(search, stage, trials, rest, heldout, alongside):
             break
 
 
@@ -140,10 +150,12 @@ def _second_thoughts(search: SearchState, library: Sequence[AbstractEffect], hel
     mark_equivalent_rivals(search, library, heldout)
 
 
-def _stage_told(tell: Tell, search: SearchState, stage: int, size: int) -> Callable[[int], None]:
+def _stage_reported(
+    report_progress: ReportProgress, search: SearchState, stage: int, size: int
+) -> Callable[[int], None]:
     """Tells how much of a stage is done."""
-    said = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
-    return lambda done: tell(done, size, said)
+    notice = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
+    return lambda done: report_progress(done, size, notice)
 
 
 def _so_far(search: SearchState) -> str:
@@ -160,7 +172,7 @@ def add_best_trial(
     trials: list[EffectTrial],
     rest: Sequence[AbstractEffect],
     heldout: Heldout,
-    beside: Beside = lambda: (),
+    alongside: Alongside = lambda: (),
 ) -> bool:
     """Judges the trials of a stage; adds the best that passes and says whether there was one."""
     null, shooting = search.current, search.shooting
@@ -179,7 +191,7 @@ def add_best_trial(
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and is_promising(best, stage, search.error):
         passed = filter_is_certain(best, search)
-    elsewhere = None if passed else passing_at_other_horizon(search, stage, rest, beside)
+    elsewhere = None if passed else passing_at_other_horizon(search, stage, rest, alongside)
     if elsewhere is not None:
         best, passed = elsewhere.trial, True
     if passed and best is not None:

@@ -132,7 +132,7 @@ def passing_at_other_horizon(
     search: SearchState,
     stage: SearchStage,
     library: Sequence[AbstractEffect],
-    beside: Callable[[], Iterable[HorizonData]],
+    alongside: Callable[[], Iterable[HorizonData]],
 ) -> PassingCandidate | None:
     """The candidate of a stage in which none passed that another horizon confirms most; None where none does."""
     open_ones = _open(search, stage)
@@ -140,7 +140,7 @@ def passing_at_other_horizon(
         return None
     by_name = {item.name: item for item in library}
     best: PassingCandidate | None = None
-    for evidence in beside():
+    for evidence in alongside():
         null = _null(search, evidence)
         for trial in open_ones:
             found = _judged(trial, null, evidence, [by_name[name] for name in trial.effects])

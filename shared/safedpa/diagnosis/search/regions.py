@@ -213,12 +213,12 @@ def best_region(null: EffectTrial, shooting: Shooting) -> RegionFit | None:
     robot = shooting.windows.system.name
     shapes = [(item, _start(item, points, along)) for item in (CircularRegion(robot), StripRegion(robot))]
     found = [_fitted(item, start, null, shooting) for item, start in shapes if start]
-    kept = [
+    retained = [
         patch
         for patch in found
         if patch.gain >= _SURE and patch.trial.loss <= null.loss - _LITTLE and _in_most_runs(patch, null, shooting)
     ]
-    return min(kept, key=lambda patch: patch.trial.loss, default=None)
+    return min(retained, key=lambda patch: patch.trial.loss, default=None)
 
 
 def share_one_area(shooting: Shooting) -> bool:

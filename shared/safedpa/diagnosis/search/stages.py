@@ -44,27 +44,27 @@ def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageRep
         search.added, steps = _by_fall(search, first, heldout)
     names = heldout.windows.system.state_names
     errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
-    kept = _that_help(errors)
+    retained = _that_help(errors)
     found = []
-    for number, before in zip(kept, [None, *kept], strict=False):
+    for number, before in zip(retained, [None, *retained], strict=False):
         error = errors[number]
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         gain = _improved(None if before is None else errors[before], error)
         found.append(DiagnosisStage(tuple(search.added[:number]), error.value, per_state, gain))
     return StageReport(
-        found, [steps[number][0].model for number in kept], _worse([errors[number] for number in kept], shown)
+        found, [steps[number][0].model for number in retained], _worse([errors[number] for number in retained], shown)
     )
 
 
 def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
     """The stages that predict some run better than the one before, the first and the last: what helps only beside a
     later effect is one stage with it."""
-    kept = [0]
+    retained = [0]
     for number in range(1, len(errors)):
-        helps = (errors[number].by_run < errors[kept[-1]].by_run).any()
+        helps = (errors[number].by_run < errors[retained[-1]].by_run).any()
         if helps or number == len(errors) - 1:
-            kept.append(number)
-    return kept
+            retained.append(number)
+    return retained
 
 
 def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[WorsenedState, ...]:

@@ -62,7 +62,7 @@ def check_map(columns: ColumnMap, system: System) -> None:
 
 def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
     """Rows in SI units under the system's names; derived states are NaN until ``derive_states``."""
-    keep = _kept(table, columns)
+    keep = _retained(table, columns)
     values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
     turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
     turns = turns if columns.unwrap is None else [name for name in turns if name in columns.unwrap]
@@ -132,7 +132,7 @@ def joined_column(table: Table, column: SourceColumn) -> NDArray[np.float64]:
     return np.asarray(parts.sum(axis=0) if column.join == "sum" else parts.mean(axis=0))
 
 
-def _kept(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
+def _retained(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
     keep = np.ones(len(next(iter(table.columns.values()))), dtype=bool)
     keep[: columns.skip_first_rows] = False
     for rule in columns.skip_where:
@@ -193,7 +193,7 @@ def resample_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[
     """
     picked: list[NDArray[np.intp]] = []
     actions: list[NDArray[np.float64]] = []
-    kept: list[Stretch] = []
+    retained: list[Stretch] = []
     for stretch in stretches:
         chosen = _nearest_to_multiples(rows.t[stretch.start : stretch.stop], period) + stretch.start
         if len(chosen) < 2:
@@ -205,11 +205,11 @@ def resample_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[
         actions.append(impulse / np.add.reduceat(held, starts))
         first = sum(len(part) for part in picked)
         picked.append(chosen)
-        kept.append(Stretch(first, first + len(chosen)))
+        retained.append(Stretch(first, first + len(chosen)))
     if not picked:
         return rows.taken(np.zeros(len(rows.t), dtype=bool)), []
     index = np.concatenate(picked)
-    return Rows(rows.t[index], rows.states[index], np.concatenate(actions)), kept
+    return Rows(rows.t[index], rows.states[index], np.concatenate(actions)), retained
 
 
 def _nearest_to_multiples(t: NDArray[np.float64], period: float) -> NDArray[np.intp]:

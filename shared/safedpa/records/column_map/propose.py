@@ -32,7 +32,7 @@ _PATHS: Mapping[str, tuple[str, ...]] = {
     "torque": ("effort[0]",),
 }  # fmt: skip
 """Fields in which messages of ROS and PX4 carry a quantity, the likeliest first."""
-_WORDS: Mapping[str, tuple[str, ...]] = {
+_TEXT: Mapping[str, tuple[str, ...]] = {
     "throttle": ("throttle", "motor", "duty"),
     "steer": ("steering", "steer", "servo"),
     "target_speed": ("target_speed", "speed_cmd", "cmd_speed", "v_ref"),
@@ -85,7 +85,7 @@ def _by_path(target: str, sources: Sequence[str]) -> list[str]:
 
 def _by_topic(target: str, sources: Sequence[str]) -> list[str]:
     single = [source for source in sources if split_source(source)[1] == "data"]
-    for word in _WORDS.get(target, ()):
+    for word in _TEXT.get(target, ()):
         same = [source for source in single if word in split_source(source)[0].lower()]
         if same:
             return sorted(same, key=len)
@@ -151,8 +151,8 @@ def _described(topic: LoggedTopic) -> list[str]:
         return [head, f"#     cannot be read: {_plain(topic.problem)}"]
     fields = list(topic.fields)
     more = [f"and {len(fields) - _MOST_FIELDS} more"] if len(fields) > _MOST_FIELDS else []
-    words = ", ".join(_shortened(fields)[:_MOST_FIELDS] + more)
-    return [head, *textwrap.wrap(words, 118, initial_indent="#     ", subsequent_indent="#     ")]
+    phrase = ", ".join(_shortened(fields)[:_MOST_FIELDS] + more)
+    return [head, *textwrap.wrap(phrase, 118, initial_indent="#     ", subsequent_indent="#     ")]
 
 
 def _shortened(fields: Sequence[str]) -> list[str]:

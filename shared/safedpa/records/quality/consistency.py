@@ -27,19 +27,19 @@ _BETTER = 0.02
 """By which it has to be better than without a shift."""
 _SEVERE = 0.15
 """s, and twice what a channel is held, from which nothing is judged before it is aligned."""
-_TOLD = 0.05
+_REPORTED = 0.05
 """s from which it is said at all."""
 
 
 def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
     """Measured rates that come later, or earlier, than the change of what they are the rate of; nothing is cut."""
     found = []
-    for name, said, seen in _rates_beside_slopes(rows, stretches, system, measured):
-        late = _lateness(rows.t, said, seen)
-        if late is None or abs(late[0]) < _TOLD:
+    for name, notice, seen in _rates_alongside_slopes(rows, stretches, system, measured):
+        late = _lateness(rows.t, notice, seen)
+        if late is None or abs(late[0]) < _REPORTED:
             continue
         seconds, best, now = late
-        held = hold_rows(said[np.isfinite(said)]) * _period(rows.t)
+        held = hold_rows(notice[np.isfinite(notice)]) * _period(rows.t)
         side = "late" if seconds > 0 else "early"
         kind = "time_offset" if abs(seconds) >= max(_SEVERE, 2.0 * held) else "slightly_late"
         text = (
@@ -51,7 +51,7 @@ def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured
     return found
 
 
-def _rates_beside_slopes(
+def _rates_alongside_slopes(
     rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]
 ) -> list[tuple[str, FloatArray, FloatArray]]:
     """(name of a measured rate, its values, the slope that it should be)."""
@@ -71,22 +71,22 @@ def _rates_beside_slopes(
     return found
 
 
-def _lateness(t: FloatArray, said: FloatArray, seen: FloatArray) -> tuple[float, float, float] | None:
-    """(seconds by which ``said`` comes after ``seen``, correlation then, correlation as it is); None where unclear."""
+def _lateness(t: FloatArray, notice: FloatArray, seen: FloatArray) -> tuple[float, float, float] | None:
+    """(seconds by which ``notice`` comes after ``seen``, correlation then, correlation as it is); None where unclear."""
     period = _period(t)
     if not period > 0.0:
         return None
     most = max(1, round(_FARTHEST / period))
     step = max(1, most // 40)
     shifts = np.unique(np.concatenate([np.arange(-most, most + 1, step), [0]]))
-    values = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in shifts])
+    values = np.array([_correlation_when_shifted(notice, seen, int(shift)) for shift in shifts])
     best = int(np.nanargmax(values)) if np.isfinite(values).any() else -1
     if best < 0 or values[best] < _SAME:
         return None
     around = np.arange(shifts[best] - step, shifts[best] + step + 1)
-    finer = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in around])
+    finer = np.array([_correlation_when_shifted(notice, seen, int(shift)) for shift in around])
     top = int(np.nanargmax(finer))
-    now = _correlation_when_shifted(said, seen, 0)
+    now = _correlation_when_shifted(notice, seen, 0)
     if finer[top] < now + _BETTER or abs(around[top]) >= most:
         return None
     return float(around[top]) * period, float(finer[top]), now
@@ -98,14 +98,14 @@ def _period(t: FloatArray) -> float:
     return float(np.median(steps)) if len(steps) else 0.0
 
 
-def _correlation_when_shifted(said: FloatArray, seen: FloatArray, shift: int) -> float:
+def _correlation_when_shifted(notice: FloatArray, seen: FloatArray, shift: int) -> float:
     """Of said[k + shift] with seen[k]."""
-    if abs(shift) > len(said) - _FEWEST:
+    if abs(shift) > len(notice) - _FEWEST:
         return float("nan")
     if shift >= 0:
-        one, other = said[shift:], seen[: len(seen) - shift]
+        one, other = notice[shift:], seen[: len(seen) - shift]
     else:
-        one, other = said[:shift], seen[-shift:]
+        one, other = notice[:shift], seen[-shift:]
     good = np.isfinite(one) & np.isfinite(other)
     if good.sum() < _FEWEST or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
         return float("nan")
@@ -145,22 +145,22 @@ def _partial(rows: Rows, stretches: list[Stretch], action: FloatArray, system: S
     at = system.state_names.index(driven)
     slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)
     angles = [np.sin(rows.states[:, index]) for index, item in enumerate(system.state) if item.angle]
-    beside = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
+    alongside = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
     steps = np.diff(rows.t[np.isfinite(rows.t)])
     period = float(np.median(steps)) if len(steps) else 1.0
     most = max(0, round(_LATEST / max(period, 1e-6)))
-    values = [_beside(slopes, action, beside, shift) for shift in range(0, most + 1, max(1, most // 10))]
+    values = [_alongside(slopes, action, alongside, shift) for shift in range(0, most + 1, max(1, most // 10))]
     # what comes late by half a swing goes against anything: the first delay at which anything shows has the sign
     first = next((value for value in values if abs(value) > _CLEAR), 0.0)
     return min(values) if first < 0.0 else max(first, 0.0)
 
 
-def _beside(slopes: FloatArray, action: FloatArray, beside: NDArray[np.float64], shift: int) -> float:
+def _alongside(slopes: FloatArray, action: FloatArray, alongside: NDArray[np.float64], shift: int) -> float:
     """Partial correlation of slopes[k + shift] with action[k] beside some columns (rows, columns) at k + shift."""
     count = len(slopes) - shift
     if count < _FEWEST:
         return 0.0
-    wanted, command, columns = slopes[shift:], action[:count], beside[shift:]
+    wanted, command, columns = slopes[shift:], action[:count], alongside[shift:]
     good = np.isfinite(wanted) & np.isfinite(command) & np.isfinite(columns).all(axis=1)
     if good.sum() < _FEWEST or not np.ptp(command[good]) > 1e-9:
         return 0.0

@@ -74,7 +74,7 @@ def _judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[
         mask, found = frozen_rows(rows, stretches, system, measured)
         bad, findings = _cut(bad, findings, "frozen", mask, found, mapping)
         stretches = _long_enough(bad, breaks)
-    findings += _said(rows, stretches, system, measured)
+    findings += _message(rows, stretches, system, measured)
     return rows, stretches, [*findings, *_cut_finding(rows.t, stretches)]
 
 
@@ -98,11 +98,11 @@ def _cut(
     """Bad rows and findings with one more kind, whose rows stay where the map keeps them."""
     if kind not in mapping.keep:
         return bad | mask, [*findings, *found]
-    kept = [replace(item, message=f"{item.message.split('; cut out')[0]}; kept, as the map says") for item in found]
-    return bad, [*findings, *kept]
+    retained = [replace(item, message=f"{item.message.split('; cut out')[0]}; kept, as the map says") for item in found]
+    return bad, [*findings, *retained]
 
 
-def _said(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+def _message(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
     """What nothing is cut for."""
     found = [*held_findings(rows, stretches, system, measured), *constant_findings(rows, stretches, system)]
     disagree = consistency_findings(rows, stretches, system, measured)
@@ -154,12 +154,12 @@ def _stretches(bad: BoolArray, breaks: BoolArray) -> list[Stretch]:
 
 
 def _cut_finding(t: NDArray[np.float64], stretches: list[Stretch]) -> list[Finding]:
-    kept = np.zeros(len(t), dtype=bool)
+    retained = np.zeros(len(t), dtype=bool)
     for stretch in stretches:
-        kept[stretch.start : stretch.stop] = True
-    if kept.all():
+        retained[stretch.start : stretch.stop] = True
+    if retained.all():
         return []
-    cut = np.flatnonzero(~kept)
+    cut = np.flatnonzero(~retained)
     share = 100.0 * len(cut) / len(t)
     remain = count_text(len(stretches), "stretch remains", "stretches remain")
     text = f"{len(cut)} of {len(t)} rows ({share:.3g} %) were cut in all; {remain}"

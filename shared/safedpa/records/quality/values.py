@@ -72,18 +72,18 @@ def constant_findings(rows: Rows, stretches: list[Stretch], system: System) -> l
     """Actions that never change, and runs in which nothing moves."""
     if not stretches:
         return []
-    kept = np.concatenate([np.arange(stretch.start, stretch.stop) for stretch in stretches])
+    retained = np.concatenate([np.arange(stretch.start, stretch.stop) for stretch in stretches])
     found = []
     for index, variable in enumerate(system.action):
-        values = rows.actions[kept, index]
+        values = rows.actions[retained, index]
         if np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())):
             text = (
                 f"{variable.name} is always {values[0]:.4g} {variable.unit}: "
                 "the run cannot show what it does; nothing was cut for it"
             )
-            found.append(finding("constant_input", text, len(kept)))
-    if np.nanmax(np.ptp(rows.states[kept], axis=0), initial=0.0) <= 1e-9:
-        found.append(finding("no_motion", "no state ever changes: the run says nothing about dynamics", len(kept)))
+            found.append(finding("constant_input", text, len(retained)))
+    if np.nanmax(np.ptp(rows.states[retained], axis=0), initial=0.0) <= 1e-9:
+        found.append(finding("no_motion", "no state ever changes: the run says nothing about dynamics", len(retained)))
     return found
 
 
@@ -145,8 +145,8 @@ def _faster(rows: Rows, system: System, factor: float) -> bool:
     good = np.isfinite(x) & np.isfinite(y) & np.isfinite(speed) & np.isfinite(rows.t)
     with np.errstate(all="ignore"):
         moved = np.hypot(np.diff(x[good]), np.diff(y[good])).sum()
-        said = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
-        return bool(0.7 < said / moved < 1.4)  # of one that stands no number
+        notice = (np.abs(speed[good][:-1]) * np.diff(rows.t[good])).sum() * factor
+        return bool(0.7 < notice / moved < 1.4)  # of one that stands no number
 
 
 def _agrees(t: NDArray[np.float64], values: NDArray[np.float64], rates: NDArray[np.float64], factor: float) -> bool:
@@ -154,8 +154,8 @@ def _agrees(t: NDArray[np.float64], values: NDArray[np.float64], rates: NDArray[
     if good.sum() < _FEWEST:
         return False
     moved = np.abs(np.diff(np.unwrap(values[good]))).sum()
-    said = float((np.abs(rates[good][:-1]) * np.diff(t[good])).sum()) * factor
-    return bool(moved > 0 and 0.7 < said / moved < 1.4)
+    notice = float((np.abs(rates[good][:-1]) * np.diff(t[good])).sum()) * factor
+    return bool(moved > 0 and 0.7 < notice / moved < 1.4)
 
 
 def _percent(rows: Rows, system: System, named: set[str]) -> list[Finding]:

@@ -87,8 +87,8 @@ def _layout(path: Path, wanted: Sequence[str]) -> _Layout:
     header = _cells(path, text, delimiter)
     findings = []
     if before:
-        said = f"{before} {'line' if before == 1 else 'lines'} before the header were taken for comments and left out"
-        findings.append(Finding("comment_lines", f"{said}; the header is line {before + 1}", before))
+        notice = f"{before} {'line' if before == 1 else 'lines'} before the header were taken for comments and left out"
+        findings.append(Finding("comment_lines", f"{notice}; the header is line {before + 1}", before))
     point = "." if delimiter == "," else _decimal_mark(lines[before + 1 :], header, delimiter, wanted)
     if point == ",":
         text = "numbers have decimal commas; they were read as such; write points to be understood everywhere"

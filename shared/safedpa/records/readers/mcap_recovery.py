@@ -138,11 +138,11 @@ class _SizeBudget:
         if self._channels > limit("mcap_channels"):
             raise too_much("mcap_channels", self._channels, str(self._path))
 
-    def take(self, told: int) -> None:
+    def take(self, reported: int) -> None:
         """Raises LimitError where a chunk, or all of them together, would be too large."""
-        if told > limit("mcap_chunk_bytes"):
-            raise too_much("mcap_chunk_bytes", f"{told} bytes", str(self._path))
-        self._left -= told
+        if reported > limit("mcap_chunk_bytes"):
+            raise too_much("mcap_chunk_bytes", f"{reported} bytes", str(self._path))
+        self._left -= reported
         if self._left < 0:
             raise too_much("expansion", "more", str(self._path))
 
@@ -179,23 +179,23 @@ def _opened(chunk: Chunk, budget: _SizeBudget, *, validate: bool) -> Iterator[An
 
 def _data(chunk: Chunk, budget: _SizeBudget) -> bytes:
     """What the chunk holds: never more than it says, and that was measured."""
-    told = chunk.uncompressed_size
-    budget.take(max(told, len(chunk.data)))
+    reported = chunk.uncompressed_size
+    budget.take(max(reported, len(chunk.data)))
     if chunk.compression == "zstd":
         import zstandard
 
         with zstandard.ZstdDecompressor(max_window_size=limit("mcap_chunk_bytes")).stream_reader(chunk.data) as stream:
-            data: bytes = stream.read(told + 1)
+            data: bytes = stream.read(reported + 1)
     elif chunk.compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
-        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=told + 1)
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=reported + 1)
     elif chunk.compression == "":
         data = chunk.data
     else:
         raise ValueError(f"chunks packed by {chunk.compression!r}")
-    if len(data) != told:
-        raise ValueError(f"a chunk holds other than the {told} bytes that it says")
+    if len(data) != reported:
+        raise ValueError(f"a chunk holds other than the {reported} bytes that it says")
     return data
 
 

@@ -76,8 +76,8 @@ def _check_wanted(path: Path, file: ParquetFile, wanted: Sequence[str]) -> None:
             raise RunError(f"{path}: column '{name}': got {kind}, wanted numbers")
     size, about = path.stat().st_size, file.metadata
     most = max(limit("expansion_free_bytes"), size * limit("expansion"))
-    told = _NUMBER_BYTES * about.num_rows * len(wanted)
+    reported = _NUMBER_BYTES * about.num_rows * len(wanted)
     for group in range(about.num_row_groups):  # not by column: pyarrow ends the process where one contradicts itself
-        told += about.row_group(group).total_byte_size // 8
-    if about.num_rows < 0 or told > most:
-        raise too_much("expansion", told // max(1, size), str(path))
+        reported += about.row_group(group).total_byte_size // 8
+    if about.num_rows < 0 or reported > most:
+        raise too_much("expansion", reported // max(1, size), str(path))

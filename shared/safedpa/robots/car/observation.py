@@ -132,8 +132,8 @@ def _nearest(own: AnyFloatArray, radii: AnyFloatArray, footprint: AnyFloatArray)
     touching = _closeness(np.maximum(room, 0.0), TOUCHING)[..., np.newaxis]
     direction = offset / np.maximum(_length(offset), 1e-6)[..., np.newaxis]
     towards = centre / (NEAR + _length(centre))[..., np.newaxis]
-    told = np.concatenate((near * direction, near * towards, touching), axis=-1)
-    return told.reshape(*told.shape[:-2], -1)
+    reported = np.concatenate((near * direction, near * towards, touching), axis=-1)
+    return reported.reshape(*reported.shape[:-2], -1)
 
 
 def _rays(

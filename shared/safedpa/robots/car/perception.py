@@ -73,14 +73,14 @@ def _goal(ahead: float, aside: float) -> tuple[float, ...]:
 
 def _nearest(own: Sequence[tuple[float, float, float]], footprint: Row) -> list[float]:
     rear, front, own_radius = footprint
-    told = []
+    reported = []
     for ahead, aside, radius in own:
         offset = ahead - min(max(ahead, -rear), front)
         length = math.sqrt(offset * offset + aside * aside)
-        told.append((length - radius - own_radius, length, offset, aside, ahead))
-    told.sort()
+        reported.append((length - radius - own_radius, length, offset, aside, ahead))
+    reported.sort()
     values: list[float] = []
-    for room, length, offset, aside, ahead in told[:OBSTACLES]:
+    for room, length, offset, aside, ahead in reported[:OBSTACLES]:
         gap = max(room, 0.0)
         near, least = NEAR / (NEAR + gap), max(length, 1e-6)
         reach = near / (NEAR + math.sqrt(ahead * ahead + aside * aside))

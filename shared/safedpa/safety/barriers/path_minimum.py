@@ -34,7 +34,7 @@ _NARROWEST: Final = 1.0 / 16.0
 """Share of a chord that is looked at no closer, but for the polishing."""
 _FIRST: Final = (0.29, 0.62)
 """Places on a chord that are looked at first: not symmetrical, since what lies in the middle would look level."""
-_BESIDE: Final = 1e-5
+_ALONGSIDE: Final = 1e-5
 """Share of an interval, beside an end of a chord that is lower than its samples, at which h is looked at once more."""
 _FEW: Final = 4
 """Chords of a path so short tell too little of how steep h is: all of them are looked at."""
@@ -136,11 +136,11 @@ def _bracket(
     if 0 < at < len(shares) - 1:
         return (float(shares[at - 1]), float(shares[at]), float(shares[at + 1])), float(column[at])
     end, neighbour = float(shares[at]), float(shares[1 if at == 0 else at - 1])
-    beside = end + _BESIDE * (neighbour - end)  # is the end a valley's foot, or does a valley begin there?
-    value = curve(beside)
+    alongside = end + _ALONGSIDE * (neighbour - end)  # is the end a valley's foot, or does a valley begin there?
+    value = curve(alongside)
     if value >= column[at]:
         return None
-    return (min(end, neighbour), beside, max(end, neighbour)), value
+    return (min(end, neighbour), alongside, max(end, neighbour)), value
 
 
 def _height(h: Callable[[FloatArray], FloatArray], path: Sequence[FloatArray], k: int, row: int, share: float) -> float:

@@ -155,9 +155,9 @@ def search_batch(
         missing[going] = now
         pairs = zip(last_missing.tolist(), now.tolist(), strict=True)
         overshoot[going] = [tighten(index + 1, *pair) for pair in pairs]
-        anew = going[fresh & certain[going] & ~plain[going]]
-        if len(anew) and index < settings.relinearisations:
-            _draw(conditions, A, anew, about, last)
+        again = going[fresh & certain[going] & ~plain[going]]
+        if len(again) and index < settings.relinearisations:
+            _draw(conditions, A, again, about, last)
     return about, certain & plain
 
 

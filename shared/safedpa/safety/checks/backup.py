@@ -19,14 +19,14 @@ def backup_issues(checked: FilterUnderTest, probes: list[Probe], *, stationary_f
     slack = ROUNDING * (high - low)
     for probe, action in zip(probes, actions, strict=True):
         if action.shape != low.shape or not np.isfinite(action).all():
-            said = f"got {action} at {shown(probe.state)}, wanted ({len(low)},) finite numbers"
-            return [FilterIssue("backup", (), said)]
+            notice = f"got {action} at {shown(probe.state)}, wanted ({len(low)},) finite numbers"
+            return [FilterIssue("backup", (), notice)]
         if (action < low - slack).any() or (action > high + slack).any():
-            said = (
+            notice = (
                 f"got {shown(action)} at {shown(probe.state)}, wanted {shown(low)} to {shown(high)}: the filter "
                 "would cut it off, and another action would be taken than the one that was thought of"
             )
-            return [FilterIssue("backup", (), said)]
+            return [FilterIssue("backup", (), notice)]
     issues = _foreign(checked, probes, actions)
     return issues + (_breaking(checked, probes, actions) if stationary_for and not issues else [])
 
@@ -40,11 +40,11 @@ def _foreign(checked: FilterUnderTest, probes: list[Probe], actions: list[FloatA
             for probe, action in zip(probes, actions, strict=True):
                 own = part.backup(probe.state)
                 if own.shape != action.shape or (np.abs(own - action) > ROUNDING * width).any():
-                    said = (
+                    notice = (
                         f"got {shown(action)} from the filter's backup and {shown(own)} from the barrier's at "
                         f"{shown(probe.state)}, wanted the same; give the filter backup=barrier.backup"
                     )
-                    issues.append(FilterIssue("backup", part.names, said))
+                    issues.append(FilterIssue("backup", part.names, notice))
                     break
     return issues
 
@@ -82,11 +82,11 @@ def horizon_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filter
         falls = [part.fall_beyond(probe.state) for probe in inside]
         for probe, fall in zip(inside, falls, strict=True):
             if (fall > checked.slight(probe.h)[rows]).any():
-                said = (
+                notice = (
                     f"got an h that falls by {fall.max():.3g} after the horizon of {part.horizon} ticks from "
                     f"{shown(probe.state)}, wanted a backup that has come to rest by then; a longer horizon, or a "
                     "backup that ends where it can stay"
                 )
-                issues.append(FilterIssue("horizon", part.names, said))
+                issues.append(FilterIssue("horizon", part.names, notice))
                 break
     return issues

@@ -43,11 +43,11 @@ def margin_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterI
     for kind, rows in checked.barriers.rows.items():
         if rows and not checked.epsilon[list(rows)].any():
             names = tuple(checked.barriers.names[row] for row in rows)
-            said = (
+            notice = (
                 f"got epsilon 0 for barriers of kind '{kind}', wanted more: the model's error in one step would reach "
                 f"beyond h = 0; measure it (calibrate_margin) or set epsilon = {{ {kind} = ... }}"
             )
-            issues.append(FilterIssue("margin", names, said))
+            issues.append(FilterIssue("margin", names, notice))
     return issues
 
 
@@ -62,24 +62,24 @@ def scale_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIs
         if epsilon == 0.0:
             continue
         if most < threshold:
-            said = (
+            notice = (
                 f"got h of {most:.3g} at most (it varies by {spread:.3g}) over {len(probes)} states, wanted some above "
                 f"epsilon / eta = {threshold:.3g}; are h and epsilon in the same unit?"
             )
         elif epsilon < _LOST * tick[row]:
-            said = (
+            notice = (
                 f"got epsilon = {epsilon:.3g} where the actions change h by {tick[row]:.3g} in one tick, wanted more "
                 f"than {_LOST:g} of that; are h and epsilon in the same unit?"
             )
         elif tick[row] < epsilon:
-            said = (
+            notice = (
                 f"got actions that change h by {tick[row]:.3g} in one tick at most, wanted more than epsilon = "
                 f"{epsilon:.3g}, or they cannot keep a condition that asks for it; a wrong unit, or h is of a higher "
                 "relative degree (RolloutBarrier, HigherOrderBarrier, PendingActions)"
             )
         else:
             continue
-        cases[row] = (abs(log10(float(max(tick[row], 1e-300) / epsilon))), said)
+        cases[row] = (abs(log10(float(max(tick[row], 1e-300) / epsilon))), notice)
     return gathered("scale", checked.barriers.names, cases)
 
 
@@ -105,11 +105,11 @@ def gradient_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filte
     for row, cases in wrong.items():
         if len(cases) >= max(2.0, _SOME * len(probes)):
             off, got, wanted, entry = max(cases)
-            said = (
+            notice = (
                 f"got a slope of {got:.6g} in entry {entry} of the state, wanted {wanted:.6g}, which is what h does; "
                 f"it is wrong at {len(cases)} of {len(probes)} states; correct the gradient or leave it out"
             )
-            found[row] = (off, said)
+            found[row] = (off, notice)
     return gathered("gradient", checked.barriers.names, found)
 
 
@@ -207,22 +207,22 @@ def condition_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[Filt
         orders = [_order(checked, probe.state, row) for probe in judged]
         cases = [probe for probe in stuck if probe.residuals[:, row].max() < 0.0]
         if orders and min(orders) > _HIGHER:
-            higher[row] = min(orders), _said_of_degree(min(orders), len(orders))
+            higher[row] = min(orders), _message_of_degree(min(orders), len(orders))
         elif cases:
             worst = cases[int(np.argmin([probe.residuals[:, row].max() for probe in cases]))]
-            missed[row] = -float(worst.residuals[:, row].max()), _said_of_stuck(worst, row, len(cases))
+            missed[row] = -float(worst.residuals[:, row].max()), _message_of_stuck(worst, row, len(cases))
     issues = [*gathered("relative degree", names, higher), *gathered("conditions", names, missed)]
     if stuck and not issues:
-        said = (
+        notice = (
             f"got no action that keeps all of them together at {len(stuck)} states inside h >= epsilon / eta, such as "
             f"{shown(stuck[0].state)}, wanted one everywhere; barriers that a single backup keeps (RolloutBarrier with "
             "all of them in one h) can be kept together"
         )
-        issues.append(FilterIssue("conditions", (), said))
+        issues.append(FilterIssue("conditions", (), notice))
     return issues
 
 
-def _said_of_degree(order: float, states: int) -> str:
+def _message_of_degree(order: float, states: int) -> str:
     grown = "does not answer to the action in one tick" if order == inf else f"answers with its time to the {order:.2g}"
     return (
         f"got an h that {grown} at any of {states} states where its condition can break, wanted a relative degree of "
@@ -231,7 +231,7 @@ def _said_of_degree(order: float, states: int) -> str:
     )
 
 
-def _said_of_stuck(probe: Probe, row: int, states: int) -> str:
+def _message_of_stuck(probe: Probe, row: int, states: int) -> str:
     return (
         f"got h = {probe.h[row]:.3g} at {shown(probe.state)}, from which every action tried misses its condition by "
         f"{-probe.residuals[:, row].max():.3g} or more ({states} such states inside h >= epsilon / eta), wanted an "

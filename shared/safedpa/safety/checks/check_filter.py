@@ -78,6 +78,6 @@ def check_filter(
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]
         issues += backup_issues(checked, probes, stationary_for=stationary_for)
     except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and that is what is asked for
-        said = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
-        return FilterReport([FilterIssue("failure", (), said)], len(rows))
+        notice = f"got {type(error).__name__}: {error}; wanted an answer at every probed state, as the robot needs one"
+        return FilterReport([FilterIssue("failure", (), notice)], len(rows))
     return FilterReport(issues, len(probes))

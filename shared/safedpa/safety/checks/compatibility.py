@@ -75,8 +75,8 @@ def check_settings_of_functions(
     system = systems().get(settings.system)
     if system is None:
         return
-    told = [tuple(states), *(part.reads for part in barriers or ())]
-    if system.state_names not in told:
+    reported = [tuple(states), *(part.reads for part in barriers or ())]
+    if system.state_names not in reported:
         raise InputError(
             f"settings: made for the system '{system.name}' ({_listed(system.state_names)}; "
             f"{_listed(system.action_names)}), which the given functions do not say to be; wanted action_low and "

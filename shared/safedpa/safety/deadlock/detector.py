@@ -20,7 +20,7 @@ from safedpa.systems import System
 
 __all__ = [
     "DEAD_BAND_SECONDS",
-    "TOLD_SECONDS",
+    "REPORTED_SECONDS",
     "DeadlockDetector",
     "Stand",
     "StandReport",
@@ -49,7 +49,7 @@ class StandReport(Protocol):
         """s, by the robot's clock."""
 
 
-TOLD_SECONDS: Final = 5.0
+REPORTED_SECONDS: Final = 5.0
 """s; a longer stand is told in the verdict."""
 DEAD_BAND_SECONDS: Final = 0.5
 """s; an action that has not moved the robot for so long, though the model says it would, does not move it."""
@@ -144,7 +144,7 @@ class DeadlockDetector:
 
     def reason(self, status: str, active: Sequence[str], margin_binds: bool) -> str:
         """Why it stands, in words; empty while it has not stood for longer than 5 s."""
-        if self.seconds <= TOLD_SECONDS:
+        if self.seconds <= REPORTED_SECONDS:
             return ""
         pushed, short = self._driven > _DRIVEN * self._nominal_motion, status in ("relaxed", "violated")
         if (self.failed > 0.0 and (pushed or not short)) or (pushed and status in ("passed", "disabled")):
@@ -175,8 +175,8 @@ def record_deadlock(found: list[Stand], verdict: StandReport) -> None:
     if not verdict.stationary_reason:
         return
     begun = round(verdict.robot_time - verdict.stationary_for, 6)
-    told: Stand = {"from": begun, "seconds": round(verdict.stationary_for, 6), "reason": verdict.stationary_reason}
+    reported: Stand = {"from": begun, "seconds": round(verdict.stationary_for, 6), "reason": verdict.stationary_reason}
     if found and abs(float(found[-1]["from"]) - begun) < 1e-3:
-        found[-1] = told
+        found[-1] = reported
     else:
-        found.append(told)
+        found.append(reported)

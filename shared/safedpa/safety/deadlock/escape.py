@@ -131,8 +131,8 @@ class DeadlockEscape:
             return verdict
         action = np.array(held.action)
         action.flags.writeable = False
-        said = f"It stood: an action held for {held.left * here.period:.2g} s leads out of the margin's layer."
-        return replace(verdict, action=action, reason=said, slack=slack, h_next=min(then))
+        notice = f"It stood: an action held for {held.left * here.period:.2g} s leads out of the margin's layer."
+        return replace(verdict, action=action, reason=notice, slack=slack, h_next=min(then))
 
     def _nominal_action(self, verdict: Verdict, here: TickContext) -> Verdict | None:
         """The nominal action in place of the least unsafe action, if it raises every h that is short."""
@@ -145,8 +145,8 @@ class DeadlockEscape:
             if not short <= 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
                 return None
         action.flags.writeable = False
-        said = "The nominal action is taken: it raises every h that is short of its margin, and keeps the other conditions."
-        return replace(verdict, action=action, reason=said, slack=max([0.0, *missing]), h_next=min(then))
+        notice = "The nominal action is taken: it raises every h that is short of its margin, and keeps the other conditions."
+        return replace(verdict, action=action, reason=notice, slack=max([0.0, *missing]), h_next=min(then))
 
     def _missing(self, here: TickContext, heights: list[float], then: list[float]) -> list[float]:
         """(m,) what each condition lacks from one tick to the next."""

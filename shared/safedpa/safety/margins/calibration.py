@@ -38,7 +38,7 @@ Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 _FORMAT = 2
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
 _OPTIONAL = ("drive", "theorem", "constants", "covered")
-_SAID = ("drives", "origin", "period", "slower")
+_MESSAGE = ("drives", "origin", "period", "slower")
 """Optional as well, but no tables of numbers."""
 _SAME_PERIOD = 1.01
 """Times as long at most: an error grows with the period, and so much more is less than its own spread."""
@@ -104,8 +104,8 @@ class MarginCalibration:
             raise InputError(f"slower: got {self.slower!r}, wanted a table of margins for each period in s")
         for period, table in self.slower.items():
             if not isinstance(table, dict) or set(table) != set(self.epsilon):
-                told = ", ".join(table) if isinstance(table, dict) else repr(table)
-                raise InputError(f"slower.{period}: got {told}, wanted numbers for {', '.join(self.epsilon)}")
+                reported = ", ".join(table) if isinstance(table, dict) else repr(table)
+                raise InputError(f"slower.{period}: got {reported}, wanted numbers for {', '.join(self.epsilon)}")
             for kind, value in table.items():
                 _check_number(f"slower.{period}.{kind}", value, 0.0)
             try:
@@ -168,7 +168,7 @@ class MarginCalibration:
         """The calibration that a TOML text holds; raises InputError naming the key."""
         table = parse_toml(text)
         for key in table:
-            if key not in (known := (*_KEYS, *_SAID, *_OPTIONAL)):
+            if key not in (known := (*_KEYS, *_MESSAGE, *_OPTIONAL)):
                 raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
         for key in _KEYS:
             if key not in table:

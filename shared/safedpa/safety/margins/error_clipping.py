@@ -84,11 +84,11 @@ class ErrorClip:
 
         ``margin`` is computed from the errors below a ceiling.
         """
-        found, ceiling = margin(self), self
-        while isfinite(found) and found > self.eta * ceiling.by_kind.get(kind, inf):
-            ceiling = ceiling.doubled(kind)
-            found = margin(ceiling)
-        return found, ceiling
+        found, clip = margin(self), self
+        while isfinite(found) and found > self.eta * clip.by_kind.get(kind, inf):
+            clip = clip.doubled(kind)
+            found = margin(clip)
+        return found, clip
 
     def doubled(self, kind: str) -> ErrorClip:
         """Twice as high for one kind of barrier."""

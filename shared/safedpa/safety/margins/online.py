@@ -45,7 +45,7 @@ class OnlineMarginMonitor:
     def __init__(
         self,
         calibration: MarginCalibration,
-        ceiling: ErrorClip = NO_CLIP,
+        clip: ErrorClip = NO_CLIP,
         phased: MarginRamp | None = None,
         longer: float = 1.0,
     ) -> None:
@@ -59,7 +59,7 @@ class OnlineMarginMonitor:
         self.longer = longer
         """How many times as long as the calibration's the steps are; 1 for those and shorter ones."""
         self._longer = _LONGER.format(longer) if longer != 1.0 else ""
-        self._ceiling, self._phased = ceiling, phased
+        self._clip, self._phased = clip, phased
         self.learns = True
         """Whether errors move the margins."""
         self.seen: dict[str, HSample] = {}
@@ -72,9 +72,9 @@ class OnlineMarginMonitor:
         """Share of the last steps in which the margin held, the least of all kinds of barrier; -1 before the first."""
         least = -1.0
         for margin in self._margins.values():
-            told = margin.coverage
-            if told is not None and (least < 0.0 or told < least):
-                least = told
+            reported = margin.coverage
+            if reported is not None and (least < 0.0 or reported < least):
+                least = reported
         return least
 
     @property
@@ -128,7 +128,7 @@ class OnlineMarginMonitor:
         for kind, seen in self.seen.items():
             margin = self._margins.get(kind)
             if margin is not None and self.learns:
-                error = self._ceiling.error(kind, seen, margin.value)
+                error = self._clip.error(kind, seen, margin.value)
                 if error is not None and isfinite(error):
                     margin.update(error)
 

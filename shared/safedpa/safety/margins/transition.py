@@ -40,8 +40,8 @@ def margin_change(old: Mapping[str, float], new: Mapping[str, float], h: Mapping
 
     A kind that is not in ``h`` has no barrier around the robot now.
     """
-    told = [_of_kind(kind, old.get(kind, 0.0), value, h.get(kind, inf), eta) for kind, value in new.items()]
-    return "; ".join(sorted((line for line in told if line), key=lambda line: _STOPS not in line))
+    reported = [_of_kind(kind, old.get(kind, 0.0), value, h.get(kind, inf), eta) for kind, value in new.items()]
+    return "; ".join(sorted((line for line in reported if line), key=lambda line: _STOPS not in line))
 
 
 def _of_kind(kind: str, old: float, new: float, h: float, eta: float) -> str:
@@ -98,5 +98,7 @@ class MarginRamp:
     @property
     def sentence(self) -> str:
         """For the verdict: which margins are not the full ones yet, and for how long that has been so."""
-        told = [f"{kind} {_shown(held)} of {_shown(self._new[kind])}" for kind, held in self._held.items()]
-        return f"Not the whole margin for {self.seconds:.1f} s, until h allows: {', '.join(told)}." if told else ""
+        reported = [f"{kind} {_shown(held)} of {_shown(self._new[kind])}" for kind, held in self._held.items()]
+        return (
+            f"Not the whole margin for {self.seconds:.1f} s, until h allows: {', '.join(reported)}." if reported else ""
+        )

@@ -42,7 +42,7 @@ _FEWEST: Final = 6.0
 """Ticks that count, before anything is believed."""
 _DIFFERS: Final = 0.01
 """Share of an action's range by which commands have to differ to tell anything."""
-_STANDS: Final = 0.1
+_IS_STATIONARY: Final = 0.1
 """m/s"""
 _ROUNDING: Final = 1e-9
 """Share of a state below which an error is none."""
@@ -67,7 +67,7 @@ class Transition(NamedTuple):
         if len(self.before) != len(self.now) or any(index >= len(self.now) for index in speeds):
             return False  # a state that is none: the node says so
         at = [self.before[index] for index in speeds] + [self.now[index] for index in speeds]
-        return bool(at) and all(abs(speed) <= _STANDS for speed in at)
+        return bool(at) and all(abs(speed) <= _IS_STATIONARY for speed in at)
 
 
 @final
@@ -82,10 +82,10 @@ class DelayEstimator:
         self.periods = 0
         """The delay that is believed, beyond what the model knows; what the robot tells is part of it."""
 
-    def beyond(self, told: float) -> float:
-        """s that are to be acted upon, of which the robot tells ``told`` [s]: that, unless far more was found."""
-        if self.periods * self._period - told <= (TOLERATED + _ROUNDING) * self._period:
-            return told
+    def beyond(self, reported: float) -> float:
+        """s that are to be acted upon, of which the robot tells ``reported`` [s]: that, unless far more was found."""
+        if self.periods * self._period - reported <= (TOLERATED + _ROUNDING) * self._period:
+            return reported
         return (self.periods - USUAL) * self._period
 
     @property
@@ -101,7 +101,9 @@ class DelayEstimator:
         states = len(passed.now)
         if len(passed.before) != states or not all(map(isfinite, (*passed.before, *passed.now))):
             return
-        if any(len(command) != len(self._ranges) for command, _ in passed.commands) or not self._tells(passed.commands):
+        if any(len(command) != len(self._ranges) for command, _ in passed.commands) or not self._reports(
+            passed.commands
+        ):
             return
         squares = self._squares(passed, latent)
         if not isfinite(sum(map(sum, squares))):
@@ -136,7 +138,7 @@ class DelayEstimator:
             found.append(own)
         return found
 
-    def _tells(self, commands: Sequence[tuple[Plain, object]]) -> bool:
+    def _reports(self, commands: Sequence[tuple[Plain, object]]) -> bool:
         for index, width in enumerate(self._ranges):
             values = [command[index] for command, _ in commands]
             if max(values) - min(values) > _DIFFERS * width:

@@ -80,8 +80,8 @@ class Prediction:
 
     def __init__(self, affine: Callable[..., Any], step: Callable[..., Any] | None = None) -> None:
         self._affine, self._step = affine, step
-        self._affine_counts, self._affine_words = _accepted("affine", affine, 2)
-        self._step_counts, self._step_words = ((0, 0), frozenset[str]()) if step is None else _accepted("step", step, 3)
+        self._affine_counts, self._affine_text = _accepted("affine", affine, 2)
+        self._step_counts, self._step_text = ((0, 0), frozenset[str]()) if step is None else _accepted("step", step, 3)
         self._model: AbstractDynamics | None = None
         self.system: System | None = None
         """Of a model of this project; functions alone do not say of which they are."""
@@ -91,7 +91,7 @@ class Prediction:
         self._recorded_tangent: Any = None
         self._learned: LearnedBase | None = None
         self._actuators: ActuatorModel | None = None
-        self.affine = step is None and "around" not in self._affine_words
+        self.affine = step is None and "around" not in self._affine_text
         """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
 
     @classmethod
@@ -118,7 +118,7 @@ class Prediction:
         """Whether the model depends on the time since the start of the run."""
         return self._physics is not None and self._physics.timed
 
-    def tell_time(self, seconds: float) -> None:
+    def report_time(self, seconds: float) -> None:
         """Seconds since the start of the run, for the questions that follow."""
         if self._physics is not None:
             self._physics.clock.seconds = seconds
@@ -225,8 +225,8 @@ class Prediction:
         """x[t+1] (states,) under ``action`` (actions,)."""
         model = self._model
         if model is not None:
-            remembered = model.initial_memory(action) if memory is None else memory
-            return checked_output("predicted state", model.advance(state, action, remembered, latent)[0])
+            cached = model.initial_memory(action) if memory is None else memory
+            return checked_output("predicted state", model.advance(state, action, cached, latent)[0])
         if self._step is None:
             f, g = self._tangent(state, action, latent, memory)
             states = len(state)
@@ -235,8 +235,8 @@ class Prediction:
             if g.shape != (states, len(action)):  # numpy would add one number to every entry of the state
                 raise InputError(f"g of the model: got shape {g.shape}, wanted {(states, len(action))}")
             return np.asarray(f + g @ action)
-        words = {"memory": memory} if "memory" in self._step_words else {}
-        found = self._step(*(state, action, latent)[: self._step_counts[latent is not None]], **words)
+        phrase = {"memory": memory} if "memory" in self._step_text else {}
+        found = self._step(*(state, action, latent)[: self._step_counts[latent is not None]], **phrase)
         return checked_output("predicted state", found)
 
     def slopes(self, state: FloatArray, around: FloatArray, latent: FloatArray | None, memory: Any) -> FloatArray:
@@ -249,8 +249,8 @@ class Prediction:
         self, state: FloatArray, around: FloatArray, latent: FloatArray | None, memory: Any
     ) -> tuple[FloatArray, FloatArray]:
         offered = {"around": around, "memory": memory}
-        words = {word: offered[word] for word in self._affine_words}
-        f, g = self._affine(*(state, latent)[: self._affine_counts[latent is not None]], **words)
+        phrase = {word: offered[word] for word in self._affine_text}
+        f, g = self._affine(*(state, latent)[: self._affine_counts[latent is not None]], **phrase)
         return checked_output("f of the model", f), checked_output("g of the model", g)
 
 
@@ -269,13 +269,13 @@ def _accepted(what: str, function: Callable[..., Any], most: int) -> tuple[tuple
             f"{what}: got {type(function).__name__}, which does not tell its arguments; wanted a function of Python "
             "around it"
         ) from error
-    words = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
+    phrase = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
     positional = [
-        p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.name not in words
+        p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.name not in phrase
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
     own = len(positional) >= most and positional[most - 1].default is not inspect.Parameter.empty
-    return (most - 1 if own else count, count), words
+    return (most - 1 if own else count, count), phrase
 
 
 def _unwritten(numbers: Sequence[float]) -> FloatArray:

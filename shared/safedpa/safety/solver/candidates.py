@@ -86,12 +86,12 @@ class HeldSolution:
         self._found: ActionCandidate | None = None
         self._seconds = self._asked = inf
         """By the robot's clock, of the tick that was searched in, and of the last one."""
-        self.said = ""
+        self.notice = ""
         """What a verdict has to say beyond the barriers that are not kept."""
 
-    def note(self, found: ActionCandidate, seconds: float, said: str) -> None:
+    def note(self, found: ActionCandidate, seconds: float, notice: str) -> None:
         """Remembers what a search at ``seconds`` found."""
-        self._found, self._seconds, self._asked, self.said = found, seconds, seconds, said
+        self._found, self._seconds, self._asked, self.notice = found, seconds, seconds, notice
 
     def still(self, conditions: _SolutionConstraints, sides: Sequence[Side], seconds: float) -> ActionCandidate | None:
         """What the action found leads to now; None where another search is due, or it is worse now.

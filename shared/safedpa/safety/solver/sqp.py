@@ -296,7 +296,7 @@ _HALVINGS: Final = 5
 """Of the way on which an entry that came nearer by a step is followed."""
 
 
-class _Foretold(Protocol):
+class _Predicted(Protocol):
     """What is needed of ``Conditions``."""
 
     def outcome(self, action: Plain) -> ActionCandidate:
@@ -304,9 +304,9 @@ class _Foretold(Protocol):
 
 
 def backtrack_towards(
-    conditions: _Foretold, sides: tuple[Side, ...], nominal: Plain, kept: ActionCandidate
+    conditions: _Predicted, sides: tuple[Side, ...], nominal: Plain, kept: ActionCandidate
 ) -> ActionCandidate:
-    """``kept``, or what keeps all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
+    """``retained``, or what keeps all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
     wanted = within(nominal, sides)
     for entry in _far_entries(sides, wanted, kept.action):
         kept = _entry_back(conditions, entry, wanted[entry], sides[entry][2], kept)
@@ -325,9 +325,9 @@ def _far_entries(sides: Sequence[Side], wanted: Plain, action: Plain) -> list[in
 
 
 def _entry_back(
-    conditions: _Foretold, entry: int, wanted: float, width: float, kept: ActionCandidate
+    conditions: _Predicted, entry: int, wanted: float, width: float, kept: ActionCandidate
 ) -> ActionCandidate:
-    """With this entry as near to what is wanted as keeps all, to a few halvings; ``kept`` if not a step nearer."""
+    """With this entry as near to what is wanted as keeps all, to a few halvings; ``retained`` if not a step nearer."""
     start: float = kept.action[entry]
     low, high = STEP * width / abs(wanted - start), 1.0
     best = _at(conditions, kept, entry, start + low * (wanted - start))
@@ -343,7 +343,7 @@ def _entry_back(
     return best
 
 
-def _at(conditions: _Foretold, about: ActionCandidate, entry: int, value: float) -> ActionCandidate:
+def _at(conditions: _Predicted, about: ActionCandidate, entry: int, value: float) -> ActionCandidate:
     action = list(about.action)
     action[entry] = value
     return conditions.outcome(action)

@@ -93,7 +93,7 @@ def floods_benchmark(
     seconds: float = 5.0,
     rest: float = 5.0,
     floods: Sequence[Flood] = FLOODS,
-    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    report_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Floods of ``seconds`` each. Raises SafedpaError when the loop cannot be brought up."""
     with tempfile.TemporaryDirectory() as name, ephemeral_certificates(_FLEET, _ROBOT) as wallet:
@@ -116,7 +116,7 @@ def floods_benchmark(
             for index, flood in enumerate(floods)
         ]  # fmt: skip
         attack = _Attack(children, rest)
-        code = _drive(plan, attack, lambda: tell(attack.at, len(children)))
+        code = _drive(plan, attack, lambda: report_progress(attack.at, len(children)))
         periods = list(read_trace(folder / "trace"))
         account = json.loads(plan.summary.read_text(encoding="utf-8"))
         rows = [
@@ -135,7 +135,7 @@ def floods_benchmark(
     }
 
 
-def _drive(plan: Plan, attack: _Attack, tell: Callable[[], None]) -> int:
+def _drive(plan: Plan, attack: _Attack, report_progress: Callable[[], None]) -> int:
     services, robot = plan.services(), plan.robot_process()
     services[0].start()
     try:
@@ -148,7 +148,7 @@ def _drive(plan: Plan, attack: _Attack, tell: Callable[[], None]) -> int:
                     message = item.message if isinstance(item, ReceivedMessage) else None
                     if isinstance(message, VerdictMessage) and message.status == "fallback":
                         attack.fallbacks.add(message.tick)
-                tell()
+                report_progress()
 
             return Supervisor(services, robot, watch, lambda: attack.is_over, turn).run()
     finally:

@@ -16,7 +16,7 @@ _STRETCH_SECONDS = 5.0
 
 
 def offers_benchmark(
-    seconds: float = 60.0, tell: Callable[[int, int], None] = lambda _done, _all: None, robots: int = _ROBOTS
+    seconds: float = 60.0, report_progress: Callable[[int, int], None] = lambda _done, _all: None, robots: int = _ROBOTS
 ) -> dict[str, Any]:
     """It holds when the offer that froze a machine is refused within 10 ms, beside what half of all ticks take from
     state to action in peace, and no more ticks are late than in peace, or than a fleet may have; those left out in
@@ -24,7 +24,7 @@ def offers_benchmark(
 
     Raises SafedpaError as the fleet does.
     """
-    result = fleet_benchmark(FleetTrial(robots, seconds, realtime=True, offers=_STRETCH_SECONDS), tell)
+    result = fleet_benchmark(FleetTrial(robots, seconds, realtime=True, offers=_STRETCH_SECONDS), report_progress)
     found = result["offers"]
     attack, peace, first = found["under_attack"], found["in_peace"], found["answers"].get(FREEZES, {})
     slowest, usual = (first.get("after_state_ms") or {}).get("most"), peace["sense_to_act_ms"]["p50"]

@@ -49,7 +49,7 @@ BOMBS = {
 """Documents that take long to read, or much to hold."""
 _PAUSE_SECONDS = 0.1
 """From one offer to the next."""
-_REMEMBERED = 20_000
+_CACHED = 20_000
 _CHAIN = (STATE, LATENT, NOMINAL, ACTION)
 _LARGEST = 10_000
 
@@ -82,11 +82,11 @@ class _Seen:
         key = (item.robot, message.tick)
         if item.topic in _CHAIN:
             self.chains.setdefault(f"{item.robot} {message.tick}", {}).setdefault(item.topic.name, item.at)
-            if len(self.chains) > _REMEMBERED:
+            if len(self.chains) > _CACHED:
                 del self.chains[next(iter(self.chains))]
         if item.topic is STATE:
             self.states[key] = item.at
-            if len(self.states) > _REMEMBERED:
+            if len(self.states) > _CACHED:
                 del self.states[next(iter(self.states))]
         elif isinstance(message, TakeoverMessage):
             name, sent = self.offers.get((item.robot, message.change), ("", 0.0))

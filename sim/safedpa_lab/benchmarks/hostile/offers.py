@@ -23,7 +23,7 @@ Moments = Mapping[str, Any]
 """Of a fleet: ``counted`` (a window), ``late`` (when ticks were late, of which robot, which), ``acted`` (when actions
 came, and so long after their states); monotonic, s."""
 _STAGES = ("state", "latent", "nominal", "action")
-_MOST_TOLD = 100
+_MOST_REPORTED = 100
 
 
 def account_of_offers(
@@ -52,7 +52,7 @@ def account_of_offers(
         "in_peace": _stretch(
             end - begin - attacked, [one for one in late if not one["attacked"]], rate_hz, delays[False]
         ),
-        "late": late[:_MOST_TOLD],
+        "late": late[:_MOST_REPORTED],
         "answers": {name: _answers(answers) for name, answers in by_offer.items()},
     }
 

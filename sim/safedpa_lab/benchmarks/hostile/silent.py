@@ -36,13 +36,13 @@ _OWN_DESCRIPTORS = 256
 
 
 def silent_benchmark(
-    seconds: float = 20.0, silent: int = SILENT, tell: Callable[[int, int], None] = lambda _done, _all: None
+    seconds: float = 20.0, silent: int = SILENT, report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> dict[str, Any]:
     """The drive in peace and under attack. Raises SafedpaError where it does not begin, or sockets are too few."""
     load = load_average()
     drives = []
     for number, count in enumerate((0, silent)):
-        tell(number, 2)
+        report_progress(number, 2)
         drives.append(_drive(seconds, count))
     peace, attack = drives
     held = attack["exit_code"] == 0 and attack["ticks"] >= 0.99 * peace["ticks"] and attack["restarts"] == 0
@@ -64,10 +64,10 @@ def _drive(seconds: float, silent: int) -> dict[str, Any]:
         command += ["--seconds", repr(seconds), "--seed", "4", "--out", str(folder / "runs")]
         (folder / "keys").mkdir(mode=0o700)
         environment = {**os.environ, "TMPDIR": str(folder / "keys")}
-        with (folder / "said").open("wb") as said:
+        with (folder / "notice").open("wb") as notice:
             limited = f'ulimit -n {DESCRIPTORS}; exec "$@"'
             running = subprocess.Popen(
-                ["bash", "-c", limited, "bash", *command], stdout=said, stderr=said, env=environment
+                ["bash", "-c", limited, "bash", *command], stdout=notice, stderr=notice, env=environment
             )
         try:
             joins = _attack(folder, running, silent, seconds)
@@ -77,11 +77,11 @@ def _drive(seconds: float, silent: int) -> dict[str, Any]:
         finally:
             running.kill()
             running.wait()
-        text = (folder / "said").read_text(errors="replace")
+        text = (folder / "notice").read_text(errors="replace")
     summary = json.loads(text[text.index("{") :]) if code == 0 else {}
     return {
         "exit_code": code,
-        "said": "" if code == 0 else text[-500:],
+        "notice": "" if code == 0 else text[-500:],
         "ticks": summary.get("ticks", 0),
         "watchdog_ticks": summary.get("watchdog_ticks", 0),
         "collisions": summary.get("collisions", 0),
@@ -113,7 +113,7 @@ def _endpoint(folder: Path, running: subprocess.Popen[bytes]) -> str:
                 if '"router.open"' in line:
                     return str(json.loads(line)["sentence"].split(" on ")[1])
         time.sleep(0.05)
-    raise SafedpaError(f"the drive did not begin: {(folder / 'said').read_text(errors='replace')[-300:]}")
+    raise SafedpaError(f"the drive did not begin: {(folder / 'notice').read_text(errors='replace')[-300:]}")
 
 
 @contextlib.contextmanager

@@ -23,8 +23,8 @@ def _compare(problem: Problem) -> dict[str, Any]:
     action, slack = cp.Variable(2), cp.Variable(rows)
     A, b, nominal = cp.Parameter((rows, 2)), cp.Parameter(rows), cp.Parameter(2)
     cost = cp.sum_squares(cp.multiply(np.sqrt(problem.weights), action - nominal)) + problem.penalty * cp.sum(slack)
-    kept = [A @ action + slack >= b, action >= problem.low, action <= problem.high, slack >= 0]
-    program, solver = cp.Problem(cp.Minimize(cost), kept), problem.question["backend"]
+    retained = [A @ action + slack >= b, action >= problem.low, action <= problem.high, slack >= 0]
+    program, solver = cp.Problem(cp.Minimize(cost), retained), problem.question["backend"]
 
     def decide(state: Any, wanted: Any) -> Any:
         A.value, b.value = problem.conditions(state)

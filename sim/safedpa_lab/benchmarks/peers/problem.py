@@ -93,15 +93,17 @@ class Problem:
         return A, -self.eta * h + self.epsilon - self.period * (p @ self.f(state))
 
 
-def compared(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray], **told: Any) -> dict[str, Any]:
+def compared(
+    problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray], **reported: Any
+) -> dict[str, Any]:
     """Times of ``decide(state, nominal action)``, and its actions; with no calls asked for, what it does in words."""
     question = problem.question
     if question["calls"] == 0:
-        return {"says": _said(problem, decide), **told}
+        return {"reports": _message(problem, decide), **reported}
     pairs = list(zip(problem.states, problem.nominal_actions, strict=True))
     times = timed(lambda pair: decide(*pair), pairs, question["calls"], question["seconds"])
     actions = [np.asarray(decide(*pair), dtype=np.float64).tolist() for pair in pairs]
-    return {**times, "actions": actions, **told}
+    return {**times, "actions": actions, **reported}
 
 
 def answered(compare: Callable[[Problem], dict[str, Any]]) -> None:
@@ -110,7 +112,7 @@ def answered(compare: Callable[[Problem], dict[str, Any]]) -> None:
     sys.stdout.write("\n" + json.dumps({"answers": [compare(Problem(question)) for question in questions]}) + "\n")
 
 
-def _said(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray]) -> str:
+def _message(problem: Problem, decide: Callable[[FloatArray, FloatArray], FloatArray]) -> str:
     """In words, for the first state."""
     state, nominal = problem.states[0], problem.nominal_actions[0]
     try:

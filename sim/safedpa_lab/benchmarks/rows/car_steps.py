@@ -51,10 +51,10 @@ def _batched(count: int, seconds: float) -> dict[str, float]:
     memory = cars.settled(action, environment)
 
     def several() -> None:
-        now, kept = state, memory
+        now, retained = state, memory
         with torch.no_grad():
             for _ in range(_STEPS):
-                now, kept = cars.advance(now, action, environment, kept)
+                now, retained = cars.advance(now, action, environment, retained)
 
     return rate(several, count * _STEPS, seconds)
 

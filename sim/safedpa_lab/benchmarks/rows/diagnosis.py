@@ -12,8 +12,8 @@ from safedpa_lab.benchmarks.diagnosis_cases import (
     CASES,
     Hidden,
     expression_is_right,
+    reported,
     terms_are_right,
-    told,
     written,
 )
 from safedpa_lab.benchmarks.peer_process import ask_peer
@@ -37,7 +37,7 @@ def measure(effort: Effort) -> Row:
         logs = [written(case, Path(name) / str(number), runs, seconds) for number, case in enumerate(cases)]
         own, candidates = _ours(cases, logs)
         offered = _offered(logs[0])
-        peers = _peers(cases, [told(log) for log in logs], effort)
+        peers = _peers(cases, [reported(log) for log in logs], effort)
         curves = (_over_length(Path(name), effort), _over_effects(logs[-1], effort))
     real, real_targets = dart_drives(effort)
     targets = (
@@ -118,8 +118,8 @@ def _peer(name: str, reply: dict[str, Any], cases: Sequence[Hidden], way: str) -
         right = [terms_are_right(case, answer["equations"]) for case, answer in zip(cases, answers, strict=True)]
         note = f"{answers[0]['terms']} terms of degree 2 in 4 variables; right if exactly the hidden terms stay; "
     clock, used = ([answer[key] for answer in answers] for key in ("seconds", "processor_seconds"))
-    said = {case.name: answer["equations"] for case, answer in zip(cases, answers, strict=True)}
-    return _entry(name, clock, used, right, note + _LACKS, version=reply["version"], said=said)
+    notice = {case.name: answer["equations"] for case, answer in zip(cases, answers, strict=True)}
+    return _entry(name, clock, used, right, note + _LACKS, version=reply["version"], notice=notice)
 
 
 def _over_length(folder: Path, effort: Effort) -> Curve:

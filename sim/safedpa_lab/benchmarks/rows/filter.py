@@ -55,7 +55,7 @@ def measure(effort: Effort) -> Row:
     targets, without_target = _targets([*ours, source], peers, counts)
     hopeless = {entry.name: entry.more["wedged"] for entry in peers if entry.more.get("wedged")}
     notes: tuple[str, ...] = (f"a car wedged in, where no action keeps every condition: this filter {_hopeless()}",)
-    notes += tuple(f"there {name} {words}" for name, words in hopeless.items())
+    notes += tuple(f"there {name} {phrase}" for name, phrase in hopeless.items())
     growing = [peer[:4] for peer in _PEERS if peer[0] in _GROWING and (not effort.quick or peer[0] in _QUICK)]
     curves = (over_obstacles(growing, effort), over_effects(problems[8], effort))
     work = "one decision of the safety filter that has to change the nominal action: model, barriers, QP, verdict"
@@ -110,8 +110,8 @@ def _targets(ours: Sequence[Entry], peers: Sequence[Entry], counts: Sequence[int
     source = next((entry for entry in ours if entry.name.endswith("Python source") and entry.figures), None)
     if source is not None:
         wanted = _SOURCE_TIMES * learned.figures["p50"]
-        words = f"p50 of the Python source, {_SOURCE_TIMES:g} times the compiled one's"
-        targets.append(Target(words, wanted, source.figures["p50"], "us"))
+        phrase = f"p50 of the Python source, {_SOURCE_TIMES:g} times the compiled one's"
+        targets.append(Target(phrase, wanted, source.figures["p50"], "us"))
     return targets, notes
 
 
@@ -144,7 +144,7 @@ def _hopeless() -> str:
 def _peers(problems: Mapping[int, FilterProblem], effort: Effort) -> list[Entry]:
     found: list[Entry] = []
     for name, package, backend, script, note in _PEERS:
-        told = f"{note}; {_LACKS}"
+        reported = f"{note}; {_LACKS}"
         calls, seconds = effort.of((100, 0.2), (20_000, 2.0))
         asked = [problem.question(calls, seconds, backend) for problem in problems.values()]
         question = {"problems": [*asked, wedged().question(0, 0.0, backend)]}
@@ -155,16 +155,16 @@ def _peers(problems: Mapping[int, FilterProblem], effort: Effort) -> list[Entry]
             else ask_peer(script, package, question, effort.interpreters)
         )
         if "missing" in reply:
-            found += [missing(name, reply["missing"], _named(count), told) for count in problems]
+            found += [missing(name, reply["missing"], _named(count), reported) for count in problems]
             continue
-        answers, words = reply["answers"][:-1], reply["answers"][-1]["says"]
+        answers, phrase = reply["answers"][:-1], reply["answers"][-1]["reports"]
         for (count, problem), answer in zip(problems.items(), answers, strict=True):
             more = {
                 "version": answer["version"],
-                "wedged": words,
+                "wedged": phrase,
                 "mean_change_from_ours": _difference(problem, answer["actions"]),
             }
-            found.append(microseconds(name, answer, _named(count), told, **more))
+            found.append(microseconds(name, answer, _named(count), reported, **more))
     return [*found, missing("CBFKit", _CBFKIT, "8 obstacles")]
 
 

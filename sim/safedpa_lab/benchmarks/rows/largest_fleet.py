@@ -53,13 +53,13 @@ def measure(effort: Effort) -> Row:
     }
     curve = Curve("fleet", "robots at 20 Hz", "sense to act [ms]", x, late)
     targets = [Target("robots at 20 Hz", float(_ASKED), float(shared), "robots", "more")]
-    kept = next((found for found in trials if found["robots"] == shared), None)
+    retained = next((found for found in trials if found["robots"] == shared), None)
     if effort.full:
-        kept = _shared(FleetTrial(_ASKED, _STEADY_SECONDS, realtime=True, stacks=_STACKS))
-        ours.append(_steady(kept))
+        retained = _shared(FleetTrial(_ASKED, _STEADY_SECONDS, realtime=True, stacks=_STACKS))
+        ours.append(_steady(retained))
         targets += _steady_targets(ours[-1])
-    if kept is not None and (cost := _cost(kept)):
-        what = f"processor of a stack, of two, a robot-tick, {kept['robots']} robots"
+    if retained is not None and (cost := _cost(retained)):
+        what = f"processor of a stack, of two, a robot-tick, {retained['robots']} robots"
         targets.append(Target(what, _MOST_COST, round(cost / _STACKS, 1), "us"))
         what = f"cores that the services of {_ASKED_ELSEWHERE} robots simulated elsewhere take by that"
         targets.append(Target(what, _CORES, round(1e-6 * cost * _ASKED_ELSEWHERE * trial.rate, 2), "cores"))
@@ -81,7 +81,7 @@ def _steady(found: Mapping[str, Any]) -> Entry:
         "mib_gained": round(sum(each["mib_end"] - each["mib_begin"] for each in used), 1),
         "us_a_robot_tick": _cost(found),
     }
-    about = {name: found.get(name) for name in (*_KEPT, "load_average")}
+    about = {name: found.get(name) for name in (*_RETAINED, "load_average")}
     note = "adaptation, policy and filter in one process, twice; memory of all processes, the simulation's too"
     return Entry(name, figures, "", problem=problem, note=note, more=about)
 
@@ -107,8 +107,8 @@ def _used(found: Mapping[str, Any]) -> Sequence[Mapping[str, float]]:
 
 def _cost(found: Mapping[str, Any]) -> float:
     """us of processor a robot-tick, of the services without the simulation; 0 where the system does not tell."""
-    told = [each for name, each in found["processes"].items() if each and name != "robots"]
-    return round(float(sum(each.get("us_per_robot_tick", 0.0) for each in told)), 1)
+    reported = [each for name, each in found["processes"].items() if each and name != "robots"]
+    return round(float(sum(each.get("us_per_robot_tick", 0.0) for each in reported)), 1)
 
 
 def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = None) -> int:
@@ -118,14 +118,14 @@ def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = No
 
 
 def _entry(name: str, robots: int, trials: list[dict[str, Any]], note: str = "") -> Entry:
-    kept = next((found for found in trials if found["robots"] == robots), None)
-    more = {"trials": [{key: found.get(key) for key in _KEPT} for found in trials]}
-    memory = sum(used["mib_end"] for used in kept["processes"].values() if used) if kept else 0.0
-    figures = {"robots": float(robots)} | ({"mib": round(memory, 1)} if kept else {})
+    retained = next((found for found in trials if found["robots"] == robots), None)
+    more = {"trials": [{key: found.get(key) for key in _RETAINED} for found in trials]}
+    memory = sum(used["mib_end"] for used in retained["processes"].values() if used) if retained else 0.0
+    figures = {"robots": float(robots)} | ({"mib": round(memory, 1)} if retained else {})
     return Entry(name, figures, "", note=note, more=more)
 
 
-_KEPT = (
+_RETAINED = (
     "robots",
     "robot_ticks",
     "late_ticks",

@@ -59,10 +59,10 @@ def _chain(bare: Mapping[str, float], at: str) -> Entry:
     return Entry("bare Zenoh chain", figures, problem=at, note=note, more={"late_share": late})
 
 
-def _entry(loop: Mapping[str, Any], at: str, rate: float, seconds: float, beside: str = "") -> Entry:
+def _entry(loop: Mapping[str, Any], at: str, rate: float, seconds: float, alongside: str = "") -> Entry:
     late = int(loop["watchdog_ticks"])
     figures = {name: float(value) for name, value in loop.items() if name != "watchdog_ticks"}
-    what = f"adaptation, policy, filter and robot, a process each{beside}"
+    what = f"adaptation, policy, filter and robot, a process each{alongside}"
     note = f"{what}, {seconds:g} s at {rate:g} Hz: {late} late ticks"
     more = {"late_ticks": late, "seconds": seconds, "ticks": round(seconds * rate)}
     return Entry("safedpa", figures, problem=at, note=note, more=more)

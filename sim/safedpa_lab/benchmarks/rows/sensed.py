@@ -45,7 +45,7 @@ def measure(effort: Effort) -> Row:
     asked: dict[str, tuple[Callable[[Any], Any], Sequence[Any]]] = {
         f"{count} points": _sensed(places_seen(count)) for count in counts
     }
-    asked["8 circles"] = _told()
+    asked["8 circles"] = _reported()
     asked["the program alone, 256 points"] = _alone(places_seen(256))
     times = in_turn(asked, calls, seconds)
     built = "compiled" if compiled_modules() else "Python source, nothing compiled"
@@ -131,7 +131,7 @@ def _message(state: StateMessage, points: tuple[tuple[float, ...], ...]) -> Surr
     )
 
 
-def _told() -> tuple[Callable[[Any], Any], list[StateMessage]]:
+def _reported() -> tuple[Callable[[Any], Any], list[StateMessage]]:
     """The same of a car that is told eight circles and a field."""
     model, problem = load_model("car"), problem_with(8)
     one, scene = SafetyFilter.for_model(model, problem.settings), CarScene(problem.settings)

@@ -79,17 +79,17 @@ def _compared(times: int) -> float:
     safedpa = [sys.executable, "-m", "safedpa_services"]
     with tempfile.TemporaryDirectory() as folder:
         drive = ["up", "--headless", "--json", "--lockstep", "--seconds", repr(_RECORDED_SECONDS), "--out", folder]
-        recording = json.loads(_said([*safedpa, *drive]))["recording"]
+        recording = json.loads(_message([*safedpa, *drive]))["recording"]
         found = []
         for number in range(times):
             report = str(Path(folder) / f"report {number}")
             began = time.perf_counter()
-            _said([*safedpa, "compare", "car", recording, "--json", "--out", report])
+            _message([*safedpa, "compare", "car", recording, "--json", "--out", report])
             found.append(time.perf_counter() - began)
     return _median(found)
 
 
-def _said(command: list[str]) -> str:
+def _message(command: list[str]) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SafedpaError(f"{' '.join(command[2:5])}: {done.stderr.strip()}")
@@ -110,9 +110,9 @@ def _started() -> tuple[float, dict[str, float]]:
                 used = usage_of(pid)
                 memory[name] = max(memory.get(name, 0.0), used.resident_mib if used else 0.0)
             time.sleep(_LOOK_SECONDS)
-        out, words = process.communicate()
+        out, phrase = process.communicate()
         if process.returncode != 0:
-            raise SafedpaError(f"safedpa up: {words.strip()}")
+            raise SafedpaError(f"safedpa up: {phrase.strip()}")
         return _first_action(Path(json.loads(out)["recording"])) - began, memory
 
 
@@ -122,11 +122,11 @@ def _children(parent: int) -> dict[int, str]:
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             above = int((folder / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[1])
-            words = (folder / "cmdline").read_text(encoding="utf-8").split("\0")
+            phrase = (folder / "cmdline").read_text(encoding="utf-8").split("\0")
         except (OSError, IndexError, ValueError):
             continue
-        if above == parent and "-m" in words:
-            module = words[words.index("-m") + 1]
+        if above == parent and "-m" in phrase:
+            module = phrase[phrase.index("-m") + 1]
             if module == "safedpa_services":  # a child that has not become its program yet
                 continue
             found[int(folder.name)] = module.removeprefix("safedpa_services.").removeprefix("safedpa_sim.")

@@ -64,8 +64,8 @@ def command(**options: Any) -> None:
         if options["out"] is not None:
             write_adversary(whole(found), options["out"])
 
-    with progress("experiment adversary") as tell:
-        found = adversary(attacks, options["seed"], options["small"], options["workers"], tell, keep)
+    with progress("experiment adversary") as report_progress:
+        found = adversary(attacks, options["seed"], options["small"], options["workers"], report_progress, keep)
     click.echo(json.dumps(whole(found), default=float) if options["as_json"] else adversary_markdown(whole(found)))
 
 

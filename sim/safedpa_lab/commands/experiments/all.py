@@ -37,7 +37,7 @@ def command(
 
     if listed:
         for part in PARTS:
-            click.echo(f"{part.name:20} {part.minutes:5g} min  safedpa experiment {' '.join(part.words)}")
+            click.echo(f"{part.name:20} {part.minutes:5g} min  safedpa experiment {' '.join(part.phrase)}")
         return
     if out is None:
         raise InputError("experiment all: got no --out, wanted a folder for the results")
@@ -51,10 +51,12 @@ def command(
         out.absolute(),
         data,
         small=small,
-        tell=lambda part, said: print_plain(f"{place[part.name]} of {len(parts)}: {part.name}: {said}", err=True),
+        report_progress=lambda part, notice: print_plain(
+            f"{place[part.name]} of {len(parts)}: {part.name}: {notice}", err=True
+        ),
     )
     if as_json:
         click.echo(json.dumps(account))
-    failed = [name for name, told in account.items() if told["exit_code"] != 0]
+    failed = [name for name, reported in account.items() if reported["exit_code"] != 0]
     if failed:
         raise SafedpaError(f"experiment all: {', '.join(failed)} failed; the logs lie in {out}")

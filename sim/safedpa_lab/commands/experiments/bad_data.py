@@ -31,8 +31,8 @@ def command(log: Path, out: Path, as_json: bool) -> None:
         raise InputError(f"{log}: no such file; wanted a good log of a car as CSV")
     files = write_bad_files(log, out)
     if as_json:
-        rows = [{"file": str(path), "kind": BAD[name].kind, "said": BAD[name].said} for name, path in files.items()]
+        rows = [{"file": str(path), "kind": BAD[name].kind, "notice": BAD[name].notice} for name, path in files.items()]
         click.echo(json.dumps({"format": 1, "files": rows}))
         return
     for name, path in files.items():
-        click.echo(f"{path}: {BAD[name].kind}, '... {BAD[name].said} ...'")
+        click.echo(f"{path}: {BAD[name].kind}, '... {BAD[name].notice} ...'")

@@ -72,8 +72,8 @@ def command(**options: Any) -> None:
     )
     experiment.check()  # before there is a folder: what cannot be run shall leave none
     made_folder(options["out"])
-    with progress("experiment car") as tell:
-        result = car_experiment(experiment, tell)
+    with progress("experiment car") as report_progress:
+        result = car_experiment(experiment, report_progress)
     if options["out"] is not None:
         write_report(result, options["out"])
     click.echo(json.dumps(result) if options["as_json"] else markdown_of(result))

@@ -52,8 +52,8 @@ def command(**options: Any) -> None:
     )
     curves.drivable()  # before there is a folder: what cannot be run shall leave none
     made_folder(options["out"])
-    with progress("experiment car-curves") as tell:
-        result = car_curves(curves, tell)
+    with progress("experiment car-curves") as report_progress:
+        result = car_curves(curves, report_progress)
     if options["out"] is not None:
         write_curves(result, options["out"])
     click.echo(json.dumps(result) if options["as_json"] else curves_markdown(result))

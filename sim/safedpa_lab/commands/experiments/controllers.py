@@ -39,10 +39,10 @@ def command(**options: Any) -> None:
     model, seeds = load_model(options["model"]), range(options["first_seed"], options["first_seed"] + options["seeds"])
     learned = isinstance(model.base, LearnedBase) and model.base.weights.has("policy")
     controllers = options["controllers"] or ("goal_seeker", "planner", *(("learned",) if learned else ()))
-    with progress("experiment controllers") as tell:
+    with progress("experiment controllers") as report_progress:
 
         def keep(done: int, count: int, so_far: dict[str, Any]) -> None:
-            tell(done, count)
+            report_progress(done, count)
             if options["out"]:
                 write_result(options["out"], so_far)
 
@@ -52,10 +52,10 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

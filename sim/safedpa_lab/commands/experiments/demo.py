@@ -24,7 +24,7 @@ _WANTED_FALL, _WANTED_WAY, _LONGEST_UNSAID = 0.6, 5.0, 10.0
 """Of the error; m driven in the 20 s after the model was changed; s for which a robot may stand without a word."""
 _PATIENCE = 300.0
 """s for one drive, on a busy machine."""
-_STEPS = ("found", "accepted", "fell", "drove_on", "said", "all")
+_STEPS = ("found", "accepted", "fell", "drove_on", "notice", "all")
 
 
 @click.command(name="demo")
@@ -50,15 +50,15 @@ def command(**options: Any) -> None:
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
     seeds = range(options["seed"], options["seed"] + options["drives"])
     drives: list[dict[str, Any]] = []
-    with progress("experiment demo") as tell, ThreadPoolExecutor(options["beside"]) as pool:
+    with progress("experiment demo") as report_progress, ThreadPoolExecutor(options["alongside"]) as pool:
         for drive in pool.map(partial(_drive, folder=options["recordings"]), seeds):
             drives.append(drive)
-            tell(len(drives), len(seeds))
+            report_progress(len(drives), len(seeds))
     result = {
         "experiment": "demo",
         "date": datetime.date.today().isoformat(),
         "seeds": [seeds.start, seeds.stop - 1],
-        "beside": options["beside"],
+        "alongside": options["alongside"],
         "wanted": {"fall": _WANTED_FALL, "way_after_m": _WANTED_WAY, "longest_stand_unsaid_s": _LONGEST_UNSAID},
         "drives": len(drives),
         **{step: sum(drive[step] for drive in drives) for step in _STEPS},
@@ -69,7 +69,7 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
 def _drive(seed: int, folder: Path) -> dict[str, Any]:
@@ -85,22 +85,22 @@ def _drive(seed: int, folder: Path) -> dict[str, Any]:
     return {"seed": seed, "failure": failure, **dict.fromkeys(_STEPS, False)}
 
 
-def judged(told: dict[str, Any]) -> dict[str, Any]:
+def judged(reported: dict[str, Any]) -> dict[str, Any]:
     """The account of one demonstration, and which steps of it went as they should."""
-    changed = told["changed"]
+    changed = reported["changed"]
     steps = {
-        "found": told["raised"] is not None and changed is not None and told["raised"] >= changed,
-        "accepted": told["taken"] is not None,
-        "fell": told["fall"] is not None and told["fall"] >= _WANTED_FALL,
-        "drove_on": told["way_after"] >= _WANTED_WAY,
-        "said": told["longest_stand_unsaid"] <= _LONGEST_UNSAID,
+        "found": reported["raised"] is not None and changed is not None and reported["raised"] >= changed,
+        "accepted": reported["taken"] is not None,
+        "fell": reported["fall"] is not None and reported["fall"] >= _WANTED_FALL,
+        "drove_on": reported["way_after"] >= _WANTED_WAY,
+        "notice": reported["longest_stand_unsaid"] <= _LONGEST_UNSAID,
     }
-    kept = {name: value for name, value in told.items() if name not in ("recording", "report", "picture")}
-    return {**kept, **steps, "all": all(steps.values())}
+    retained = {name: value for name, value in reported.items() if name not in ("recording", "report", "picture")}
+    return {**retained, **steps, "all": all(steps.values())}
 
 
-def _tell(result: dict[str, Any]) -> None:
-    words = (
+def _report(result: dict[str, Any]) -> None:
+    phrase = (
         "a finding raised",
         "its effect accepted",
         "error down by 60 %",
@@ -108,7 +108,7 @@ def _tell(result: dict[str, Any]) -> None:
         "no stand without a word",
         "all of it",
     )
-    for step, word in zip(_STEPS, words, strict=True):
+    for step, word in zip(_STEPS, phrase, strict=True):
         click.echo(f"{word:24} {result[step]}/{result['drives']}")
     for drive in result["each"]:
         if not drive["all"]:

@@ -31,8 +31,8 @@ def command(data: Path, names: tuple[str, ...], out: Path, as_json: bool) -> Non
     for what, folder in (("--data", data), ("--out", out)):
         if not folder.is_dir():
             raise InputError(f"{what} {folder}: got no folder that exists; make it, or name another one")
-    with progress("experiment diagnosis-pictures") as tell:
-        drawn = diagnosis_pictures(data, out, names or PICTURES, tell)
+    with progress("experiment diagnosis-pictures") as report_progress:
+        drawn = diagnosis_pictures(data, out, names or PICTURES, report_progress)
     if as_json:
         click.echo(json.dumps({"pictures": [str(path) for path in drawn]}))
         return

@@ -39,8 +39,8 @@ def command(**options: Any) -> None:
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
     seeds = seeds_for("evaluation", options["drives"], options["first_seed"])
-    with progress("experiment differential-drive") as tell:
-        found = wheels_experiment(seeds, options["seconds"], options["processes"], tell)
+    with progress("experiment differential-drive") as report_progress:
+        found = wheels_experiment(seeds, options["seconds"], options["processes"], report_progress)
     result = {"experiment": "differential-drive", **found}
     if out is not None:
         write_result(out, result)

@@ -69,7 +69,7 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
     if not result["held"]:
         between = "something between the faults, or the recorder's acknowledgement"
         broken = [row["name"] for row in result["rows"] if not row["held"]]
@@ -80,21 +80,21 @@ def command(**options: Any) -> None:
 
 def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
     from safedpa_lab.faults.campaign import run_faults
-    from safedpa_lab.faults.endurance import Resources, kept_by
+    from safedpa_lab.faults.endurance import Resources, retained_by
     from safedpa_services.progress import progress
 
     began, load, resources = time.monotonic(), os.getloadavg()[0], Resources()
-    with progress("experiment faults") as tell:
+    with progress("experiment faults") as report_progress:
         campaign = run_faults(
             faults,
             options["seed"],
             options["keep"],
-            lambda _, done, count: tell(done, count),
+            lambda _, done, count: report_progress(done, count),
             is_hasty=options["small"],
             seconds=60.0 * (options["minutes"] or math.inf),
-            beside=resources.beside,
+            alongside=resources.alongside,
         )
-    kept = kept_by(resources.samples) if options["minutes"] else []
+    retained = retained_by(resources.samples) if options["minutes"] else []
     return {
         "experiment": "faults",
         "command": _command(options),
@@ -104,24 +104,24 @@ def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
         "cores": os.cpu_count(),
         "load_before": load,
         "load_after": os.getloadavg()[0],
-        "held": campaign.held and all(one.flat for one in kept),
+        "held": campaign.held and all(one.flat for one in retained),
         "periods": campaign.periods,
         "collisions": campaign.collisions,
         "stale_actions": campaign.stale_actions,
         "acknowledged": campaign.acknowledged,
         "recorded": campaign.recorded,
-        "resources": [dataclasses.asdict(one) | {"flat": one.flat} for one in kept],
+        "resources": [dataclasses.asdict(one) | {"flat": one.flat} for one in retained],
         "rows": [dataclasses.asdict(outcome) for outcome in campaign.outcomes],
     }
 
 
 def _command(options: dict[str, Any]) -> str:
-    said = f" --only '{options['only']}'" if options["only"] else ""
-    said += f" --minutes {options['minutes']:g}" if options["minutes"] else ""
-    return f"safedpa experiment faults{said}{' --small' if options['small'] else ''} --seed {options['seed']}"
+    notice = f" --only '{options['only']}'" if options["only"] else ""
+    notice += f" --minutes {options['minutes']:g}" if options["minutes"] else ""
+    return f"safedpa experiment faults{notice}{' --small' if options['small'] else ''} --seed {options['seed']}"
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

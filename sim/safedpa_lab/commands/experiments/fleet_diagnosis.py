@@ -49,13 +49,18 @@ def command(**options: Any) -> None:
     with ExitStack() as stack:
         folder = options["out"] or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="safedpa-fleet-")))
         folder.mkdir(parents=True, exist_ok=True)
-        tell = stack.enter_context(progress("experiment fleet-diagnosis"))
+        report_progress = stack.enter_context(progress("experiment fleet-diagnosis"))
         result = fleet_diagnosis_experiment(
-            options["robots"], options["seed"], folder.resolve(), hard=not options["plain"], tell=tell, **given
+            options["robots"],
+            options["seed"],
+            folder.resolve(),
+            hard=not options["plain"],
+            report_progress=report_progress,
+            **given,
         )
     if options["record"] is not None:
         write_result(options["record"], result)
-    page = page_of(result, _words(options))
+    page = page_of(result, _text(options))
     if options["page"] is not None:
         options["page"].write_text(page, encoding="utf-8")
     click.echo(json.dumps(result, allow_nan=False) if options["as_json"] else page.rstrip())
@@ -65,8 +70,8 @@ def _screened(options: dict[str, Any]) -> None:
     from safedpa_lab.experiments.fleet_screen import fleet_screen
     from safedpa_services.progress import progress
 
-    with progress("experiment fleet-diagnosis --screen") as tell:
-        result = fleet_screen(options["seed"], hard=not options["plain"], tell=tell)
+    with progress("experiment fleet-diagnosis --screen") as report_progress:
+        result = fleet_screen(options["seed"], hard=not options["plain"], report_progress=report_progress)
     if options["record"] is not None:
         write_result(options["record"], result)
     if options["as_json"]:
@@ -90,10 +95,10 @@ def _check(options: dict[str, Any]) -> None:
             raise InputError(f"--{name} {path}: folder {path.parent} does not exist; create it")
 
 
-def _words(options: dict[str, Any]) -> str:
+def _text(options: dict[str, Any]) -> str:
     """The command line that does the same again."""
-    words = [f"safedpa experiment fleet-diagnosis --robots {options['robots']} --seed {options['seed']}"]
-    words += [f"--{name}" for name in ("plain", "common") if options[name]]
-    words += [f"--runs {options['runs']}"] if options["runs"] != 4 else []
-    words += [f"--seconds {options['seconds']:g}"] if options["seconds"] != 40.0 else []
-    return " ".join(words)
+    phrase = [f"safedpa experiment fleet-diagnosis --robots {options['robots']} --seed {options['seed']}"]
+    phrase += [f"--{name}" for name in ("plain", "common") if options[name]]
+    phrase += [f"--runs {options['runs']}"] if options["runs"] != 4 else []
+    phrase += [f"--seconds {options['seconds']:g}"] if options["seconds"] != 40.0 else []
+    return " ".join(phrase)

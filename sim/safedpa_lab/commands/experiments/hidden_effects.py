@@ -67,16 +67,16 @@ def command(**options: Any) -> None:
     if options["horizons"]:
         _horizons(suites, options)
         return
-    with progress("experiment hidden-effects") as tell:
+    with progress("experiment hidden-effects") as report_progress:
         result = hidden_effects_experiment(
-            suites, options["cases"], options["seed"], options["processes"], tell, options["out"]
+            suites, options["cases"], options["seed"], options["processes"], report_progress, options["out"]
         )
     if options["page"] is not None:
         options["page"].write_text(page_of(result), encoding="utf-8")
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
 def _horizons(suites: Sequence[str], options: dict[str, Any]) -> None:
@@ -86,8 +86,8 @@ def _horizons(suites: Sequence[str], options: dict[str, Any]) -> None:
 
     if options["page"] is not None:
         raise InputError("--page: got it with --horizons, which has no page; leave it out")
-    with progress("experiment hidden-effects") as tell:
-        result = hidden_horizons(suites, options["cases"], options["seed"], tell=tell)
+    with progress("experiment hidden-effects") as report_progress:
+        result = hidden_horizons(suites, options["cases"], options["seed"], report_progress=report_progress)
     if options["out"] is not None:
         write_result(options["out"], result)
     if options["as_json"]:
@@ -96,11 +96,11 @@ def _horizons(suites: Sequence[str], options: dict[str, Any]) -> None:
     click.echo(f"verdict and names equal for every horizon in {result['equal']} of {result['of']} cases")
     for row in result["cases"]:
         if not row["equal"]:
-            said = "; ".join(f"{own['horizon']} s {own['verdict']} {'+'.join(own['added'])}" for own in row["said"])
-            click.echo(f"differs {row['case']}: {said}")
+            notice = "; ".join(f"{own['horizon']} s {own['verdict']} {'+'.join(own['added'])}" for own in row["notice"])
+            click.echo(f"differs {row['case']}: {notice}")
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)

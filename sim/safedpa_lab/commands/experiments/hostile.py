@@ -19,7 +19,7 @@ __all__ = ["command"]
 
 _SECONDS = {"mutations": 60.0, "roads": 0.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}
 """Roads take as long as they take."""
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 
 
 @click.command(name="hostile")
@@ -49,8 +49,8 @@ def command(attack: str, seconds: float | None, seed: int, out: Path | None, pag
     from safedpa_services.progress import progress
 
     wanted = _SECONDS[attack] if seconds is None else seconds
-    with progress(f"attacking: {attack}") as tell:
-        result = _measured(attack, wanted, seed, out, tell)
+    with progress(f"attacking: {attack}") as report_progress:
+        result = _measured(attack, wanted, seed, out, report_progress)
     if page is not None:
         from safedpa_lab.benchmarks.hostile.page import write_page
 
@@ -58,14 +58,16 @@ def command(attack: str, seconds: float | None, seed: int, out: Path | None, pag
     if as_json:
         click.echo(json.dumps(result))
     else:
-        _tell(attack, result)
+        _report(attack, result)
     if not result["held"]:
         holes = [hole for target in result.get("targets", ()) for hole in target["holes"]]
         holes += [row["hole"] for row in result.get("pairs", ()) if row["hole"]]
         raise SafedpaError(f"hostile: {attack}: {f'{len(holes)} holes' if holes else 'it did not hold'}; see above")
 
 
-def _measured(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+def _measured(
+    attack: str, seconds: float, seed: int, out: Path | None, report_progress: ReportProgress
+) -> dict[str, Any]:
     about = {
         "format": 1,
         "command": f"safedpa experiment hostile --attack {attack}"
@@ -74,28 +76,30 @@ def _measured(attack: str, seconds: float, seed: int, out: Path | None, tell: Te
         "date": time.strftime("%Y-%m-%d %H:%M"),
         "cores": os.cpu_count(),
     }
-    return {**about, **_attacked(attack, seconds, seed, out, tell)}
+    return {**about, **_attacked(attack, seconds, seed, out, report_progress)}
 
 
-def _attacked(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+def _attacked(
+    attack: str, seconds: float, seed: int, out: Path | None, report_progress: ReportProgress
+) -> dict[str, Any]:
     if attack == "roads":
-        return _walked(tell)
+        return _walked(report_progress)
     if attack == "offers":
         from safedpa_lab.benchmarks.hostile.offered import offers_benchmark
 
-        return offers_benchmark(seconds, tell)
+        return offers_benchmark(seconds, report_progress)
     if attack == "silent":
         from safedpa_lab.benchmarks.hostile.silent import silent_benchmark
 
-        return silent_benchmark(seconds, tell=tell)
+        return silent_benchmark(seconds, report_progress=report_progress)
     if attack == "flood":
         from safedpa_lab.benchmarks.hostile.floods import floods_benchmark
 
-        return floods_benchmark(seconds, tell=tell)
-    return _mutated(seconds, seed, out, tell)
+        return floods_benchmark(seconds, report_progress=report_progress)
+    return _mutated(seconds, seed, out, report_progress)
 
 
-def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+def _mutated(seconds: float, seed: int, out: Path | None, report_progress: ReportProgress) -> dict[str, Any]:
     from safedpa_lab.benchmarks.usage import load_average
     from safedpa_lab.commands.experiments.hostile_pages import page_targets
     from safedpa_lab.experiments.hostile.fuzz import fuzz
@@ -104,7 +108,7 @@ def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[st
     load = load_average()
     with page_targets() as pages, tempfile.TemporaryDirectory(prefix="safedpa-hostile-drive-") as folder:
         further = (*pages, *recording_targets(Path(folder)))
-        tallies = fuzz(seconds, seed, out, lambda share: tell(round(100.0 * share), 100), further)
+        tallies = fuzz(seconds, seed, out, lambda share: report_progress(round(100.0 * share), 100), further)
     return {
         "seconds": seconds,
         "seed": seed,
@@ -114,12 +118,12 @@ def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[st
     }
 
 
-def _walked(tell: Tell) -> dict[str, Any]:
+def _walked(report_progress: ReportProgress) -> dict[str, Any]:
     from safedpa_lab.benchmarks.usage import load_average
     from safedpa_lab.experiments.hostile.roads import pairs, walk
 
     load = load_average()
-    rows = walk(list(pairs()), tell)
+    rows = walk(list(pairs()), report_progress)
     return {
         "held": not any(row["hole"] for row in rows),
         "pairs": rows,
@@ -127,7 +131,7 @@ def _walked(tell: Tell) -> dict[str, Any]:
     }
 
 
-def _tell(attack: str, result: dict[str, Any]) -> None:
+def _report(attack: str, result: dict[str, Any]) -> None:
     if attack == "roads":
         for row in result["pairs"]:
             click.echo(

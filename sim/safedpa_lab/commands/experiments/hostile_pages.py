@@ -13,7 +13,7 @@ from safedpa_lab.experiments.hostile.targets import Target
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.web.guard import AccessPolicy, Guard
 from safedpa_services.web.hosts import Hosts
-from safedpa_services.web.shelf import FileStore
+from safedpa_services.web.upload_store import FileStore
 
 __all__ = ["page_targets"]
 
@@ -37,7 +37,7 @@ _LINES = (
 def page_targets() -> Iterator[tuple[Target, ...]]:
     """A guard with a page behind it, a shelf with files around it, the reader of the router's log."""
     with tempfile.TemporaryDirectory(prefix="safedpa-hostile-pages-") as name:
-        yield (_guard(), _shelf(Path(name).resolve()), _log())
+        yield (_guard(), _upload_store(Path(name).resolve()), _log())
 
 
 def _guard() -> Target:
@@ -57,11 +57,11 @@ def _guard() -> Target:
 
     def read(data: bytes) -> None:
         first, *lines = data.split(b"\n")
-        words = first.decode("latin-1").split(" ")
-        path, _, query = (words[1] if len(words) > 1 else "/").partition("?")
+        phrase = first.decode("latin-1").split(" ")
+        path, _, query = (phrase[1] if len(phrase) > 1 else "/").partition("?")
         scope = {
-            "type": "websocket" if words[0] == "WS" else "http",
-            "method": words[0],
+            "type": "websocket" if phrase[0] == "WS" else "http",
+            "method": phrase[0],
             "path": path,
             "query_string": query.encode("latin-1"),
             "headers": [(n.strip().lower(), v.strip()) for n, _, v in (line.partition(b":") for line in lines) if n],
@@ -72,19 +72,19 @@ def _guard() -> Target:
     return Target("page's guard", _GOOD, read, 0.1)
 
 
-def _shelf(folder: Path) -> Target:
+def _upload_store(folder: Path) -> Target:
     named, outside = folder / "named", folder / "outside"
     for place in (named, outside):
         place.mkdir()
         (place / "run.csv").write_text("t,x\n0,1\n", encoding="utf-8")
     (named / "link.csv").symlink_to(outside / "run.csv")
     (named / "way").symlink_to(outside)
-    shelf = FileStore([named])
+    upload_store = FileStore([named])
     names = ("named/run.csv", "named/../outside/run.csv", "named/way/run.csv", "named/*.csv", "outside/run.csv")
     seeds = tuple(f"{folder}/{name}".encode() for name in names)
 
     def read(data: bytes) -> None:
-        for found in shelf.recordings(data.decode("utf-8", "replace").splitlines()):
+        for found in upload_store.recordings(data.decode("utf-8", "replace").splitlines()):
             if not Path(found).resolve().is_relative_to(named):
                 raise AssertionError(f"{found} was opened")
 

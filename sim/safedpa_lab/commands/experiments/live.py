@@ -49,7 +49,7 @@ def command(**options: Any) -> None:
     elif options["record"] is not None:
         click.echo(f"recording: {options['record']}")
     else:
-        _tell(result)
+        _report(result)
 
 
 def _check(options: dict[str, Any]) -> None:
@@ -91,11 +91,11 @@ def _measured(options: dict[str, Any]) -> dict[str, Any]:
         change_after=options["after"],
         processes=options["processes"],
     )
-    with progress("experiment live") as tell:
-        return {"experiment": "live", **live_experiment(experiment, tell)}
+    with progress("experiment live") as report_progress:
+        return {"experiment": "live", **live_experiment(experiment, report_progress)}
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -49,9 +49,12 @@ def command(**options: Any) -> None:
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
     logs = LongLogs(options["runs"], options["seconds"], options["period"], seed=options["seed"])
-    with tempfile.TemporaryDirectory(prefix="safedpa-long-") as name, progress("experiment long-logs") as tell:
+    with (
+        tempfile.TemporaryDirectory(prefix="safedpa-long-") as name,
+        progress("experiment long-logs") as report_progress,
+    ):
         folder = Path(name)
-        paths = write_long_logs(logs, folder, kinds, tell)
+        paths = write_long_logs(logs, folder, kinds, report_progress)
         rows = [_row(folder, kind, paths[kind], what) for kind in kinds for what in ("diagnose", "compare")]
     shape = {key: options[key] for key in ("runs", "seconds", "period", "seed")}
     result = {"experiment": "long-logs", **shape, "hidden": dict(HIDDEN), "rows": rows}
@@ -60,19 +63,19 @@ def command(**options: Any) -> None:
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
 def _row(folder: Path, kind: str, paths: list[Path], what: str) -> dict[str, Any]:
     """Runs one command on the files; Raises SafedpaError when it fails."""
     arguments = [what, str(folder / "model.toml"), *map(str, paths), "--out", str(folder / kind), "--json"]
     begin = time.perf_counter()
-    with (folder / "answer.json").open("wb") as answer, (folder / "words.txt").open("wb") as words:
-        process = subprocess.Popen([sys.executable, "-m", "safedpa_services", *arguments], stdout=answer, stderr=words)
+    with (folder / "answer.json").open("wb") as answer, (folder / "words.txt").open("wb") as phrase:
+        process = subprocess.Popen([sys.executable, "-m", "safedpa_services", *arguments], stdout=answer, stderr=phrase)
         _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
-        raise SafedpaError(f"{what} of {kind}: {(folder / 'words.txt').read_text(encoding='utf-8').strip()}")
+        raise SafedpaError(f"{what} of {kind}: {(folder / 'phrase.txt').read_text(encoding='utf-8').strip()}")
     document = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
     return {
         "kind": kind,
@@ -86,7 +89,7 @@ def _row(folder: Path, kind: str, paths: list[Path], what: str) -> dict[str, Any
     }
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -49,8 +49,8 @@ def command(**options: Any) -> None:
     as_json = options.pop("as_json")
     options["robots"] = options["robots"] or tuple(DRIVERS)
     options["kinds"] = options["kinds"] or KINDS
-    with progress("experiment margins") as tell:
-        result = margins_experiment(MarginCases(**options), tell)
+    with progress("experiment margins") as report_progress:
+        result = margins_experiment(MarginCases(**options), report_progress)
     out = options["out"]
     write_result(out / "margins.json", result)
     page = margins_page(result, _asked(options), time.strftime("%Y-%m-%d"))

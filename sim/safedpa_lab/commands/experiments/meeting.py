@@ -37,7 +37,7 @@ def command(**options: Any) -> None:
 
     _check(options)
     out, page = options["out"], options["page"]
-    with progress("experiment meeting") as tell:
+    with progress("experiment meeting") as report_progress:
         found = meeting_experiment(
             range(options["first_seed"], options["first_seed"] + options["seeds"]),
             options["robots"] or (2, 4, 8),
@@ -46,7 +46,7 @@ def command(**options: Any) -> None:
             options["guards"] or GUARDS,
             options["loads"] or ("none",),
             options["processes"],
-            tell,
+            report_progress,
         )
     result = {"experiment": "meeting", **found}
     if out is not None:

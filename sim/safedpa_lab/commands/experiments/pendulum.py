@@ -54,8 +54,8 @@ def command(**options: Any) -> None:
     out, as_json = options.pop("out"), options.pop("as_json")
     experiment = PendulumExperiment(**options, date=time.strftime("%Y-%m-%d"))
     made_folder(out)
-    with progress("experiment pendulum") as tell:
-        result = pendulum_experiment(experiment, tell)
+    with progress("experiment pendulum") as report_progress:
+        result = pendulum_experiment(experiment, report_progress)
     if out is not None:
         write_report(result, out)
     click.echo(json.dumps(result) if as_json else markdown_of(result))

@@ -53,11 +53,11 @@ def command(**options: Any) -> None:
     story = PendulumStory(**{**options, "hidden": options["hidden"] or tuple(HIDDEN)})
     cases = None if data is None else PayloadCases(data, processes=options["processes"])
     made_folder(out)
-    with progress("experiment pendulum-story") as tell:
-        result = {"date": time.strftime("%Y-%m-%d"), **pendulum_story(story, tell)}
+    with progress("experiment pendulum-story") as report_progress:
+        result = {"date": time.strftime("%Y-%m-%d"), **pendulum_story(story, report_progress)}
     if cases is not None:
-        with progress("payloads of a user") as tell:
-            result["payloads"] = payload_cases(cases, tell)
+        with progress("payloads of a user") as report_progress:
+            result["payloads"] = payload_cases(cases, report_progress)
     if out is not None:
         write_story(result, out)
     click.echo(json.dumps(result) if as_json else story_markdown(result))

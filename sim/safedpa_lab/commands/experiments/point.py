@@ -55,8 +55,8 @@ def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, *
     else:
         options["methods"] = _trained(options["models"], options["baselines"])
     experiment = PointExperiment(**{**options, **(_QUICK if quick else {})}, date=time.strftime("%Y-%m-%d"))
-    with progress("experiment point") as tell:
-        result = point_experiment(experiment, tell)
+    with progress("experiment point") as report_progress:
+        result = point_experiment(experiment, report_progress)
     if out is not None:
         write_report(result, out)
     click.echo(json.dumps(result) if as_json else markdown_of(result))

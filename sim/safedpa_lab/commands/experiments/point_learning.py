@@ -48,22 +48,22 @@ def command(
     from safedpa_lab.experiments.point_learning_report import learning_markdown, write_learning
     from safedpa_services.progress import progress
 
-    options |= {"starts": _words(starts), "seeds": _numbers(seeds)} | ({} if margin is None else {"margin": margin})
+    options |= {"starts": _text(starts), "seeds": _numbers(seeds)} | ({} if margin is None else {"margin": margin})
     experiment = PointLearning(**{**options, **(_QUICK if quick else {})}, date=time.strftime("%Y-%m-%d"))
     made_folder(out)
-    with progress("experiment point-learning") as tell:
-        result = point_learning(experiment, tell)
+    with progress("experiment point-learning") as report_progress:
+        result = point_learning(experiment, report_progress)
     if out is not None:
         write_learning(result, out)
     click.echo(json.dumps(result) if as_json else learning_markdown(result))
 
 
-def _words(given: str) -> tuple[str, ...]:
+def _text(given: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in given.split(",") if part.strip())
 
 
 def _numbers(given: str) -> tuple[int, ...]:
-    parts = _words(given)
+    parts = _text(given)
     if not all(part.isdecimal() for part in parts):
         raise InputError(f"--seeds: got '{given}', wanted whole numbers with commas between, as 0,1,2")
     return tuple(int(part) for part in parts)

@@ -42,10 +42,10 @@ def command(
     Free networks H(x, z, a) are relinearised by their own slope about the nominal action, or about the filter's own action; with
     the clean thrust, and with the benchmark's, which saturates. Every filter is told z = mu(e) of the true wind.
     """
-    from safedpa_lab.experiments.kept_drives import driven
     from safedpa_lab.experiments.point_relinearised import Relinearised, point_relinearised
     from safedpa_lab.experiments.point_relinearised_report import relinearised_markdown, write_relinearised
     from safedpa_lab.experiments.relinearised_errors import CarWork, car_errors, point_errors, train_networks
+    from safedpa_lab.experiments.retained_drives import driven
     from safedpa_services.progress import progress
 
     if car_pairs is not None:
@@ -56,12 +56,12 @@ def command(
     made_folder(out)
     if train:
         train_networks(models)
-    with progress("experiment point-relinearised") as tell:
-        result = {"date": time.strftime("%Y-%m-%d"), "quick": quick, **point_relinearised(asked, tell)}
+    with progress("experiment point-relinearised") as report_progress:
+        result = {"date": time.strftime("%Y-%m-%d"), "quick": quick, **point_relinearised(asked, report_progress)}
     result["networks"] = point_errors(models)
     if car_pairs is not None:
-        kept = asked.record and asked.record.with_suffix(".car.jsonl")
-        result["car"] = driven(car_errors, [CarWork(car_pairs)], 1, record=kept)[0]
+        retained = asked.record and asked.record.with_suffix(".car.jsonl")
+        result["car"] = driven(car_errors, [CarWork(car_pairs)], 1, record=retained)[0]
     if out is not None:
         write_relinearised(result, out)
     click.echo(json.dumps(result) if as_json else relinearised_markdown(result))

@@ -38,8 +38,8 @@ def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options:
     check_positive(options, "robots", "seconds")
     story = PointStory(hidden=hidden or tuple(HIDDEN), **options)
     made_folder(out)
-    with progress("experiment point-story") as tell:
-        result = {"date": time.strftime("%Y-%m-%d"), **point_story(story, tell)}
+    with progress("experiment point-story") as report_progress:
+        result = {"date": time.strftime("%Y-%m-%d"), **point_story(story, report_progress)}
     if out is not None:
         write_result(out / "point-story.json", result)
         (out / "point-story.md").write_text(point_story_markdown(result), encoding="utf-8")

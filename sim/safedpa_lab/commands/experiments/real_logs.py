@@ -62,17 +62,17 @@ def command(**options: Any) -> None:
     if ball is None and _BALL.is_file():
         ball = _BALL
     parts = PARTS if options["part"] == "all" else (options["part"],)
-    with progress("experiment real-logs") as tell:
-        result = real_logs_experiment(RealLogs(options["data"], ball, parts, options["processes"]), tell)
+    with progress("experiment real-logs") as report_progress:
+        result = real_logs_experiment(RealLogs(options["data"], ball, parts, options["processes"]), report_progress)
     if out is not None:
         write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)

@@ -63,5 +63,9 @@ def _measured(options: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"module {error.name} is missing; install safedpa-lab with its extra 'ros'") from error
     asked = f"safedpa experiment ros --drives {options['drives']} --seconds {options['seconds']:g}"
     asked += f" --first-seed {options['first_seed']}" if options["first_seed"] else ""
-    with progress("experiment ros") as tell:
-        return {"experiment": "ros", "command": asked, **ros_experiment(seeds, options["seconds"], faults, tell)}
+    with progress("experiment ros") as report_progress:
+        return {
+            "experiment": "ros",
+            "command": asked,
+            **ros_experiment(seeds, options["seconds"], faults, report_progress),
+        }

@@ -37,18 +37,20 @@ def command(**options: Any) -> None:
     check_positive(options, "seeds", "seconds", "processes")
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
     settings = settings_named(options["settings"])
-    with progress("experiment safety") as tell:
-        result = safety_experiment(seeds, options["seconds"], options["model"], settings, options["processes"], tell)
+    with progress("experiment safety") as report_progress:
+        result = safety_experiment(
+            seeds, options["seconds"], options["model"], settings, options["processes"], report_progress
+        )
     result = {"experiment": "safety", "seeds": [seeds.start, seeds.stop - 1], **result}
     if options["out"]:
         write_result(options["out"], result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -50,17 +50,17 @@ def command(**options: Any) -> None:
         seeds=tuple(seeds),
         **{name: options[name] for name in ("seconds", "drives", "drive_seconds", "processes")},
     )
-    with progress("experiment safety-pays") as tell:
-        result = {"experiment": "safety-pays", **safety_pays(experiment, tell)}
+    with progress("experiment safety-pays") as report_progress:
+        result = {"experiment": "safety-pays", **safety_pays(experiment, report_progress)}
     if out is not None:
         write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
-        _tell(result)
+        _report(result)
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 

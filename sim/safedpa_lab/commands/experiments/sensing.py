@@ -44,8 +44,8 @@ def command(**options: Any) -> None:
     _check(options)
     out, page = options["out"], options["page"]
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
-    with progress("experiment sensing") as tell:
-        wanted = {"told": options["told"], "told-but-hiding": options["hiding"]}
+    with progress("experiment sensing") as report_progress:
+        wanted = {"reported": options["reported"], "told-but-hiding": options["hiding"]}
         others = [guard for guard in GUARDS[1:] if wanted.get(guard, options["peers"])]
         found = sensing_experiment(
             seeds,
@@ -53,7 +53,7 @@ def command(**options: Any) -> None:
             options["coming"],
             options["processes"],
             (GUARDS[0], *others),
-            tell,
+            report_progress,
             options["scenes"] or SCENES,
             options["loads"] or LOADS[:1],
             options["policy"],

@@ -40,8 +40,8 @@ def command(**options: Any) -> None:
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"--{name} {path}: folder {path.parent} does not exist; create it")
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
-    with progress("experiment sensing-curves") as tell:
-        found = curves_experiment(seeds, options["seconds"], options["processes"], tell, options["record"])
+    with progress("experiment sensing-curves") as report_progress:
+        found = curves_experiment(seeds, options["seconds"], options["processes"], report_progress, options["record"])
     result = {"experiment": "sensing-curves", **found}
     if options["out"] is not None:
         write_result(options["out"], result)

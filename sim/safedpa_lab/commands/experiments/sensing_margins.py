@@ -37,14 +37,14 @@ def command(**options: Any) -> None:
     from safedpa_services.progress import progress
 
     _check(options)
-    with progress("experiment sensing-margins") as tell:
+    with progress("experiment sensing-margins") as report_progress:
         found = margins_of_sensing(
             options["drives"],
             options["fresh"],
             options["seconds"],
             options["coverage"],
             options["processes"],
-            tell,
+            report_progress,
             options["record"],
             options["scenes"] or SCENES,
         )

@@ -50,9 +50,9 @@ def command(**options: Any) -> None:
     if "car" in parts:
         chosen = {"rows": options["rows"]} if options["rows"] else {}
         own = {name: options[name] for name in ("models", "out", "seed", "drives", "small")}
-        result["car"] = car_tuning(CarTuning(**own, **chosen), _tell)
+        result["car"] = car_tuning(CarTuning(**own, **chosen), _report)
     if "real" in parts:
-        result["real"] = real_tuning(real, _tell)
+        result["real"] = real_tuning(real, _report)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_result(out / "tuning.json", result)
@@ -62,5 +62,5 @@ def command(**options: Any) -> None:
     click.echo(json.dumps(result) if options["as_json"] else page)
 
 
-def _tell(what: str) -> None:
+def _report(what: str) -> None:
     click.echo(f"experiment tuning: {what}", err=True)

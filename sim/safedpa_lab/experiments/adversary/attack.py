@@ -39,8 +39,8 @@ class Row:
             return ""
         if self.most is not None and self.least is not None:
             return f"{self.least:g} to {self.most:g} {self.unit}".strip()
-        words = f"at most {self.most:g}" if self.most is not None else f"at least {self.least:g}"
-        return f"{words} {self.unit}".strip()
+        phrase = f"at most {self.most:g}" if self.most is not None else f"at least {self.least:g}"
+        return f"{phrase} {self.unit}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -64,7 +64,7 @@ class Result:
 
 
 class AbstractAttack(ABC):
-    """``pieces`` are divided among processes, ``work`` answers one of them, ``told`` makes rows of all answers.
+    """``pieces`` are divided among processes, ``work`` answers one of them, ``reported`` makes rows of all answers.
 
     Everything that travels is picklable; the same seed gives the same pieces, whatever the number of processes.
     """
@@ -81,7 +81,7 @@ class AbstractAttack(ABC):
         """The answer to one piece."""
 
     @abstractmethod
-    def told(self, answers: Sequence[Any]) -> Result:
+    def reported(self, answers: Sequence[Any]) -> Result:
         """Rows and worst cases of all answers, in the order of their pieces."""
 
 
@@ -98,6 +98,6 @@ class WholeAttack(AbstractAttack):
     def work(self, piece: Any) -> Result:  # noqa: D102
         return self._run(*piece)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         rows = [row for answer in answers for row in answer.rows]
         return Result(rows, [case for answer in answers for case in answer.worst])

@@ -90,7 +90,7 @@ class BadInputs(AbstractAttack):
     def work(self, piece: Any) -> Any:  # noqa: D102
         return two_threads(piece) if isinstance(piece, int) else treated(piece)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         found = [answer for answer in answers if isinstance(answer, Treated)]
         mixed, refused, count = next(answer for answer in answers if not isinstance(answer, Treated))
         raised = [item for item in found if item.status.startswith("raised")]

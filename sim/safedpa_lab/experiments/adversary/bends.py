@@ -60,7 +60,7 @@ class Bends(AbstractAttack):
         seed, first, last = piece
         return [bent_answer(bent_problem(seed, number), number) for number in range(first, last)]
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         items = [item for answer in answers for item in answer]
         rows = [Row(f"answers {status}", count) for status, count in sorted(Counter(i.status for i in items).items())]
         for shape in BENT_SHAPES:

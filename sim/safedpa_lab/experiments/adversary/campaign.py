@@ -26,7 +26,7 @@ from safedpa_lab.experiments.car_workers import Workers
 
 __all__ = ["adversary", "all_attacks", "attacks_named", "digest_of_code"]
 
-Tell = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 Keep = Callable[[dict[str, Any]], None]
 
 
@@ -50,7 +50,7 @@ def adversary(
     seed: int,
     small: bool = False,
     workers: int = 1,
-    tell: Tell = lambda _done, _all: None,
+    report_progress: ReportProgress = lambda _done, _all: None,
     keep: Keep = lambda _found: None,
 ) -> dict[str, Any]:
     """Runs the attacks and tells what they found, whatever it is.
@@ -74,8 +74,8 @@ def adversary(
             for answer in pool.map(attack.work, own):
                 answers.append(answer)
                 done += 1
-                tell(done, everything)
-            result["attacks"].append(_told(attack, attack.told(answers), time.perf_counter() - began))
+                report_progress(done, everything)
+            result["attacks"].append(_reported(attack, attack.reported(answers), time.perf_counter() - began))
             keep(result)
     return result
 
@@ -90,7 +90,7 @@ def digest_of_code() -> str:
     return summed.hexdigest()[:12]
 
 
-def _told(attack: AbstractAttack, result: Result, seconds: float) -> dict[str, Any]:
+def _reported(attack: AbstractAttack, result: Result, seconds: float) -> dict[str, Any]:
     rows = [row.as_dict() for row in result.rows]
     return {
         "name": attack.name,

@@ -62,13 +62,13 @@ class CarGrid(AbstractAttack):
         safe = SafetyFilter.for_model(model, settings)
         return kind, [_answered(safe, model, settings, drawn(seed, n), n) for n in range(first, last)]
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         rows: list[Row] = []
         worst: list[dict[str, Any]] = []
         for kind in _KINDS:
             items = [item for own, found in answers if own == kind for item in found]
-            said = sorted(Counter(item.status for item in items).items())
-            rows += [Row(f"{kind}: answers {status}", count) for status, count in said]
+            notice = sorted(Counter(item.status for item in items).items())
+            rows += [Row(f"{kind}: answers {status}", count) for status, count in notice]
             rows += _rows(kind, items)
             worst += [{"kind": kind, **case} for case in _worst(items)]
         return Result(rows, worst)

@@ -76,7 +76,7 @@ class Drives(AbstractAttack):
         kind, load, seed, seconds = piece
         return KINDS[kind](kind, load, seed, seconds)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         rows: list[Row] = []
         for kind in dict.fromkeys(driven.kind for driven in answers):
             rows += _rows(kind, [driven for driven in answers if driven.kind == kind and not driven.missing])
@@ -93,10 +93,10 @@ def _rows(kind: str, driven: Sequence[Driven]) -> list[Row]:
     for each in driven:
         statuses.update(each.statuses)
     seen = max(1, sum(statuses.values()))
-    said = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(statuses.items()))
+    notice = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(statuses.items()))
     hit = sum(each.collisions > 0 for each in driven)
     return [
-        Row(f"{kind}: drives with a collision ({said})", hit, len(driven), most=0),
+        Row(f"{kind}: drives with a collision ({notice})", hit, len(driven), most=0),
         Row(f"{kind}: least h told", min((each.least_h for each in driven), default=0.0), len(driven), unit="m"),
     ]
 
@@ -105,12 +105,12 @@ def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Callable[[str, 
     def run(kind: str, load: str, seed: int, seconds: float) -> Driven:
         robot = CarRobot(Scene.random(seed, load), _PERIOD)
         ticks = round(seconds / _PERIOD)
-        told = (
+        reported = (
             _legs(robot, nominal_policy, seed, ticks)
             if killed
             else drive(robot, _nodes("car", nominal_policy, seed), ticks)
         )
-        return _driven(kind, load, seed, robot, told)
+        return _driven(kind, load, seed, robot, reported)
 
     return run
 
@@ -161,10 +161,10 @@ def _nodes(name: str, nominal_policy: NominalPolicy, seed: int) -> list[Abstract
     ]
 
 
-def _driven(kind: str, load: str, seed: int, robot: Any, told: Iterator[Tick]) -> Driven:
+def _driven(kind: str, load: str, seed: int, robot: Any, reported: Iterator[Tick]) -> Driven:
     statuses: Counter[str] = Counter()
     least = float("inf")
-    for tick in told:
+    for tick in reported:
         statuses[tick.verdict.status] += 1
         least = min(least, tick.verdict.h_now)
     return Driven(kind, load, seed, len(robot.collisions), least, dict(statuses))

@@ -55,7 +55,7 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
     unsafe_now = bool((judge.now / judge.scale < -judge.rounding - _SIGN).any())
     safe_now = bool((judge.now / judge.scale > judge.rounding).all())
     broken = judge.broken(action) if kept else None
-    missed, shortfall, needless = (False, None, False) if kept else _least_unsafe(problem, judge, verdict)
+    missed, shortfall, needless = (False, None, False) if kept else _least_violation(problem, judge, verdict)
     return Judged(
         status=status,
         out_of_bounds=bool((action < problem.low).any() or (action > problem.high).any()),
@@ -71,7 +71,7 @@ def judged(problem: LinearProblem, verdict: Verdict) -> Judged:
     )
 
 
-def _least_unsafe(problem: LinearProblem, judge: LinearJudge, verdict: Verdict) -> tuple[bool, float, bool]:
+def _least_violation(problem: LinearProblem, judge: LinearJudge, verdict: Verdict) -> tuple[bool, float, bool]:
     action, status = verdict.action, verdict.status.value
     room, keeper = judge.best_least_residual()
     if problem.witness is not None:

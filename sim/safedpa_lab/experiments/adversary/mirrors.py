@@ -109,7 +109,7 @@ def _states_turned(problem: LinearProblem, random: Random) -> Mirrored:
     ), _as_it_was
 
 
-def _gradient_told_or_not(problem: LinearProblem, random: Random) -> Mirrored:
+def _gradient_reported_or_not(problem: LinearProblem, random: Random) -> Mirrored:
     del random
     return replace(problem, gradient=not problem.gradient), _as_it_was
 
@@ -122,7 +122,7 @@ MIRRORS: Final[Mapping[str, Callable[[LinearProblem, Random], Mirrored]]] = {
     "actions turned round": _actions_turned_round,
     "actions counted from elsewhere": _actions_counted_from_elsewhere,
     "states turned": _states_turned,
-    "gradient told or not": _gradient_told_or_not,
+    "gradient told or not": _gradient_reported_or_not,
 }
 """By name."""
 _WORN: Final = "a filter that answered others before"
@@ -149,15 +149,15 @@ class Mirrors(AbstractAttack):
             answer = problem.decide()
             for name, mirror in MIRRORS.items():
                 other, back = mirror(problem, random)
-                found.append(_beside(name, number, problem, answer, other.decide(), back))
+                found.append(_alongside(name, number, problem, answer, other.decide(), back))
             boxed = _in_the_unit_box(problem)
-            found.append(_beside(_WORN, number, boxed, boxed.decide(), worn.decide(boxed), _as_it_was))
+            found.append(_alongside(_WORN, number, boxed, boxed.decide(), worn.decide(boxed), _as_it_was))
             if answer.status.value == "corrected":
                 again = replace(problem, nominal=answer.action.copy()).decide()
-                found.append(_beside(_AGAIN, number, problem, answer, again, _as_it_was))
+                found.append(_alongside(_AGAIN, number, problem, answer, again, _as_it_was))
         return found
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         items = [item for answer in answers for item in answer]
         rows: list[Row] = []
         for name in (*MIRRORS, _WORN, _AGAIN):
@@ -212,7 +212,9 @@ def _in_the_unit_box(problem: LinearProblem) -> LinearProblem:
     )
 
 
-def _beside(name: str, number: int, problem: LinearProblem, answer: Verdict, other: Verdict, back: Back) -> Reflected:
+def _alongside(
+    name: str, number: int, problem: LinearProblem, answer: Verdict, other: Verdict, back: Back
+) -> Reflected:
     judge, action = LinearJudge(problem), back(other.action)
     statuses = answer.status.value, other.status.value
     kept = ("passed", "corrected")

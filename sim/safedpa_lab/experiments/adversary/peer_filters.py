@@ -38,11 +38,11 @@ def _answer(decide: Decide, problem: Problem) -> dict[str, Any]:
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
-            action, said = decide({name: np.array(value) for name, value in problem.items()})
+            action, notice = decide({name: np.array(value) for name, value in problem.items()})
         except Exception as error:  # noqa: BLE001 - whatever a peer raises is its answer
-            return {"action": None, "said": f"raises {type(error).__name__}"}
-    told = said or next((str(item.message) for item in heard if "olver" in str(item.message)), "")
-    return {"action": None if action is None else np.asarray(action, dtype=float).tolist(), "said": told}
+            return {"action": None, "notice": f"raises {type(error).__name__}"}
+    reported = notice or next((str(item.message) for item in heard if "olver" in str(item.message)), "")
+    return {"action": None if action is None else np.asarray(action, dtype=float).tolist(), "notice": reported}
 
 
 def _cbfpy(example: Problem, eta: float, backend: str) -> Decide:

@@ -35,7 +35,7 @@ _FULL: Final = 2_000
 _SMALL: Final = 40
 _UNSAFE: Final = 1e-3
 """Share of its scale by which a condition is broken, beyond what any solver's tolerance excuses."""
-_SAYS_SO: Final = ("relaxed", "violated", "fallback")
+_REPORTS_SO: Final = ("relaxed", "violated", "fallback")
 _SECONDS: Final = 600.0
 _QUIET: Final = {"OMP_NUM_THREADS": "1", "JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu"}
 
@@ -71,7 +71,7 @@ class Peers(AbstractAttack):
             rows += _rows(f"{who}, {units}", problems, answers, most=0 if who == OWN else None)
         return who, rows
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         return Result([row for _, rows in answers for row in rows])
 
 
@@ -122,7 +122,7 @@ def _padded(problem: LinearProblem) -> LinearProblem:
 def _own(problem: LinearProblem) -> Answer:
     verdict = problem.decide()
     status = verdict.status.value
-    return verdict.action.tolist(), status if status in _SAYS_SO else ""
+    return verdict.action.tolist(), status if status in _REPORTS_SO else ""
 
 
 def _asked(who: str, problems: Sequence[LinearProblem], interpreters: Sequence[str]) -> list[Answer] | str:
@@ -148,8 +148,8 @@ def _asked(who: str, problems: Sequence[LinearProblem], interpreters: Sequence[s
     except subprocess.TimeoutExpired:
         return f"gave no answer within {_SECONDS:.0f} s"
     if done.returncode:
-        return f"failed: {(done.stderr.strip().splitlines() or ['no words'])[-1][:200]}"
-    return [(item["action"], item["said"]) for item in json.loads(done.stdout.strip().splitlines()[-1])]
+        return f"failed: {(done.stderr.strip().splitlines() or ['no phrase'])[-1][:200]}"
+    return [(item["action"], item["notice"]) for item in json.loads(done.stdout.strip().splitlines()[-1])]
 
 
 def _has(python: str, package: str) -> bool:
@@ -159,17 +159,17 @@ def _has(python: str, package: str) -> bool:
 
 def _rows(name: str, problems: Sequence[LinearProblem], answers: Sequence[Answer], most: float | None) -> list[Row]:
     """``most`` unsafe actions may come unsaid; of a peer it is only told how many did."""
-    unsaid, said, none, feasible = 0, 0, 0, 0
-    for problem, (action, words) in zip(problems, answers, strict=True):
+    unsaid, notice, none, feasible = 0, 0, 0, 0
+    for problem, (action, phrase) in zip(problems, answers, strict=True):
         judge = LinearJudge(problem)
         feasible += int(judge.nearest() is not None)
         if action is None:
             none += 1
         elif _unsafe(judge, np.array(action)):
-            unsaid, said = unsaid + int(not words), said + int(bool(words))
+            unsaid, notice = unsaid + int(not phrase), notice + int(bool(phrase))
     return [
         Row(f"{name}: unsafe action, and not a word", unsaid, len(problems), most=most),
-        Row(f"{name}: unsafe action, and said so", said, len(problems)),
+        Row(f"{name}: unsafe action, and said so", notice, len(problems)),
         Row(f"{name}: no action at all", none, len(problems)),
         *([Row(f"{name}: problems that can be kept", feasible, len(problems))] if most is not None else []),
     ]

@@ -39,7 +39,7 @@ class Programs(AbstractAttack):
         seed, first, last = piece
         return [(seed, number, _answered(seed, number)) for number in range(first, last)]
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         found = [item for answer in answers for item in answer]
         items = [item for _, _, item in found]
         rows = [Row(f"answers {status}", count) for status, count in sorted(Counter(i.status for i in items).items())]

@@ -87,7 +87,7 @@ class Scales(AbstractAttack):
     def work(self, piece: Any) -> tuple[Units, Drive]:  # noqa: D102
         return piece, drive(piece)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         reference = drive(Units())
         rows = [
             Row("furthest point at scale 1", reference.furthest, 1, most=_WALL, unit="m"),

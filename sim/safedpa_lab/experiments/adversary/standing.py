@@ -19,7 +19,7 @@ _FULL: Final = (25, 120.0)
 _SMALL: Final = (1, 4.0)
 _LATENESS: Final = (0.0, 0.006)
 """s from sense to act, in turn: as in lockstep, and as a robot in real time tells it."""
-_MOST_STANDS: Final = 2
+_MOST_IS_STATIONARY: Final = 2
 _GOALS: Final = 6.0
 """A minute, in the mean."""
 _POINT: Final = "point"
@@ -43,14 +43,14 @@ class Standing(AbstractAttack):
     def work(self, piece: Any) -> LongOutcome:  # noqa: D102
         return run_long_drive(piece)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         found = long_summary(answer for answer in answers if answer.load != _POINT)
         point = long_summary(answer for answer in answers if answer.load == _POINT)
         drives = found["drives"]
         rows = [
-            Row("drives with a stand of 10 s and more", found["stands"], drives, most=_MOST_STANDS),
+            Row("drives with a stand of 10 s and more", found["stands"], drives, most=_MOST_IS_STATIONARY),
             Row("of these, not told", found["untold"], found["stands"], most=0),
-            Row("drives with less than 1 m in any 20 s", found["crawls"], drives, most=_MOST_STANDS),
+            Row("drives with less than 1 m in any 20 s", found["crawls"], drives, most=_MOST_IS_STATIONARY),
             Row("goals a minute", found["goals_a_minute"], drives, least=_GOALS),
             Row("collisions", found["collisions"], drives, most=0),
             Row("point robot: drives with a stand of 10 s and more", point["stands"], point["drives"], most=0),

@@ -79,7 +79,7 @@ class Tally:
         """Takes another one's figures in."""
         self.statuses.update(other.statuses)
         self.least_h, self.broken = min(self.least_h, other.least_h), max(self.broken, other.broken)
-        for name in ("crashed", "episodes", "kept", "below", "missed", "needless", "unkept"):
+        for name in ("crashed", "episodes", "retained", "below", "missed", "needless", "unkept"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.excess += other.excess
 
@@ -99,7 +99,7 @@ class Systems(AbstractAttack):
         seed, index, episode, steps = piece
         return index, _episode(SYSTEMS[index](), np.random.default_rng([seed, 4, index, episode]), episode, steps)
 
-    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+    def reported(self, answers: Sequence[Any]) -> Result:  # noqa: D102
         rows: list[Row] = []
         for index, make in enumerate(SYSTEMS):
             tally = Tally()
@@ -187,11 +187,11 @@ def _safe_start(system: ControlSystem, random: np.random.Generator) -> FloatArra
 
 def _rows(system: ControlSystem, tally: Tally) -> list[Row]:
     name, seen = system.name, sum(tally.statuses.values())
-    said = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(tally.statuses.items()))
+    notice = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(tally.statuses.items()))
     far = 100.0 * sum(value > _FAR for value in tally.excess) / max(1, len(tally.excess))
     asked = -1e-9 if system.invariant else None
     return [
-        Row(f"{name}: least h in truth ({said})", tally.least_h, tally.episodes, least=asked),
+        Row(f"{name}: least h in truth ({notice})", tally.least_h, tally.episodes, least=asked),
         Row(f"{name}: episodes with h < 0", tally.crashed, tally.episodes),
         Row(f"{name}: largest break, in scales", tally.broken, tally.kept, most=_BROKEN),
         Row(f"{name}: passed or corrected, predicted h < 0", tally.below, tally.kept, most=0),

@@ -126,21 +126,21 @@ def _text(text: str) -> Callable[[], bytes]:
     return text.encode
 
 
-def _mcap(compression: str, packed: bytes, told: int) -> bytes:
+def _mcap(compression: str, packed: bytes, reported: int) -> bytes:
     name = compression.encode()
-    body = struct.pack("<QQQII", 0, 1, told, 0, len(name)) + name + struct.pack("<Q", len(packed)) + packed
+    body = struct.pack("<QQQII", 0, 1, reported, 0, len(name)) + name + struct.pack("<Q", len(packed)) + packed
     header = struct.pack("<BQII", 1, 8, 0, 0)
     return _MAGIC + header + struct.pack("<BQ", 6, len(body)) + body
 
 
-def _zstd(told: int | None = None) -> bytes:
+def _zstd(reported: int | None = None) -> bytes:
     import zstandard
 
     size = 2048 * _MEBI
     packer = zstandard.ZstdCompressor(level=3).compressobj(size=size)
     piece = bytes(_MEBI)
     packed = b"".join([*(packer.compress(piece) for _ in range(size // _MEBI)), packer.flush()])
-    return _mcap("zstd", packed, size if told is None else told)
+    return _mcap("zstd", packed, size if reported is None else reported)
 
 
 def _many_chunks() -> bytes:

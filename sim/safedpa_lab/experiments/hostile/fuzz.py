@@ -49,7 +49,7 @@ def fuzz(
     seconds: float,
     seed: int,
     out: Path | None = None,
-    tell: Callable[[float], None] = lambda share: None,
+    report_progress: Callable[[float], None] = lambda share: None,
     further: Sequence[Target] = (),
 ) -> list[Tally]:
     """Tallies of every target after ``seconds``; what opened a hole is written to ``out``. Repeats with its seed, but
@@ -65,7 +65,7 @@ def fuzz(
                 for _ in range(_AT_A_TIME):
                     _try(target, tally, mutated(chance, target.seeds), out)
             _drive(loop, driven, chance)
-            tell(min(1.0, (time.monotonic() - begun) / seconds))
+            report_progress(min(1.0, (time.monotonic() - begun) / seconds))
     return [*(tally for _, tally in pairs), driven]
 
 

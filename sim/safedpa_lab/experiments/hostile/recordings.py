@@ -79,8 +79,8 @@ def _other_json(chance: random.Random, text: str) -> str:
     except ValueError:
         return text[: len(text) // 2]
     name = chance.choice(list(table) or ["x"])
-    said = [value for value in _VALUES if not isinstance(value, bytes | dict)]
-    table[name] = chance.choice((*said, {"a": 1}))
+    notice = [value for value in _VALUES if not isinstance(value, bytes | dict)]
+    table[name] = chance.choice((*notice, {"a": 1}))
     return json.dumps(table)
 
 

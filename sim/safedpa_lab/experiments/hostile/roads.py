@@ -63,16 +63,16 @@ class Road:
     """Whether it reads names alone, and may list them of a file whose rows would be too much."""
 
 
-def _model(*words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    return f"{words[0]}: model", (".toml",), words
+def _model(*phrase: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    return f"{phrase[0]}: model", (".toml",), phrase
 
 
-def _map(*words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    return f"{words[0]}: column map", (".map",), words
+def _map(*phrase: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    return f"{phrase[0]}: column map", (".map",), phrase
 
 
-def _run(*words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    return f"{words[0]}: recording", _RUNS, words
+def _run(*phrase: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    return f"{phrase[0]}: recording", _RUNS, phrase
 
 
 _UP = ("up", "--headless", "--lockstep", "--seconds", "1", "--out", "{folder}/runs")
@@ -132,7 +132,7 @@ class Outcome:
     road: str
     bomb: str
     code: int
-    said: str
+    notice: str
     seconds: float
     """Of processor time."""
     mebibytes: float
@@ -146,11 +146,15 @@ class Outcome:
         """What is wrong with it; empty where it was refused as it should be."""
         answered = self.may_answer and self.code == 0
         if self.code != 2 and not answered:
-            return f"exit code {self.code}: {self.said[-300:]!r}"
-        if not self.said.strip() or _NOT_PRINTED.search(self.said) or not (answered or self.said.count("\n") == 1):
-            return f"did not say one line: {self.said[:300]!r}"
-        if len(self.said) > _MOST_LETTERS and not answered:
-            return f"said {len(self.said)} letters"
+            return f"exit code {self.code}: {self.notice[-300:]!r}"
+        if (
+            not self.notice.strip()
+            or _NOT_PRINTED.search(self.notice)
+            or not (answered or self.notice.count("\n") == 1)
+        ):
+            return f"did not say one line: {self.notice[:300]!r}"
+        if len(self.notice) > _MOST_LETTERS and not answered:
+            return f"said {len(self.notice)} letters"
         if self.mebibytes > MOST_MEBIBYTES:
             return f"took {self.mebibytes:.0f} MiB"
         return f"wrote {', '.join(self.written[:5])}" if self.written else ""
@@ -225,30 +229,30 @@ def tried(road: Road, bomb: Bomb, content: bytes) -> Outcome:
         inside.mkdir()
         file, good = placed(content, bomb, inside), good_recording(inside)
         before = {str(path.relative_to(inside)) for path in inside.rglob("*")}
-        said = folder / "said"
-        code, seconds, peak = _forked(lambda: _walked(road, bomb, file, good, inside), inside, said)
+        notice = folder / "notice"
+        code, seconds, peak = _forked(lambda: _walked(road, bomb, file, good, inside), inside, notice)
         written = {str(path.relative_to(inside)) for path in inside.rglob("*")} - before
-        text = said.read_bytes()[:100_000].decode("utf-8", "replace").replace(str(inside), "...")
+        text = notice.read_bytes()[:100_000].decode("utf-8", "replace").replace(str(inside), "...")
         about = f"{bomb.ending[1:]}: {bomb.name}"
         return Outcome(road.name, about, code, text, seconds, peak, tuple(sorted(written)), road.may_answer)
 
 
 def _walked(road: Road, bomb: Bomb, file: Path, good: Path, folder: Path) -> int:
-    words = [word.format(file=file, good=good, folder=folder) for word in road.arguments]
+    phrase = [word.format(file=file, good=good, folder=folder) for word in road.arguments]
     if road.name.startswith("workbench:"):
-        return _opened(words) if words else _uploaded(file)
+        return _opened(phrase) if phrase else _uploaded(file)
     from safedpa_services.command_line.group import safedpa
 
-    if bomb.ending in _BAGS and words[0] not in ("columns", "replay", "export", "calibrate"):
-        words += _COLUMNS
-    return safedpa.run(words)
+    if bomb.ending in _BAGS and phrase[0] not in ("columns", "replay", "export", "calibrate"):
+        phrase += _COLUMNS
+    return safedpa.run(phrase)
 
 
-def _opened(words: Sequence[str]) -> int:
+def _opened(phrase: Sequence[str]) -> int:
     """What the Open button does."""
     from safedpa_services.workbench.recordings import InputSelection, load_inputs
 
-    model, run, columns = words
+    model, run, columns = phrase
     bag = Path(run).suffix in _BAGS or Path(run).is_dir()
     try:
         load_inputs(InputSelection(model, (run,), columns or (_COLUMNS[1] if bag else None)))
@@ -262,7 +266,7 @@ def _uploaded(file: Path) -> int:
     """What the page does with an upload: looks whether it is a recording, reads its first rows, then checks it."""
     from safedpa.dynamics import load_model
     from safedpa.records import load_column_map
-    from safedpa_services.web.shelf import FileStore
+    from safedpa_services.web.upload_store import FileStore
     from safedpa_services.workbench.file_preview import check_recording, raw_rows
 
     try:
@@ -277,7 +281,7 @@ def _uploaded(file: Path) -> int:
     return 2 if problem else 0
 
 
-def _forked(work: Callable[[], int], folder: Path, said: Path) -> tuple[int, float, float]:
+def _forked(work: Callable[[], int], folder: Path, notice: Path) -> tuple[int, float, float]:
     """Exit code, s of processor time, and MiB at most beyond what there was, of ``work`` in a fork in ``folder``."""
     sys.stdout.flush()
     sys.stderr.flush()
@@ -285,13 +289,13 @@ def _forked(work: Callable[[], int], folder: Path, said: Path) -> tuple[int, flo
     child = os.fork()
     if child == 0:
         os.close(reading)
-        _child(work, folder, said, writing)
+        _child(work, folder, notice, writing)
     os.close(writing)
     status = _awaited(child)
     with os.fdopen(reading, "rb") as pipe:
-        told = pipe.read(1000).decode().split()
+        reported = pipe.read(1000).decode().split()
     code = os.waitstatus_to_exitcode(status)
-    seconds, peak = (float(told[0]), float(told[1])) if len(told) == 2 else (_LONGEST_SECONDS, 0.0)
+    seconds, peak = (float(reported[0]), float(reported[1])) if len(reported) == 2 else (_LONGEST_SECONDS, 0.0)
     return code, seconds, peak
 
 
@@ -306,11 +310,11 @@ def _awaited(child: int) -> int:
     return os.waitpid(child, 0)[1]
 
 
-def _child(work: Callable[[], int], folder: Path, said: Path, told: int) -> NoReturn:
+def _child(work: Callable[[], int], folder: Path, notice: Path, reported: int) -> NoReturn:
     code = 1
     try:
         os.setpgid(0, 0)
-        out = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        out = os.open(notice, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         os.dup2(out, 1)
         os.dup2(out, 2)
         sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
@@ -327,7 +331,7 @@ def _child(work: Callable[[], int], folder: Path, said: Path, told: int) -> NoRe
             traceback.print_exc()
         sys.stdout.flush()
         sys.stderr.flush()
-        os.write(told, f"{time.process_time() - began} {_memory('VmHWM') - before}".encode())
+        os.write(reported, f"{time.process_time() - began} {_memory('VmHWM') - before}".encode())
     finally:
         os._exit(code)
 
@@ -348,7 +352,7 @@ def _memory(what: str) -> float:
 
 
 def walk(
-    chosen: Sequence[tuple[Road, Bomb]], tell: Callable[[int, int], None] = lambda _done, _all: None
+    chosen: Sequence[tuple[Road, Bomb]], report_progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> list[dict[str, Any]]:
     """A row for each pair; a bomb is made once for all roads that follow each other with it."""
     prepare()
@@ -365,9 +369,9 @@ def walk(
                 "bomb": found.bomb,
                 "seconds": round(found.seconds, 3),
                 "mebibytes": round(found.mebibytes, 1),
-                "said": found.said.strip()[:300],
+                "notice": found.notice.strip()[:300],
                 "hole": hole,
             }
         )
-        tell(len(rows), len(chosen))
+        report_progress(len(rows), len(chosen))
     return rows

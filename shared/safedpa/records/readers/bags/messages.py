@@ -118,18 +118,18 @@ class AbstractBag(AbstractLog):
         """Fields of topics, in one pass. Raises RunError and InputError as AbstractLog says."""
         collected: dict[str, _Collected] = {}
         most = limit("bag_messages")
-        for kept, (topic, at, data) in enumerate(self.messages(tuple(wanted)), 1):
+        for retained, (topic, at, data) in enumerate(self.messages(tuple(wanted)), 1):
             into = collected.get(topic)
             if into is None:
                 into = collected[topic] = self._collector(topic, wanted[topic])
             into.add(at, data)
-            if kept > most:
-                raise too_much("bag_messages", kept, str(self.path))
+            if retained > most:
+                raise too_much("bag_messages", retained, str(self.path))
         for topic in wanted:
             if topic not in collected:
                 self.topic(topic)  # raises, naming what is there
         for topic, into in collected.items():
-            self._tell_refused(topic, into)
+            self._report_refused(topic, into)
         return {topic: into.series() for topic, into in collected.items()}
 
     def _collector(self, topic: str, paths: tuple[str, ...]) -> _Collected:
@@ -139,7 +139,7 @@ class AbstractBag(AbstractLog):
         except InputError as error:
             raise RunError(f"{self.path}: topic '{topic}': {error}") from error
 
-    def _tell_refused(self, topic: str, into: _Collected) -> None:
+    def _report_refused(self, topic: str, into: _Collected) -> None:
         if not into.receipt:
             raise RunError(
                 f"{self.path}: topic '{topic}': none of its {into.refused} messages is a {self.declared[topic].type} "
@@ -161,19 +161,19 @@ class _Collected:
         there = numeric_fields(definitions, declared.type)
         first = {item.name: item.type for item in definitions.of(declared.type)}
         self._stamped = _STAMP in there
-        beside = [_STAMP] if self._stamped else []
+        alongside = [_STAMP] if self._stamped else []
         if first.get("header") == "std_msgs/msg/Header":
-            beside.append(_FRAMES[0])
+            alongside.append(_FRAMES[0])
         if first.get("child_frame_id") == "string":
-            beside.append(_FRAMES[1])
-        self._paths, self._beside = paths, tuple(beside)
-        self._decode = Decoder(definitions, declared.type, (*beside, *paths), ros1=declared.encoding == "ros1")
-        self._frames: dict[str, set[str]] = {path: set() for path in beside if path in _FRAMES}
-        self._names = [self._frames.get(path) for path in beside]
+            alongside.append(_FRAMES[1])
+        self._paths, self._alongside = paths, tuple(alongside)
+        self._decode = Decoder(definitions, declared.type, (*alongside, *paths), ros1=declared.encoding == "ros1")
+        self._frames: dict[str, set[str]] = {path: set() for path in alongside if path in _FRAMES}
+        self._names = [self._frames.get(path) for path in alongside]
         self.receipt = array("q")
         self._stamps = array("q")
         self._columns = [array("d") for _ in paths]
-        self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(beside) :]]
+        self._conversions = [_CONVERSIONS[kind] for kind in self._decode.kinds[len(alongside) :]]
         self.refused = 0
 
     def add(self, at: int, data: bytes) -> None:
@@ -184,7 +184,7 @@ class _Collected:
             self.refused += 1
             return
         self.receipt.append(at)
-        start = len(self._beside)
+        start = len(self._alongside)
         for names, value in zip(self._names, values, strict=False):
             if names is not None and len(names) < _MOST_FRAMES:
                 names.add(value)

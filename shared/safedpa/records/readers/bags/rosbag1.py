@@ -68,25 +68,25 @@ class Ros1Bag(AbstractBag):
 
     def _opened(self, fields: dict[bytes, bytes], packed: bytes, budget: int) -> bytes:
         """What a chunk holds, never more than it says, and no more than the file may still become."""
-        (told,) = _LENGTH.unpack(fields[b"size"])
-        if max(told, len(packed)) > limit("bag_chunk_bytes"):
-            raise too_much("bag_chunk_bytes", f"{max(told, len(packed))} bytes", str(self.path))
-        if told > budget:
+        (reported,) = _LENGTH.unpack(fields[b"size"])
+        if max(reported, len(packed)) > limit("bag_chunk_bytes"):
+            raise too_much("bag_chunk_bytes", f"{max(reported, len(packed))} bytes", str(self.path))
+        if reported > budget:
             raise too_much("expansion", "more", str(self.path))
         how = fields[b"compression"]
         if how == b"none":
             data = packed
         elif how == b"bz2":
-            data = bz2.BZ2Decompressor().decompress(packed, told + 1)
+            data = bz2.BZ2Decompressor().decompress(packed, reported + 1)
         elif how == b"lz4":
             import lz4.frame  # type: ignore[import-untyped]
 
-            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=told + 1)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=reported + 1)
         else:
             raise RunError(
                 f"{self.path}: chunks are packed by '{readable(how.decode('latin-1'), 20)}'; wanted bz2 or lz4"
             )
-        if len(data) != told:
+        if len(data) != reported:
             raise _DamageError
         return data
 
@@ -124,7 +124,9 @@ class Ros1Bag(AbstractBag):
         if len(self._names) >= limit("bag_topics") and number not in self._names:
             raise too_much("bag_topics", len(self._names) + 1, str(self.path))
         kind = readable(plain_type(about[b"type"].decode("utf-8", "replace")))
-        told = DeclaredTopic(kind, "ros1", about.get(b"message_definition", b"").decode("utf-8", "replace"), "ros1msg")
+        reported = DeclaredTopic(
+            kind, "ros1", about.get(b"message_definition", b"").decode("utf-8", "replace"), "ros1msg"
+        )
         before = self.declared.get(name)
         if before is not None and before.type != kind:
             raise RunError(
@@ -132,7 +134,7 @@ class Ros1Bag(AbstractBag):
                 "rosbag filter IN.bag OUT.bag EXPRESSION"
             )
         self._names[number] = name
-        self.declared[name] = told
+        self.declared[name] = reported
 
 
 class _DamageError(Exception):

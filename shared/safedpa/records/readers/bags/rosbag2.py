@@ -155,8 +155,8 @@ class McapBag(AbstractBag):
                 elif isinstance(record, Channel):
                     names[record.id] = record.topic
                     kind, form, text = schemas.get(record.schema_id, ("", "", b""))
-                    told = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
-                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(told[0])), *told[1:])
+                    reported = (kind, record.message_encoding, text.decode("utf-8", "replace"), form)
+                    self.declared[record.topic] = DeclaredTopic(readable(plain_type(reported[0])), *reported[1:])
         except DamageError as damage:
             where = f"is cut off or damaged at byte {damage.offset} of {damage.size}"
             self.findings.append(Finding("cut_off", f"the bag {where}; read up to there, the rest left out"))
@@ -312,16 +312,18 @@ def _metadata(folder: Path) -> _Metadata:
     except UnicodeDecodeError:
         return _Metadata()
     names: list[str] = []
-    told: dict[str, str] = {}
+    reported: dict[str, str] = {}
     margin, key = None, ""
     for line in lines:
         entry = _KEY.fullmatch(line)
         if entry and margin in (None, entry[1]):
             margin, key = entry[1], entry[2]
-            told.setdefault(key, _scalar(entry[3]))
+            reported.setdefault(key, _scalar(entry[3]))
         elif key == "relative_file_paths" and len(names) < _MOST_FILES and (item := _ITEM.fullmatch(line)):
             names.append(_scalar(item[1]))
-    return _Metadata(tuple(filter(None, names)), told.get("compression_mode", ""), told.get("compression_format", ""))
+    return _Metadata(
+        tuple(filter(None, names)), reported.get("compression_mode", ""), reported.get("compression_format", "")
+    )
 
 
 def _scalar(written: str) -> str:

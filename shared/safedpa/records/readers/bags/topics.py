@@ -143,8 +143,8 @@ def read_log_table(log: AbstractLog, columns: ColumnMap, system: System) -> Tabl
         if topic == rows_topic:
             table[source] = values
         else:
-            table[source], told = _held(source, rows, times[topic], values, hold)
-            findings += told
+            table[source], reported = _held(source, rows, times[topic], values, hold)
+            findings += reported
     return Table(table, tuple(findings))
 
 
@@ -235,8 +235,8 @@ def _check_frames(log: AbstractLog, columns: ColumnMap, found: Mapping[str, Seri
             if got is None:
                 raise RunError(f"{log.path}: topic '{topic}' has no {which}; remove it from [frames] of the map")
             if {one.strip("/") for one in got} != {name.strip("/")}:
-                said = ", ".join(f"'{one}'" for one in sorted(got))
+                notice = ", ".join(f"'{one}'" for one in sorted(got))
                 raise RunError(
-                    f"{log.path}: topic '{topic}': {which} is {said}, wanted '{name}' as the map says; name a topic in "
+                    f"{log.path}: topic '{topic}': {which} is {notice}, wanted '{name}' as the map says; name a topic in "
                     "that frame, or correct [frames]"
                 )

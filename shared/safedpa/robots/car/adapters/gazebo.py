@@ -18,7 +18,7 @@ _INSTEAD = {
     "tyre_slip": "set slip compliance of the wheels (plugin WheelSlip)",
     "understeer": "set slip compliance of the front wheels (plugin WheelSlip)",
 }
-_SAID = ("steering_saturation",)
+_MESSAGE = ("steering_saturation",)
 
 
 def elsewhere(model: PhysicsModel) -> SimulatorExport:
@@ -33,6 +33,6 @@ def elsewhere(model: PhysicsModel) -> SimulatorExport:
         lines += [f"  <max_acceleration>{fastest!r}</max_acceleration>"]
     plugin = 'filename="gz-sim-ackermann-steering-system" name="gz::sim::systems::AckermannSteering"'
     text = "\n".join([f"<plugin {plugin}>", *lines, "</plugin>", ""])
-    others = [item.name for item in model.effects if item.name not in _SAID]
+    others = [item.name for item in model.effects if item.name not in _MESSAGE]
     without = "the plugin has no word for it; change the command or the measurement before it"
     return SimulatorExport({_FILE: text}, {_FILE: {name: _INSTEAD.get(name, without) for name in others}})

@@ -15,7 +15,7 @@ from safedpa.robots.car.barriers.body import SweptBody, body_of, hitch_of
 from safedpa.robots.car.barriers.body import steepest as steepest_of_body
 from safedpa.robots.car.barriers.obstacles import Footprint
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import STANDS, ReversalBraking
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ReversalBraking
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.stopping import Braking
 
@@ -59,7 +59,7 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
     growth as in ``hitch_of``. As the load hides what is behind it, a place behind it that nobody sees counts ``_AWAY``
     at least: it is driven away from.
 
-    A car slower than ``STANDS`` counts as standing, and who walks into it then has met a standing car. So with
+    A car slower than ``IS_STATIONARY`` counts as standing, and who walks into it then has met a standing car. So with
     ``creeps`` > 0 [s] h_i of a disc that nobody sees is no less than creeps (STANDS - |v|): towards a corner, or
     backwards with a load that hides what is behind it, the car creeps on, and looks. As soon as somebody is seen
     there, he is no hidden disc any more, and the whole of h_i counts. Under braking neither of the two falls.
@@ -189,8 +189,8 @@ def _to_load(
 
 
 def _creeping(kept: Scalar, unseen: Scalar, speed: Scalar, creeps: Scalar, operations: Operations) -> Scalar:
-    """``kept`` [m], or of what nobody sees (``unseen`` > 0) the room that there is to ``STANDS``."""
-    slow = creeps * (STANDS - operations.absolute(speed))
+    """``retained`` [m], or of what nobody sees (``unseen`` > 0) the room that there is to ``IS_STATIONARY``."""
+    slow = creeps * (IS_STATIONARY - operations.absolute(speed))
     return operations.where(creeps * unseen > 0.0, operations.maximum(kept, slow), kept)
 
 

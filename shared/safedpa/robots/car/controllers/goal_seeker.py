@@ -121,7 +121,7 @@ class GoalSeeker:
         self._attempts = self._moves = self._rooms = 0
         self._turns_round = self._turned_over = False
         self._goal: tuple[float, ...] = ()
-        self._trail: deque[tuple[float, float, float]] = deque()
+        self._history: deque[tuple[float, float, float]] = deque()
 
     @property
     def mode(self) -> str:
@@ -134,7 +134,7 @@ class GoalSeeker:
         if goal != self._goal:
             self._goal, self._mode, self._turned_over = goal, _Mode.SEEK, False
             self._attempts = self._moves = self._rooms = 0
-            self._trail.clear()
+            self._history.clear()
         distance = math.hypot(goal[0] - x, goal[1] - y)
         bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
         self._change_mode(time, x, y, distance, bearing)
@@ -170,7 +170,7 @@ class GoalSeeker:
             self._leave_room(time, made=outside > 0.0)
         elif mode is _Mode.BACK_OFF and stuck and not self._turned_over and not self._turns_round:
             self._turned_over = True
-            self._trail.clear()
+            self._history.clear()
         elif mode is _Mode.BACK_OFF and (stuck or time >= self._mode_ends or self._is_back(time, x, y)):
             ahead = 0.0 if self._turns_round else self.settings.detour_seconds * min(self._attempts, 4)
             self._enter(_Mode.SEEK if self._turns_round else _Mode.DETOUR, time + ahead)
@@ -209,7 +209,7 @@ class GoalSeeker:
 
     def _enter(self, mode: _Mode, ends: float, earliest: float = 0.0) -> None:
         self._mode, self._mode_ends, self._earliest, self._turned_over = mode, ends, earliest, False
-        self._trail.clear()
+        self._history.clear()
 
     def _outside_circle(self, distance: float, bearing: float) -> float:
         """How far the goal lies outside the turning circle of its side [m]; negative inside."""
@@ -218,10 +218,10 @@ class GoalSeeker:
         return math.hypot(distance * math.cos(bearing), aside - radius) - radius
 
     def _is_stuck(self, time: float, x: float, y: float) -> bool:
-        self._trail.append((time, x, y))
-        while self._trail[-1][0] - self._trail[0][0] > self.settings.patience_seconds:
-            self._trail.popleft()
-        oldest, past_x, past_y = self._trail[0]
+        self._history.append((time, x, y))
+        while self._history[-1][0] - self._history[0][0] > self.settings.patience_seconds:
+            self._history.popleft()
+        oldest, past_x, past_y = self._history[0]
         watched = time - oldest >= 0.9 * self.settings.patience_seconds
         backwards = self._mode in (_Mode.BACK_OFF, _Mode.MAKE_ROOM)
         headway = self.settings.reverse_headway if backwards else self.settings.headway

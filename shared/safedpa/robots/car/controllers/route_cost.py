@@ -25,7 +25,7 @@ _SPEEDS: Final[FloatArray] = np.linspace(0.0, 2.0, 41)
 """m/s at which it is known what room they need."""
 _WEDGE: Final = 1.0
 """m aside for each metre behind the hitch: what hides there hides behind the load, and moves with it."""
-_BESIDE_LOAD: Final = 0.5
+_ALONGSIDE_LOAD: Final = 0.5
 """m that the load's own shadow is wider than what it reaches to."""
 
 
@@ -95,7 +95,7 @@ class VisibleObstacles:
         found: FloatArray = (np.sqrt(apart_x * apart_x + apart_y * apart_y) - discs[:, 2]).min(axis=-1)
         return found
 
-    def fastest_beside(self, moves: FloatArray) -> FloatArray:
+    def fastest_alongside(self, moves: FloatArray) -> FloatArray:
         """m/s that the filter allows with so much room to what may move."""
         found: FloatArray = np.interp(moves, self._needs, _SPEEDS)
         return found
@@ -105,7 +105,7 @@ class VisibleObstacles:
         own = self.settings
         spare = room.rest - own.room
         still = np.where(spare < 0.0, own.through, 1.0 + own.grazing * np.clip(1.0 - spare / own.berth, 0.0, 1.0))
-        speed = np.clip(self.fastest_beside(room.moves), own.slowest, own.cruise)
+        speed = np.clip(self.fastest_alongside(room.moves), own.slowest, own.cruise)
         return np.asarray(np.maximum(still, own.cruise / speed))
 
     def seconds_each_metre(self, room: Clearances, speed: float) -> FloatArray:
@@ -115,7 +115,7 @@ class VisibleObstacles:
         spare = room.rest - own.room
         still = own.grazing / own.cruise * np.clip(1.0 - spare / own.berth, 0.0, 1.0)
         still = np.where(spare < 0.0, own.inside - own.deeper * spare, still)
-        return np.asarray(1.0 / np.clip(self.fastest_beside(room.moves), min(own.slowest, speed), speed) + still)
+        return np.asarray(1.0 / np.clip(self.fastest_alongside(room.moves), min(own.slowest, speed), speed) + still)
 
     def near(self, x: float, y: float, reach: float) -> VisibleObstacles:
         """What of it begins within ``reach`` [m] of a place."""
@@ -164,5 +164,5 @@ def _in_shadow(state: StateMessage, places: FloatArray) -> NDArray[np.bool_]:
     cosine, sine = np.cos(yaw), np.sin(yaw)
     along = cosine * (places[:, 0] - x) + sine * (places[:, 1] - y) + state.footprint[0]
     across = cosine * (places[:, 1] - y) - sine * (places[:, 0] - x)
-    shadow: NDArray[np.bool_] = (along < 0.0) & (np.abs(across) < _BESIDE_LOAD + state.towed[2] - _WEDGE * along)
+    shadow: NDArray[np.bool_] = (along < 0.0) & (np.abs(across) < _ALONGSIDE_LOAD + state.towed[2] - _WEDGE * along)
     return shadow

@@ -84,7 +84,7 @@ class RouteFollower:
         self._map: TimeToGoMap | None = None
         self._taken, self._moves_next = -inf, False
         self._forwards, self._turned = True, -inf
-        self._trail: deque[tuple[float, float, float]] = deque()
+        self._history: deque[tuple[float, float, float]] = deque()
         self._closed: list[tuple[float, float, float, float]] = []
         """x, y, radius [m], and until when [s]."""
         steers = np.linspace(-own.steer_limit, own.steer_limit, own.arcs)
@@ -172,24 +172,24 @@ class RouteFollower:
         moves = room.to_moves(body_x[leads], body_y[leads]).min(axis=0)
         seconds = _STEP * np.cumsum(room.seconds_each_metre(Clearances(rest, moves), speed), axis=1)
         total = seconds + way.time(x, y, yaw)
-        return total[:, _FEWEST - 1 :].min(axis=1), np.maximum(room.fastest_beside(moves)[:, 0], 0.3)
+        return total[:, _FEWEST - 1 :].min(axis=1), np.maximum(room.fastest_alongside(moves)[:, 0], 0.3)
 
     def _watch(self, state: StateMessage, speed: float) -> None:
         """Closes the way that is tried where there was no headway for some time."""
         own, now = self.settings, state.robot_time
         x, y, yaw, _ = state.values
-        if self._trail and not now >= self._trail[-1][0]:
-            self._trail.clear()
-        self._trail.append((now, x, y))
-        while now - self._trail[0][0] > own.patience_seconds:
-            self._trail.popleft()
-        oldest, past_x, past_y = self._trail[0]
+        if self._history and not now >= self._history[-1][0]:
+            self._history.clear()
+        self._history.append((now, x, y))
+        while now - self._history[0][0] > own.patience_seconds:
+            self._history.popleft()
+        oldest, past_x, past_y = self._history[0]
         if now - oldest < 0.9 * own.patience_seconds or hypot(x - past_x, y - past_y) >= own.headway:
             return
         rear, front, radius = state.footprint
         reach = front + radius + own.closed_radius if speed >= 0.0 else -(rear + radius + own.closed_radius)
         self._closed.append((x + reach * cos(yaw), y + reach * sin(yaw), own.closed_radius, now + own.closed_seconds))
-        self._trail.clear()
+        self._history.clear()
 
 
 def _arcs(curvatures: FloatArray, steps: int, sign: float) -> FloatArray:

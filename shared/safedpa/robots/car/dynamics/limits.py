@@ -22,8 +22,8 @@ from safedpa.operations import Operations, Scalar
 from safedpa.safety.settings import FilterSettings
 
 __all__ = [
+    "IS_STATIONARY",
     "ORDINARY",
-    "STANDS",
     "PerformanceLimits",
     "ReversalBraking",
     "performance_limits",
@@ -86,7 +86,7 @@ def _latents(model: AbstractDynamics) -> NDArray[np.float64] | None:
     return np.array([model.latent, *product(*((one.low, one.high) for one in ranges))])[:, None]
 
 
-STANDS: Final = 0.1
+IS_STATIONARY: Final = 0.1
 """m/s; slower than that a car counts as standing."""
 _LAG: Final = 0.05
 """s until the motor brakes as it is told."""
@@ -102,7 +102,7 @@ class ReversalBraking:
     """Guaranteed braking of a speed servo that is told the speed -u: d|v|/dt = -min(k (|v| + u), b), after a lag l.
 
     ``deceleration`` b [m/s2] and ``gain`` k [1/s] are those of ``Braking``, ``against`` u [m/s] the largest speed
-    command the other way round. With s = ``STANDS``, c = max(b / k - u, s) and q = min(k (s + u), b) <= that braking,
+    command the other way round. With s = ``IS_STATIONARY``, c = max(b / k - u, s) and q = min(k (s + u), b) <= that braking,
 
         T(v) = l min(|v|, s) / s + clip(|v| - s, 0, c - s) / q + max(|v| - c, 0) / b    until |v| <= s
         D(v) = sign(v) (l |v| + min(|v|, c)^2 / (2 q) + (max(|v|, c)^2 - c^2) / (2 b))  until v = 0
@@ -127,16 +127,16 @@ class ReversalBraking:
     @property
     def numbers(self) -> tuple[float, float, float]:
         """b [m/s2], q [m/s2], c [m/s], for ``seconds`` and ``distance`` in an equation."""
-        corner = max(self.deceleration / self.gain - self.against, STANDS)
-        return self.deceleration, min(self.gain * (STANDS + self.against), self.deceleration), corner
+        corner = max(self.deceleration / self.gain - self.against, IS_STATIONARY)
+        return self.deceleration, min(self.gain * (IS_STATIONARY + self.against), self.deceleration), corner
 
     @staticmethod
     def seconds(speed: Scalar, numbers: tuple[Scalar, Scalar, Scalar], operations: Operations) -> Scalar:
         """T(speed) [s]."""
         hard, soft, corner = numbers
         size = operations.absolute(speed)
-        late = operations.minimum(size, STANDS) * (_LAG / STANDS)
-        slow = operations.maximum(operations.minimum(size, corner) - STANDS, 0.0) / soft
+        late = operations.minimum(size, IS_STATIONARY) * (_LAG / IS_STATIONARY)
+        slow = operations.maximum(operations.minimum(size, corner) - IS_STATIONARY, 0.0) / soft
         return late + slow + operations.maximum(size - corner, 0.0) / hard
 
     @staticmethod
@@ -153,7 +153,7 @@ class ReversalBraking:
         """What neither D'(speed) [s] nor |T'| [s2/m] exceeds."""
         hard, soft, _ = numbers
         most = operations.maximum(1.0 / hard, 1.0 / soft)
-        return _LAG + operations.absolute(speed) * most, operations.maximum(_LAG / STANDS, most)
+        return _LAG + operations.absolute(speed) * most, operations.maximum(_LAG / IS_STATIONARY, most)
 
     def action(self, state: NDArray[np.float64] | None, period: float) -> NDArray[np.float64]:
         """(2,) speed command [m/s] and steer [rad] at ``state`` (4,); of a state that is not known, rest."""

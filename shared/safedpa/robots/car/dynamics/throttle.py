@@ -75,9 +75,9 @@ class BrakingByThrottle:
 
     def follow(self, values: Sequence[float], period: float) -> None:
         """The state of a tick; one that cannot be lets what is believed of the speed fall as braking does."""
-        told = np.array(values, dtype=np.float64)
-        if len(told) == len(self._model.system.state) and self._model.system.is_plausible(told):
-            self._state = told
+        reported = np.array(values, dtype=np.float64)
+        if len(reported) == len(self._model.system.state) and self._model.system.is_plausible(reported):
+            self._state = reported
         elif self._state is not None:
             speed = float(self._state[_SPEED])
             left = max(abs(speed) - self._deceleration(speed) * period, 0.0)

@@ -16,7 +16,7 @@ from safedpa.operations import FLOATS
 from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import car_barriers, with_towed_load
 from safedpa.robots.car.barriers.reverse_odometer import ReverseOdometer
-from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ORDINARY, PerformanceLimits
 from safedpa.robots.car.dynamics.throttle import BrakingByThrottle
 from safedpa.robots.car.scenes.sensed import reversal_braking, sensed_barriers
 from safedpa.runtime.scene import MOST_OBSTACLES, AbstractScene
@@ -84,8 +84,8 @@ class CarScene(AbstractScene):
         speed = state.values[3]
         along = state.applied[0] * speed if state.applied else -inf
         if along < 0.0:
-            self._against += passed if abs(speed) > STANDS else 0.5 * passed
-        elif along > 0.0 and abs(speed) > STANDS:
+            self._against += passed if abs(speed) > IS_STATIONARY else 0.5 * passed
+        elif along > 0.0 and abs(speed) > IS_STATIONARY:
             self._against = 0.0
 
     def follow(self, state: StateMessage) -> None:  # noqa: D102

@@ -18,7 +18,7 @@ from safedpa.robots.car.barriers.moving_obstacles import MovingObstacleBarrier
 from safedpa.robots.car.barriers.obstacles import Footprint, ObstacleBarrier, checked_footprint
 from safedpa.robots.car.barriers.pruning import below, discs_near, fastest_of, irrelevance_distance, moving_near
 from safedpa.robots.car.barriers.trailer import TrailerEnvelope
-from safedpa.robots.car.dynamics.limits import ORDINARY, STANDS, PerformanceLimits, ReversalBraking
+from safedpa.robots.car.dynamics.limits import IS_STATIONARY, ORDINARY, PerformanceLimits, ReversalBraking
 from safedpa.safety.barriers.base import AbstractBarrierSet, CachingBarrierSet
 from safedpa.safety.barriers.equation import AbstractEquationBarrier
 from safedpa.safety.barriers.limits import SpeedBarrier
@@ -176,7 +176,7 @@ def _moving(
         taken = below([*heights[:movers], *heights[len(discs) :]], limit)
         if len(taken) > MOST_ROWS:
             near, taken = len(taken), _of_least_h(swiftest, discs, taken, state, speeds)
-        who = _who_may_touch(heights[: movers if abs(values[3]) <= STANDS else len(discs)], named)
+        who = _who_may_touch(heights[: movers if abs(values[3]) <= IS_STATIONARY else len(discs)], named)
     kept = [discs[place] for place in taken]
     chosen = able.with_speed(max([disc[3] for disc in kept], default=0.0))
     return chosen.holding(kept, tuple(map(named, taken))), near, who

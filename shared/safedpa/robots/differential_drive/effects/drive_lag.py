@@ -30,9 +30,7 @@ class DriveLag(CommandEffect):
     def transform(  # noqa: D102
         self, action: Named, memory: Any, parameters: Named, period: float, operations: Operations
     ) -> tuple[Named, Any]:
-        felt, remembered = {}, {}
+        felt, cached = {}, {}
         for name, command in action.items():
-            felt[name], remembered[name] = follow(
-                command, memory[name], parameters["time_constant"], period, operations
-            )
-        return felt, remembered
+            felt[name], cached[name] = follow(command, memory[name], parameters["time_constant"], period, operations)
+        return felt, cached

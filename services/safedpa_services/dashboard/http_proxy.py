@@ -265,7 +265,7 @@ class DataProxy:
     def request(self, head: bytes) -> bytes | None:
         """The head of a request as it is handed on, alone on its connection; None where it is refused."""
         first, *lines = head[:-4].split(b"\r\n")
-        kept: list[bytes] = []
+        retained: list[bytes] = []
         found: dict[bytes, list[str]] = {b"host": [], b"origin": []}
         for line in lines:
             name, colon, value = line.partition(b":")
@@ -274,14 +274,14 @@ class DataProxy:
             if name.lower() in found:
                 found[name.lower()].append(value.strip().decode("latin-1"))
             if name.lower() not in _DROPPED:
-                kept.append(line)
+                retained.append(line)
         if _REQUEST.fullmatch(first) is None:
             return None
         if len(found[b"host"]) != 1 or not self._hosts.allow(found[b"host"][0]):
             return None
         if not all(map(self._is_ours, found[b"origin"])):
             return None
-        return b"\r\n".join((first, *kept, b"Connection: close", b"", b""))
+        return b"\r\n".join((first, *retained, b"Connection: close", b"", b""))
 
     def _is_ours(self, origin: str) -> bool:
         """Whether a page of this machine asks: the viewer's own stands at another port."""

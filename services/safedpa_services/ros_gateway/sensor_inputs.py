@@ -18,8 +18,8 @@ from safedpa.ros.decoding import Decoder, DecodingError
 from safedpa.ros.definitions import Definitions, numeric_fields
 from safedpa.ros.graph import Attachment
 from safedpa_services.ros_gateway.alone import TWO_SPEAK, PublisherMonitor
+from safedpa_services.ros_gateway.echo_monitor import CommandEchoMonitor
 from safedpa_services.ros_gateway.localisation import TransformListener
-from safedpa_services.ros_gateway.overheard import CommandEchoMonitor
 from safedpa_services.ros_gateway.scanner import Scanner
 
 __all__ = ["LatestMessage", "PoseAndTwist", "SensorInputs", "goal_paths", "pose_paths"]
@@ -72,9 +72,9 @@ class LatestMessage:
         definitions = Definitions()
         there = numeric_fields(definitions, type_name)
         self._stamped = _STAMP in there
-        beside = [_STAMP, "header.frame_id"] if self._stamped else []
-        self._skip = len(beside)
-        self._decode = Decoder(definitions, type_name, (*beside, *paths))
+        alongside = [_STAMP, "header.frame_id"] if self._stamped else []
+        self._skip = len(alongside)
+        self._decode = Decoder(definitions, type_name, (*alongside, *paths))
         self._frame, self._clock = frame, clock
         self._lock = threading.Lock()
         self._numbers: tuple[float, ...] = ()
@@ -85,10 +85,10 @@ class LatestMessage:
         """Messages that could not be read, were of another frame, or held what is no number of this world."""
         self.why = ""
 
-    def take(self, data: bytes, beside: Attachment | None = None) -> None:
+    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
         """One message, on the network's thread."""
         at = self._clock()
-        if not self._alone.heard(beside, at):
+        if not self._alone.heard(alongside, at):
             self._refuse(TWO_SPEAK)
             return
         try:

@@ -22,7 +22,7 @@ _MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
 _TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
 
 
-_TOLD = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
+_REPORTED = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
 
 
 @dataclass
@@ -70,13 +70,13 @@ class ServiceLog:
         where = "" if trace is None else f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
         self._event("robot.step_failed", reason, robot, tick, level="error", where=where)
 
-    def said(self, robot: str, outputs: Outputs) -> None:
+    def notice(self, robot: str, outputs: Outputs) -> None:
         """What the service publishes about a robot; told where it differs from what it said before."""
         for message in outputs.values():
-            if type(message) in _TOLD:
-                self._said(robot, message)
+            if type(message) in _REPORTED:
+                self._message(robot, message)
 
-    def _said(self, robot: str, message: Message) -> None:
+    def _message(self, robot: str, message: Message) -> None:
         if isinstance(message, VerdictMessage):
             self._verdict(robot, message)
         elif isinstance(message, ModelMessage):

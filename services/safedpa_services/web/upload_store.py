@@ -41,7 +41,7 @@ class FileStore:
         return cls(named or [Path()])
 
     @property
-    def words(self) -> str:
+    def phrase(self) -> str:
         """The folders, for people."""
         return ", ".join(map(str, self._folders))
 
@@ -110,4 +110,4 @@ class FileStore:
             return "\1"
 
     def _refusal(self, path: str, wanted: str) -> InputError:
-        return RunError(f"{readable(path)}: cannot be opened from here; wanted {wanted} below {self.words}")
+        return RunError(f"{readable(path)}: cannot be opened from here; wanted {wanted} below {self.phrase}")

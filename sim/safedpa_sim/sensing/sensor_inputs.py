@@ -84,9 +84,9 @@ class SimulatedSensors:
         nearest = min((shape.point_query(person.place) for shape in shapes), key=lambda found: found.distance)
         return nearest.distance - person.radius, (nearest.gradient.x, nearest.gradient.y)
 
-    def told(self) -> list[ScanMessage]:
+    def reported(self) -> list[ScanMessage]:
         """The scans that are due by now."""
-        return [message for laser in self.lasers for message in laser.told(self._world.time)]
+        return [message for laser in self.lasers for message in laser.reported(self._world.time)]
 
     def _outline(self) -> Outline:
         """What can be seen now: things at rest, people, other cars, and the load that is towed."""

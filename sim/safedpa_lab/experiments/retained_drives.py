@@ -32,9 +32,9 @@ def driven(
     for a file that is no such record, or one that other code than today's made.
     """
     different = dict.fromkeys(wanted)
-    kept = {} if record is None or not wanted else _recorded(record, type(wanted[0]), run.__module__)
-    found = {order: kept[order] for order in different if order in kept}
-    missing = [order for order in different if order not in kept]
+    retained = {} if record is None or not wanted else _recorded(record, type(wanted[0]), run.__module__)
+    found = {order: retained[order] for order in different if order in retained}
+    missing = [order for order in different if order not in retained]
     with Workers(processes) as workers:
         for order, outcome in zip(missing, workers.map(run, missing), strict=True):
             found[order] = outcome

@@ -27,10 +27,10 @@ class CommandEchoMonitor:
         self._answered = -math.inf
         self.answer: Callable[[], None] = _nothing
 
-    def take(self, data: bytes, beside: Attachment | None = None) -> None:
+    def take(self, data: bytes, alongside: Attachment | None = None) -> None:
         """One message of another session, on the network's thread."""
         del data
-        sender = f"sender {beside.sender.hex()[:8]}" if beside is not None else "a sender without a name"
+        sender = f"sender {alongside.sender.hex()[:8]}" if alongside is not None else "a sender without a name"
         now = self._clock()
         self._last = now, sender
         if now - self._answered >= _ANSWER_SECONDS:

@@ -89,10 +89,10 @@ class FindingHistory:
         return [*entries, TimelineEntry(("verdict", "diagnosis"), States(message.stage)), TimelineEntry(("log",), note)]
 
     def _change(self, message: ModelMessage) -> list[TimelineEntry]:
-        words = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
-        told = words.get(message.step, message.step)
+        phrase = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
+        reported = phrase.get(message.step, message.step)
         who = f", by {message.who}" if message.who else ""
-        text = f"model {message.fingerprint or message.replaces} {told}: {message.why}{who}"
+        text = f"model {message.fingerprint or message.replaces} {reported}: {message.why}{who}"
         return [TimelineEntry(("log",), Note(text[:_LONGEST], PURPLE, "WARN" if message.step == "drop" else "INFO"))]
 
     def _in_force(self, fingerprint: str) -> list[TimelineEntry]:
@@ -177,7 +177,7 @@ def _styles(name: str, index: int) -> list[TimelineEntry]:
     ]
 
 
-_REMEMBERED_TICKS = 8
+_CACHED_TICKS = 8
 
 
 class ResidualHistory:
@@ -211,7 +211,7 @@ class ResidualHistory:
         own[tick] = values
         measured, predicted = self._measured.get(tick), self._predicted.get(tick)
         for book in (self._measured, self._predicted):
-            for old in [known for known in book if known <= tick - _REMEMBERED_TICKS]:
+            for old in [known for known in book if known <= tick - _CACHED_TICKS]:
                 del book[old]
         if measured is None or predicted is None:
             return None

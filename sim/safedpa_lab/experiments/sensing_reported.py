@@ -16,7 +16,7 @@ from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing.shapes import Outline, Point
 
-__all__ = ["Disc", "TellsAllButWhoHides", "TellsEverything"]
+__all__ = ["Disc", "ReportsAllButWhoHides", "ReportsEverything"]
 
 _APART = 0.1
 """m between the points that stand for an edge: between two of them a car's body gets 7 mm nearer to it."""
@@ -37,7 +37,7 @@ class Disc(Protocol):
 
 
 @final
-class TellsEverything(AbstractNode):
+class ReportsEverything(AbstractNode):
     """Tells of each state the scene as it is and where everybody is; nothing is hidden.
 
     Nobody's next step is known: whoever may move may do so at the speed that perception reckons with.
@@ -74,7 +74,7 @@ class TellsEverything(AbstractNode):
 
 
 @final
-class TellsAllButWhoHides(AbstractNode):
+class ReportsAllButWhoHides(AbstractNode):
     """Tells the scene as it is and where everybody is, and the places that the laser leaves hidden: what the promise
     about who hides costs, with nothing lost to noise, age and tracks."""
 
@@ -86,19 +86,19 @@ class TellsAllButWhoHides(AbstractNode):
     lingers = False
 
     def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings) -> None:
-        self._seen, self._told = PerceptionNode(settings), TellsEverything(scene, people, settings)
+        self._seen, self._reported = PerceptionNode(settings), ReportsEverything(scene, people, settings)
 
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         self._seen.hear(robot, message)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         seen = self._seen.step(robot, state, inputs)
-        told = self._told.step(robot, state, inputs)[SURROUNDINGS]
-        if not seen or not isinstance(told, SurroundingsMessage):
+        reported = self._reported.step(robot, state, inputs)[SURROUNDINGS]
+        if not seen or not isinstance(reported, SurroundingsMessage):
             return seen
         message = seen[SURROUNDINGS]
         assert isinstance(message, SurroundingsMessage)
-        return {SURROUNDINGS: replace(message, points=told.points, movers=told.movers)}
+        return {SURROUNDINGS: replace(message, points=reported.points, movers=reported.movers)}
 
 
 def _along(edge: NDArray[np.float64]) -> NDArray[np.float64]:

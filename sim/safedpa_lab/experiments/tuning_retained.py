@@ -16,7 +16,7 @@ from safedpa.networks import Weights, load_weights, save_weights
 from safedpa.records.writers.tables import atomic_path
 from safedpa_lab.provenance.code import digests
 
-__all__ = ["Kept", "key_of"]
+__all__ = ["Retained", "key_of"]
 
 
 def key_of(module: str, *settings: Any) -> str:
@@ -26,7 +26,7 @@ def key_of(module: str, *settings: Any) -> str:
 
 
 @final
-class Kept:
+class Retained:
     """Results by name below ``folder``; without one nothing is kept. Raises InputError where it cannot be made."""
 
     def __init__(self, folder: Path | None) -> None:

@@ -27,7 +27,7 @@ class LoopWatchdog:
         look_seconds: float = _LOOK_SECONDS,
         looks: int = _LOOKS,
     ) -> None:
-        self._stands, self._look_seconds, self._looks = stationary_for, look_seconds, looks
+        self._stationary, self._look_seconds, self._looks = stationary_for, look_seconds, looks
         self._beats = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name=type(self).__name__, daemon=True)
@@ -49,5 +49,5 @@ class LoopWatchdog:
                 seconds = self._looks * self._look_seconds
                 sentence = f"the router's own work has stood still for {seconds:.0f} s: it ends, to be started anew"
                 log_event("router.stands", sentence, level="error", service="router")
-                self._stands()
+                self._stationary()
                 return
