@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
 
-demo: $(BUILT)  ## two minutes: a steering is bent while the car drives, found, and mended by your click
+demo: $(BUILT)  ## two minutes: a steering is bent while the car drives, found, and corrected by your click
 	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa demo
 
 run: $(BUILT)  ## starts the closed loop with its live dashboard; Ctrl-C ends it
@@ -21,7 +21,7 @@ run: $(BUILT)  ## starts the closed loop with its live dashboard; Ctrl-C ends it
 	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa up --robot car --load chair --seed 4
 
 # A copy of the product whose innermost modules are compiled, where a C compiler is at hand: what `pip install` gives.
-# What is edited or tested is the source itself, so the copy is made anew when any of it is newer.
+# What is edited or tested is the source itself, so the copy is made again when any of it is newer.
 $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_sim -type f -not -name '*.pyc')
 	@echo "Compiling the modules of every decision into build/compiled; this takes a minute when they have changed."
 	@rm -rf $(COMPILED)
@@ -85,7 +85,7 @@ environment: $(INSTALLED)  ## creates .venv, or brings it up to date
 
 # Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
 # Links, not copies, of the product and its laboratory are installed, so the environment changes only with these files.
-# Bytecode is made beside the installing, by the other core: pip would make it file after file.
+# Bytecode is made next to the installing, by the other core: pip would make it file after file.
 BYTECODE := $(BIN)/python -m compileall -qq -j 2 $(ENVIRONMENT)/lib || true
 $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
@@ -98,7 +98,7 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 
 # Kubernetes' own schemas, 22 MiB, in an environment of their own.
 SCHEMAS := build/manifests/bin/kubernetes-validate
-manifests: environment $(SCHEMAS)  ## what deploy/kubernetes_region.py writes, held against Kubernetes' schemas
+manifests: environment $(SCHEMAS)  ## what deploy/kubernetes_region.py writes, compared with Kubernetes' schemas
 	@rm -rf build/manifests/keys
 	@$(BIN)/safedpa certificates build/manifests/keys --robot robot-1 --robot robot-2 >/dev/null
 	@$(BIN)/python deploy/kubernetes_region.py --robots 2 --certificates build/manifests/keys --robots-from 10.20.0.0/16 \
@@ -134,7 +134,7 @@ audit:  ## known holes in what is pinned; needs the public index
 	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit
 	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
 
-constraints:  ## writes constraints.txt anew from the newest releases
+constraints:  ## writes constraints.txt again from the newest releases
 	@rm -rf build/constraints
 	@$(PYTHON) -m venv build/constraints
 	@build/constraints/bin/python -m pip install --quiet torch==2.13.0

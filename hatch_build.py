@@ -4,7 +4,7 @@
     SAFEDPA_COMPILE=1   always: the build fails where it cannot be done
     unset               where a C compiler is at hand; otherwise the wheel of Python source, and a line that says so
 
-An editable installation is never compiled: what stands beside a source file could not change with it.
+An editable installation is never compiled: what stands next to a source file could not change with it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes the base image of deploy/Dockerfile where no registry of images can be reached: Debian bookworm with its Python
 # 3.11, from this machine's own Debian mirror, trusting the certificate authorities that this machine trusts.
-# Say SAFEDPA_BASE_IMAGE=safedpa-base:bookworm for the build then. Elsewhere nobody needs it: docker pulls the image that
+# Say SAFEDPA_BASE_IMAGE=safedpa-base:bookworm for the build then. Elsewhere no one needs it: docker pulls the image that
 # deploy/Dockerfile names. Needs root, debootstrap and docker.
 set -euo pipefail
 name=${1:-safedpa-base:bookworm}

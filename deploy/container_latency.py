@@ -1,11 +1,11 @@
-"""Sense to act of the loop in containers, beside a bare chain of as many containers before and after it.
+"""Sense to act of the loop in containers, next to a bare chain of as many containers before and after it.
 
     docker-compose build router adaptation policy safety_filter robot recorder diagnosis authority
     python deploy/container_latency.py --rate 20 --seconds 600
 
 Both on the bus without certificates (``docker-compose.plain.yml``), through the router, with the limits that the
 compose file sets and without real-time scheduling, which engines do not give. The chain hands 600 bytes through three
-containers; recorder and diagnosis run beside the loop. Prints one JSON document; the containers are taken away again.
+containers; recorder and diagnosis run alongside the loop. Prints one JSON document; the containers are taken away again.
 """
 
 from __future__ import annotations

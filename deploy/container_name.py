@@ -21,7 +21,7 @@ def container_at(address: str, server: tuple[str, int] = ENGINE, seconds: float 
     """The name of the container that has an IPv4 address, such as ``fleet_robot_3.fleet_bus``.
 
     The question goes to the engine's own server, since the system's resolver would answer from /etc/hosts, where
-    nothing but the container's identifier stands. Raises OSError when nobody answers or no name is known.
+    nothing but the container's identifier stands. Raises OSError when no one answers or no name is known.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as question:
         question.settimeout(seconds)

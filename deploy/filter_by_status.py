@@ -85,7 +85,7 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
 
 @contextmanager
 def looked_at(counts: bool) -> Iterator[list[None]]:
-    """Grows by one with each action whose outcome is predicted; a compiled class lets nobody count."""
+    """Grows by one with each action whose outcome is predicted; a compiled class lets no one count."""
     from safedpa.safety.solver.constraints import Constraints
 
     outcome: Any = Constraints.outcome
@@ -118,7 +118,7 @@ class Tree:
         self.best = np.full(len(reported), np.inf)
 
     def round(self) -> None:
-        """All problems once more."""
+        """All problems again."""
         _open(self._process.stdin).write("\n")
         _open(self._process.stdin).flush()
         self.best = np.minimum(self.best, self._answer())

@@ -22,7 +22,7 @@ from safedpa.bus.security.access_control import ROLES, ROUTER
 from safedpa.records.readers.mcap import read_payloads
 
 REGION = ("robot", "adaptation", "policy", "safety_filter", "diagnosis")
-"""Roles that stand beside the robots; recorder and dashboard stand in the centre."""
+"""Roles that stand next to the robots; recorder and dashboard stand in the centre."""
 CENTRE = ("recorder", "dashboard")
 
 
@@ -91,7 +91,7 @@ def main() -> None:
     each = options.robots / options.regions
     _report("one robot and what serves it, payload:")
     for name, flow in flows.items():
-        read_by = f"readers {inside[name]} beside it, {centre[name]} in the centre"
+        read_by = f"readers {inside[name]} next to it, {centre[name]} in the centre"
         _report(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
     _report(f"{options.robots} robots in {options.regions} regions, on the wire:")
     for label, copies, robots in (

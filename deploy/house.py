@@ -1,14 +1,14 @@
 """Counts the house: lines and modules by room, modules that one other module alone imports, names, one decision's way.
 
 python deploy/house.py              the table by room
-python deploy/house.py --alone      the modules with one importer, beside it, by how long the two would be together,
+python deploy/house.py --alone      the modules with one importer, next to it, by how long the two would be together,
                                     why they stand apart, and whether the laboratory imports them besides
 python deploy/house.py --names      public classes of one name in shared, comparisons with names of states and actions,
                                     aliases of array types
 python deploy/house.py --decision   the files of the package that one decision of the car's filter passes through
 
 Counted are the product's folders (shared, services, sim without the laboratory). A line is code, blank, or told: a
-comment or a docstring. What a package hands on from a module of its own counts as that module's import by whoever asks
+comment or a docstring. What a package hands on from a module of its own counts as that module's import by anyone who asks
 the package for it; the package itself is none. Programs (__main__) and packages' own files are not asked about.
 """
 

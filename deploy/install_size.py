@@ -53,7 +53,7 @@ def main() -> None:
         (packages,) = (into / "lib").glob("python3.*/site-packages")
         own = [path for path in packages.iterdir() if path.is_dir() and path.name not in ("pip", "setuptools")]
         sizes = sorted(((size_of(path), path.name) for path in own), reverse=True)
-        sys.stdout.write(f"{seconds:.0f} s, {sum(size for size, _ in sizes):.0f} MB beside pip; largest:\n")
+        sys.stdout.write(f"{seconds:.0f} s, {sum(size for size, _ in sizes):.0f} MB next to pip; largest:\n")
         for size, folder in sizes[:LARGEST]:
             sys.stdout.write(f"  {folder:28}{size:8.0f} MB\n")
 

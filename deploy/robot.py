@@ -4,7 +4,7 @@ A scaled service has one command for all its containers. So the robot asks the n
 its own address, ``PROJECT_robot_3``, and is ``robot-3`` from then on; SAFEDPA_NAME in the environment overrules that.
 The name is kept in /tmp/name for the health check. Its load and its scene come from the number: SAFEDPA_LOAD may name
 several loads, separated by commas, which the robots take in turn; SAFEDPA_SEED is the first robot's scene. With
-SAFEDPA_LASER=1 they are told no obstacles and have a laser: somebody has to run perception.
+SAFEDPA_LASER=1 they are told no obstacles and have a laser: someone has to run perception.
 With ``--certificates DIR`` it makes a key there, unless there is one, and has it signed by the authority; see
 authority.py. Every argument is handed on to ``python -m safedpa_sim.robots``.
 """
@@ -37,10 +37,10 @@ def command(environment: Mapping[str, str], name: str, arguments: Sequence[str])
 
 
 def enrol(role: str, folder: Path) -> None:
-    """Makes a key that never leaves this container and gets its certificate. Raises OSError when nobody signs it.
+    """Makes a key that never leaves this container and gets its certificate. Raises OSError when no one signs it.
 
     ``folder`` must be this container's own. Whom to believe, ``authority.pem``, is copied there from the volume that
-    the authority filled, so that nobody on the network can stand in for it.
+    the authority filled, so that no one on the network can stand in for it.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization

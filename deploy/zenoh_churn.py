@@ -1,4 +1,4 @@
-"""Peers that come and go in a mesh: how long Zenoh takes to open and close a session, and whether it stands still.
+"""Peers that come and go in a mesh: how long Zenoh takes to open and close a session, and whether it is stationary.
 
     python deploy/zenoh_churn.py --seconds 25                       as our processes open their sessions
     python deploy/zenoh_churn.py --seconds 25 --net-threads 1 --both-connect    as Zenoh does by default
@@ -49,7 +49,7 @@ def visit(settings: dict[str, Any]) -> float:
 
 
 def be_a_peer(port: int, number: int, seconds: float, both_connect: bool) -> None:
-    """Prints how long its sessions took to close, and what it stood still for."""
+    """Prints how long its sessions took to close, and what it was stationary for."""
     import zenoh
 
     end, took, failed = time.monotonic() + seconds, [], ""
@@ -98,7 +98,7 @@ def main() -> None:
     middle, longest = statistics.median(took), max(took)
     sys.stdout.write(
         f"{len(took)} sessions, closed within {middle:.2f} s in the median, {longest:.2f} s at most\n"
-        f"{len(failed)} of {options.peers} peers stood still: {'; '.join(sorted(set(failed))) or '-'}\n"
+        f"{len(failed)} of {options.peers} peers was stationary: {'; '.join(sorted(set(failed))) or '-'}\n"
     )
 
 

@@ -1,12 +1,12 @@
-"""Under which keys messages come where links are lost and made anew while many wait to be taken.
+"""Under which keys messages come where links are lost and made again while many wait to be taken.
 
     python deploy/zenoh_mixed_keys.py --seconds 12 --sessions 16 --busy 3
 
 One router says each of some keys again and again, with the key as the payload; sessions that cannot keep up lose their
 links (a lease of half a second) and connect again. Prints for each session how many messages came, how many of them
 under another key than they were sent under, and how many of those the bus told those who listen to it (the key goes
-beside each message as a stamp: none); then the same once all is quiet. Zenoh names keys by numbers
-that each link agrees on anew: what came over the old link seems to be read by the numbers of the new one.
+next to each message as a stamp: none); then the same once all is quiet. Zenoh names keys by numbers
+that each link agrees on again: what came over the old link seems to be read by the numbers of the new one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Heard:
         self.reported_wrong += key.encode() != payload
 
     def numbers(self) -> str:
-        """They begin anew."""
+        """They begin again."""
         notice = f"{self.wrong} of {self.count}, of the bus {self.reported_wrong} of {self.reported}"
         self.count = self.wrong = self.reported = self.reported_wrong = 0
         return notice

@@ -1,4 +1,4 @@
-"""Writes the generated parts of the pages beside it: ``python docs/generate.py``; ``--check`` only compares.
+"""Writes the generated parts of the pages next to it: ``python docs/generate.py``; ``--check`` only compares.
 
 A generated part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->``.
 """
@@ -240,7 +240,7 @@ GENERATED = {
 
 
 def renewed(text: str) -> str:
-    """The page with its generated parts made anew."""
+    """The page with its generated parts made again."""
     return BLOCK.sub(lambda found: f"{found[1]}{GENERATED[found[2]]()}\n{found[3]}", text)
 
 

@@ -56,7 +56,7 @@ class Promise:
 
     @property
     def open(self) -> bool:
-        """Nothing holds it, and nobody said that it is none."""
+        """Nothing holds it, and no one said that it is none."""
         return not self.held_by and not self.no_promise
 
 
@@ -99,7 +99,7 @@ def _rows(block: str) -> list[str]:
 
 
 def wrong_holders(promise: Promise) -> list[str]:
-    """What it names and is not there: a file, or a test in it. Commands are held against the command line elsewhere."""
+    """What it names and is not there: a file, or a test in it. Commands are compared with the command line elsewhere."""
     wrong = []
     for holder in promise.held_by:
         if holder.startswith("tests/"):

@@ -32,7 +32,7 @@ def run(notebook: dict[str, Any], name: str) -> list[str]:
 
 
 def main(paths: list[Path]) -> None:
-    """Runs each notebook and writes it anew, with its output."""
+    """Runs each notebook and writes it again, with its output."""
     for path in paths:
         notebook = json.loads(path.read_text(encoding="utf-8"))
         before = Path.cwd()

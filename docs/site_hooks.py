@@ -25,7 +25,7 @@ ALONGSIDE = ("CHANGELOG.md", "CONTRIBUTING.md")
 
 
 def on_files(files: Files, *, config: Any) -> Files:
-    """Adds the pages beside the folder, and each notebook as a page."""
+    """Adds the pages next to the folder, and each notebook as a page."""
     for name in ALONGSIDE:
         text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](").replace("](LICENSE", "](../LICENSE")
         files.append(File.generated(config, name, content=text))

@@ -12,7 +12,7 @@ from typing import Any
 # Before numpy is imported: threads that wait for each other over matrices of a few rows take ten times as long.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
-# What a developer's shell may say of every Python process: with it a flush that is forgotten is missed by nobody.
+# What a developer's shell may say of every Python process: with it a flush that is forgotten is missed by no one.
 os.environ.pop("PYTHONUNBUFFERED", None)
 
 import numpy as np
@@ -127,7 +127,7 @@ def _temporary_folder_of_this_run_alone(tmp_path_factory: pytest.TempPathFactory
 
     Its path is short: sockets lie in it, and the kernel takes 107 letters. Folders of tests are pytest's own to keep.
     """
-    tmp_path_factory.getbasetemp()  # is chosen before, beside those of former runs
+    tmp_path_factory.getbasetemp()  # is chosen before, next to those of former runs
     with (
         tempfile.TemporaryDirectory(prefix="t-", ignore_cleanup_errors=True) as folder,
         pytest.MonkeyPatch.context() as patch,

@@ -32,7 +32,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 sys.path[:0] = [str(HERE)]
 
-from copied import NEAR, Copy  # noqa: E402 - found beside this file
+from copied import NEAR, Copy  # noqa: E402 - found next to this file
 from fault_classes import CLASSES, Fault, faults_in  # noqa: E402
 from near import Nearness  # noqa: E402
 
@@ -95,7 +95,7 @@ def main(arguments: list[str]) -> int:
 
 
 def is_open(row: dict[str, Any]) -> bool:
-    """Whether nobody notices the fault, and nobody has said in the record (``why``) why nothing can."""
+    """Whether no one notices the fault, and no one has said in the record (``why``) why nothing can."""
     return row.get("now", {}).get("result") not in ("noticed", "gone") and not row.get("why")
 
 

@@ -1,4 +1,4 @@
-"""Which tests reach a place, and how long each takes: lies beside the code of the copy in which faults are planted.
+"""Which tests reach a place, and how long each takes: lies next to the code of the copy in which faults are planted.
 
 The place calls ``reported`` there, in whichever process and thread; pytest loads the file as a plug-in (``-p``). Both write
 lines of JSON into the file of the same name that ends in ``.jsonl``, so that a run that is cut tells what it did.

@@ -1,4 +1,4 @@
-"""Writes ``dashboard.json`` beside it, for Grafana: ``python deploy/prometheus/write_dashboard.py``."""
+"""Writes ``dashboard.json`` next to it, for Grafana: ``python deploy/prometheus/write_dashboard.py``."""
 
 from __future__ import annotations
 

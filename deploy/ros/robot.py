@@ -1,6 +1,6 @@
 """A car of ROS 2, by rclpy: odometry at 50 Hz, a policy that heads straight on, a driver that stops without commands.
 
-Runs in the container of ``Dockerfile`` beside it; nothing of safedpa is there. At its end, after SECONDS (20), it says
+Runs in the container of ``Dockerfile`` next to it; nothing of safedpa is there. At its end, after SECONDS (20), it says
 in one line of JSON how many commands came, how many diagnostics, and how far it drove.
 """
 

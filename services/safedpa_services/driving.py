@@ -1,4 +1,4 @@
-"""From a model on disk to driving it: the margin beside it, whether ``safedpa up`` takes it, and by which command."""
+"""From a model on disk to driving it: the margin next to it, whether ``safedpa up`` takes it, and by which command."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def progress_with_notes(title: str) -> Iterator[Callable[[int, int, str], None]]:
-    """Yields ``tell(done, all, said)`` for work of which nobody knows how much is left: the seconds that passed are
+    """Yields ``tell(done, all, said)`` for work of which no one knows how much is left: the seconds that passed are
     shown, none that are to come, and what is ``notice`` stands above the bar whenever it changes. Only on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -68,7 +68,7 @@ def serve(
 
 
 def _try_offers_apart(services: Sequence[PreparedService], options: argparse.Namespace) -> None:
-    """What is offered over the bus is tried in one process beside this one before anybody here looks into it.
+    """What is offered over the bus is tried in one process next to this one before anybody here looks into it.
 
     Started before there is any link, and any thread of the network's.
     """

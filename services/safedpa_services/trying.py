@@ -1,6 +1,6 @@
 """What is done with an offered model in a process of its own: the service's own node takes it, and drives with it.
 
-The node is made anew from the options of the service, told what is in force, and offered the model at the robot's
+The node is made again from the options of the service, told what is in force, and offered the model at the robot's
 newest state, as in the service. Where it is ready, it goes on for some ticks with the new model, which must not take
 more of the processor than a tick has to give.
 """

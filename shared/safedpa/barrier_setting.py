@@ -14,7 +14,7 @@ __all__ = ["BarrierSetting"]
 @final
 @dataclass(frozen=True)
 class BarrierSetting:
-    """``name`` is its key in a settings file, beside those of the filter; ``default`` holds where it is left out."""
+    """``name`` is its key in a settings file, next to those of the filter; ``default`` holds where it is left out."""
 
     name: str
     unit: str

@@ -1,4 +1,4 @@
-"""Whether a robot that somebody declares is complete and safe to filter: each part tried, a sentence about each.
+"""Whether a robot that someone declares is complete and safe to filter: each part tried, a sentence about each.
 
 The stand-in is driven by nominal actions drawn at random behind the robot's own filter; barriers, backup and margin are then
 probed at the states that it met (``check_filter``), and settings of another robot must be refused.

@@ -1,14 +1,14 @@
 """What can go wrong, as classes.
 
     SafedpaError
-    ├── InputError            somebody gave us something unusable: exit code 2, one line
+    ├── InputError            someone gave us something unusable: exit code 2, one line
     │   ├── ModelFileError    a model file: the key stands in the message
     │   ├── ColumnMapError    a column map: the key stands in the message
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
     ├── MissingExtraError     something that `pip install safedpa` alone does not bring
     ├── BusError              the bus cannot be opened or a name on it is taken
-    │   └── JoinError         nobody lets this process in, now; it may be otherwise in a moment
+    │   └── JoinError         no one lets this process in, now; it may be otherwise in a moment
     └── RecordingError        a recording could not be written (disk full, say)
 
 Every message says what was got, what was wanted and what to do.
@@ -74,7 +74,7 @@ class BusError(SafedpaError):
 
 
 class JoinError(BusError):
-    """Nobody lets this process in now: no router is there, or it has no room."""
+    """No one lets this process in now: no router is there, or it has no room."""
 
 
 class RecordingError(SafedpaError):
@@ -96,7 +96,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
-    """``did you mean 'drive.csv'? ``, of the files beside one that is not there and of names that ship; else empty.
+    """``did you mean 'drive.csv'? ``, of the files next to one that is not there and of names that ship; else empty.
 
     Never raises: what cannot be listed has no names.
     """

@@ -137,11 +137,11 @@ def half_angled(operations: Operations) -> Operations:
 
 @cache
 def torch_operations() -> Operations:
-    """The table for torch tensors; plain numbers are allowed beside tensors."""
+    """The table for torch tensors; plain numbers are allowed next to tensors."""
     import torch
 
     def tensor(value: Any, alongside: Any = None) -> Any:
-        # A plain number becomes a tensor without axes, in double precision unless a tensor stands beside it: in what
+        # A plain number becomes a tensor without axes, in double precision unless a tensor stands next to it: in what
         # follows the tensors with axes decide the precision.
         if isinstance(value, torch.Tensor):
             return value

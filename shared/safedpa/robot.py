@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 DEFAULT_ROBOT: str = importlib.import_module("safedpa.robots").DEFAULT
-"""What is meant where nobody says which."""
+"""What is meant where no one says which."""
 ENTRY_POINTS = "safedpa.robots"
 """The group under which other distributions bring robots: name = "module:ROBOT"."""
 
@@ -77,7 +77,7 @@ class AbstractRobot(ABC):
     nominal_range: ClassVar[tuple[tuple[float, float], ...]] = ()
     """(actions, 2) lowest and highest of each action that its actuators can do; empty: the system's bounds."""
     stationary_for: ClassVar[bool] = True
-    """Whether the backup brings it to rest, and keeps every condition meanwhile."""
+    """Whether the backup brings it to rest, and satisfies every condition meanwhile."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Kinds of its barriers: what margins may be called."""
     barrier_settings: ClassVar[tuple[BarrierSetting, ...]] = ()
@@ -89,7 +89,7 @@ class AbstractRobot(ABC):
     options: ClassVar[tuple[str, ...]] = ("world",)
     """Options of ``safedpa up`` that are its own: what may be asked of its simulated world."""
     default_controller: ClassVar[str] = "goal_seeker"
-    """Which of ``controllers`` nominal actions where nobody says, and no policy was learned."""
+    """Which of ``controllers`` nominal actions where no one says, and no policy was learned."""
     stand_in_options: ClassVar[tuple[str, ...]] = ()
     """Options of the simulated robot's process that make it this variant."""
 
@@ -114,7 +114,7 @@ class AbstractRobot(ABC):
     @property
     @abstractmethod
     def model(self) -> str | Path:
-        """The model that it is driven with where nobody names one: a file, or the name of one that ships."""
+        """The model that it is driven with where no one names one: a file, or the name of one that ships."""
 
     @abstractmethod
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:
@@ -165,7 +165,7 @@ class AbstractRobot(ABC):
         return settings.resting_action
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene | None:
-        """What keeps the barriers from tick to tick; None: they are built anew from ``barriers`` in each.
+        """What keeps the barriers from tick to tick; None: they are built again from ``barriers`` in each.
 
         Raises InputError for a model or settings of another robot.
         """
@@ -241,7 +241,7 @@ def robot_named(name: str) -> AbstractRobot:
 
 
 def robot_like(system: System) -> AbstractRobot | None:
-    """The robot that has these states and actions, whatever the system is called; None: nobody declared it.
+    """The robot that has these states and actions, whatever the system is called; None: no one declared it.
 
     It may be a variant of one that ``robots`` lists.
     """

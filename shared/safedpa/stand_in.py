@@ -51,7 +51,7 @@ class AbstractStandIn(ABC):
 
     @abstractmethod
     def watchdog_action(self) -> Numbers:
-        """(actions,) what the robot does by itself when nobody tells it anything."""
+        """(actions,) what the robot does by itself when no one tells it anything."""
 
 
 def world_number(text: str) -> tuple[str, float]:

@@ -1,4 +1,4 @@
-"""A recorded drive of a simulated robot once more, in closed loop: same scene, same seed, other model or margin."""
+"""A recorded drive of a simulated robot again, in closed loop: same scene, same seed, other model or margin."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from safedpa_sim.robots.stand_ins import robot_of
 __all__ = ["drive_again"]
 
 _OF_THE_PROCESS = ("name", "seconds", "lockstep", "summary", "await_word", "trace")
-"""Beside those of the bus, options that a recording does not decide: names and addresses in it are nobody's business.
+"""Next to those of the bus, options that a recording does not decide: names and addresses in it are no one's business.
 All others make the robot what it is."""
 
 
@@ -80,7 +80,7 @@ def _perception(tape: RobotTape, options: argparse.Namespace) -> list[AbstractNo
 
 
 def _parsed(options: dict[str, Any]) -> argparse.Namespace:
-    """The options through the robot's own parser: whoever wrote the recording may have written anything there.
+    """The options through the robot's own parser: anyone who wrote the recording may have written anything there.
 
     Raises InputError naming the option.
     """

@@ -88,7 +88,7 @@ def test_an_answer_holds_what_was_learned_before_its_state() -> None:
     node = AdaptationNode(MODEL)
     answers(node, states[:40])
     odd = dataclasses.replace(states[40], values=(0.0, 0.0, 0.0, 1.0))
-    assert answers(node, [odd])[0] == straight[40], "nobody waits for what the newest state teaches"
+    assert answers(node, [odd])[0] == straight[40], "no one waits for what the newest state teaches"
 
 
 def test_over_a_gap_in_the_ticks_nothing_is_learned() -> None:
@@ -256,7 +256,7 @@ PERIOD = 0.05
 @given(some.integers(0, 2**32 - 1))
 @settings(max_examples=8)
 def test_histories_are_those_of_each_alone(seed: int) -> None:
-    """Also where one begins anew in the midst of it."""
+    """Also where one begins again in the midst of it."""
     draw, model, cars = np.random.default_rng(seed), load_model("car_learned"), 3
     assert isinstance(model.base, LearnedBase)
     together, alone = BatchHistoryEstimator(model.base.weights, cars), [HistoryEstimator(model) for _ in range(cars)]

@@ -88,7 +88,7 @@ def test_the_quick_road_reads_what_the_reference_reads(data: some.DataObject, ki
     for _ in range(data.draw(some.integers(0, 2))):
         payload[data.draw(some.integers(0, len(payload) - 1))] ^= data.draw(some.integers(1, 255))
     expected, got = read(decode_by_field, kind, bytes(payload)), read(decode, kind, bytes(payload))
-    if got != expected:  # only within fields that nobody knows does the quick road look less
+    if got != expected:  # only within fields that no one knows does the quick road look less
         assert expected.startswith(f"{kind.__name__}: no msgpack")
 
 

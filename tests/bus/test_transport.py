@@ -174,7 +174,7 @@ class TransportContract(ABC):
     def test_of_two_that_claim_at_once_the_higher_leaves_at_once(
         self, pair: tuple[AbstractTransport, AbstractTransport]
     ) -> None:
-        """If both waited for each other, both would leave in the end, and nobody would be there."""
+        """If both waited for each other, both would leave in the end, and no one would be there."""
         lower, higher = Bus(pair[0], "f"), Bus(pair[1], "f")
 
         class Both(Bus):
@@ -190,7 +190,7 @@ class TransportContract(ABC):
 
     def test_a_question_is_answered(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
         one, other = pair
-        assert one.ask("safedpa/f/r/request", b"anybody", PATIENCE) is None, "nobody answers, and that is known at once"
+        assert one.ask("safedpa/f/r/request", b"anybody", PATIENCE) is None, "no one answers, and that is known at once"
         other.answer("safedpa/f/*/request", lambda key, payload: key.encode() + payload)
         assert until(lambda: one.ask("safedpa/f/r/request", b"?", PATIENCE) == b"safedpa/f/r/request?")
         assert one.ask("safedpa/f/r/state", b"?", 0.2) is None
@@ -313,7 +313,7 @@ def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[st
 
 @pytest.mark.processes
 def test_links_are_opened_and_closed_by_more_than_one_thread(free_port: int) -> None:
-    """With one, Zenoh's default, a session that stands still keeps all others of its process from closing."""
+    """With one, Zenoh's default, a session that is stationary keeps all others of its process from closing."""
     program = (
         "import os, time\n"
         "from safedpa.bus import ZenohSettings, ZenohTransport\n"

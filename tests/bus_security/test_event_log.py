@@ -167,5 +167,5 @@ def test_a_line_is_out_when_it_is_written(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_broken_standard_error_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", None)
-    log_event("test.broken", "nobody reads this")
+    log_event("test.broken", "no one reads this")
     assert counted_events()["test.broken"] == 1

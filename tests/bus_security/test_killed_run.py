@@ -40,7 +40,7 @@ class Run:
         )
 
     def processes(self) -> dict[int, str]:
-        """Its command line by process id; a process that shows nobody its environment does so by its parent, and is
+        """Its command line by process id; a process that shows no one its environment does so by its parent, and is
         known from then on, since it may lose that parent.
         """
         own, parents, lines = {self.launcher.pid}, dict[int, int](), dict[int, str]()

@@ -1,4 +1,4 @@
-"""A router whose own work stands still ends, and says so; one that was merely stopped for a while does not."""
+"""A router whose own work is stationary ends, and says so; one that was merely stopped for a while does not."""
 
 import json
 import signal
@@ -29,7 +29,7 @@ def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: p
         thread = threading.Thread(target=router.run, args=(never.is_set, watchdog), daemon=True)
         thread.start()
         assert stationary_for.wait(20.0)
-        assert "stood still" in json.loads(capsys.readouterr().err)["sentence"]
+        assert "was stationary" in json.loads(capsys.readouterr().err)["sentence"]
         never.set()
         thread.join(20.0)
 

@@ -1,4 +1,4 @@
-"""Attacks on a secured bus. Every one that is blocked has a twin that is delivered where nobody guards."""
+"""Attacks on a secured bus. Every one that is blocked has a twin that is delivered where no one guards."""
 
 from collections.abc import Iterable
 from functools import partial

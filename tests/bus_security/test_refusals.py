@@ -144,7 +144,7 @@ def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys
     twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
     assert not any(twins.look() for _ in range(9))
     members.append(("c", "robot.r1"))
-    assert not any(twins.look() for _ in range(3)), "a process that was just started anew"
+    assert not any(twins.look() for _ in range(3)), "a process that was just restarted"
     assert cut == []
     assert twins.look() == ["robot.r1"]
     assert cut == [{"c"}], "the one that was there first stays"
@@ -155,7 +155,7 @@ def test_a_certificate_shown_by_two_processes_is_reported_once_that_lasts(capsys
 
 
 def test_of_two_that_were_there_together_neither_is_cut_off() -> None:
-    """The router began anew: nobody knows which is the copy."""
+    """The router began again: no one knows which is the copy."""
     twins = DuplicateCertificates(
         lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off")
     )
@@ -174,7 +174,7 @@ def test_of_two_that_come_while_the_router_begins_neither_is_cut_off() -> None:
 
 
 def test_a_session_whose_link_was_lost_is_no_newcomer() -> None:
-    """A router that stood still loses all links at once; they come back in any order, and the copy may be quicker."""
+    """A router that was stationary loses all links at once; they come back in any order, and the copy may be quicker."""
     members = [("a", "policy")]
     cut: list[set[str]] = []
     twins = DuplicateCertificates(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))

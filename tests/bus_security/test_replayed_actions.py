@@ -1,4 +1,4 @@
-"""Recorded actions put back onto a bus that nobody guards: the robot's own gate refuses them, whoever sends them."""
+"""Recorded actions put back onto a bus that no one guards: the robot's own gate refuses them, anyone who sends them."""
 
 import dataclasses
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""What an authority signs for others: keys on P-256 alone, by whoever has them, under the name that the caller says."""
+"""What an authority signs for others: keys on P-256 alone, by anyone who has them, under the name that the caller says."""
 
 import base64
 import datetime
@@ -24,7 +24,7 @@ MAKERS = {
 
 
 def request_of(key: Any, name: str = "authority") -> bytes:
-    """In PEM; asks for a name that whoever signs need not give."""
+    """In PEM; asks for a name that anyone who signs need not give."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     algorithm = None if isinstance(key, ed25519.Ed25519PrivateKey) else hashes.SHA256()
     asked = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, algorithm)

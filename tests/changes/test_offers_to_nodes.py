@@ -271,7 +271,7 @@ def test_a_service_that_was_restarted_begins_with_what_is_in_force(driving_state
 
 
 def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
-    assert ticking.node.agreed("r1") is None, "nobody agreed on the model of its own options"
+    assert ticking.node.agreed("r1") is None, "no one agreed on the model of its own options"
     ticking.node.hear("r1", offer())
     ticking.turn()
     assert ticking.node.agreed("r1") is None, "an offer is no agreement"

@@ -128,8 +128,8 @@ def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
 
 def test_the_centre_may_look_and_speaks_for_no_robot() -> None:
     linked = _read("deploy/linked-routers.yml")["services"]
-    assert _value(linked["router"]["command"], "--link") == "router.centre=nobody"
-    assert "no_one" not in linked["router"]["command"]
+    assert _value(linked["router"]["command"], "--link") == "router.centre=none"
+    assert "none" not in linked["router"]["command"]
     assert _value(linked["centre"]["command"], "--role") == "router.centre"
     assert set(linked["centre"]["networks"]).isdisjoint(COMPOSE["networks"])
     phrase = " ".join(word for service in linked.values() for word in service["command"])

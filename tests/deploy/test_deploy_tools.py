@@ -1,4 +1,4 @@
-"""What stands beside the images: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
+"""What stands next to the images: addresses, keys, health checks, latencies, times of decisions, pinned packages."""
 
 import json
 import re

@@ -58,7 +58,7 @@ def test_every_service_understands_its_options(tmp_path: Path) -> None:
         notice, _ = process.communicate(timeout=60)
         assert process.returncode == 2, (name, notice)
         assert "usage:" not in notice, (name, notice)
-        assert str(tmp_path / "certificates") in notice, (name, notice)  # what stops it is that nobody made any
+        assert str(tmp_path / "certificates") in notice, (name, notice)  # what stops it is that no one made any
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")

@@ -350,7 +350,7 @@ def test_the_page_has_the_whole_story(diagnosed, tmp_path):
         f"The model lacks quadratic_drag and steering_lag. With them the error on data that was not used for fitting "
         f"falls from {first:.3g} to {last:.3g}, by {100 * (1 - last / first):.0f} %.",
         "42 % of what remains depends on x and y",
-        "What is missing beside quadratic_drag?",
+        "What is missing next to quadratic_drag?",
         "coefficient 0.2 ± 0.004 1/m",
         "quadratic_drag (accepted) and viscous_drag",
         "4 more candidates",

@@ -670,7 +670,7 @@ def test_runs_of_different_systems_are_refused(changes: Any) -> None:
     with pytest.raises(RunError) as refused:
         check_runs([run, replace(run, name="two", system=system)])
     assert str(refused.value) == (
-        f"two: a run of robot '{system.name}' with actions {system.action_names[0]} beside one of 'pendulum' with "
+        f"two: a run of robot '{system.name}' with actions {system.action_names[0]} next to one of 'pendulum' with "
         "torque; compare them one at a time"
     )
 

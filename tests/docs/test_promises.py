@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
 
-from promises import PAGES, Promise, promises_of, table, wrong_holders  # noqa: E402  # stands beside the pages
+from promises import PAGES, Promise, promises_of, table, wrong_holders  # noqa: E402  # stands next to the pages
 
 
 def test_something_holds_every_promise() -> None:

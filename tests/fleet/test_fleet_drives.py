@@ -1,4 +1,4 @@
-"""Four robots with different loads drive for a minute: no collision, every one reaches goals, none stands still."""
+"""Four robots with different loads drive for a minute: no collision, every one reaches goals, none is stationary."""
 
 import time
 from typing import Any

@@ -1,4 +1,4 @@
-"""Containers die, stand still and lose the network: no robot collides, and all drive again by themselves."""
+"""Containers die, be stationary and lose the network: no robot collides, and all drive again by themselves."""
 
 import subprocess
 import time

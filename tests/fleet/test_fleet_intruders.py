@@ -55,8 +55,8 @@ class Attempt:
         for name, robot in after["robots"].items():
             assert robot["foreign"] == self.before["robots"][name]["foreign"] == 0, f"{name} was moved by a stranger"
             assert robot["collisions"] == 0, name
-            assert robot["starts"] == self.before["robots"][name]["starts"], f"{name} was started anew"
-        return "moved nobody"
+            assert robot["starts"] == self.before["robots"][name]["starts"], f"{name} was restarted"
+        return "moved no one"
 
     def logged(self, service: str, kind: str, fits: Callable[[Reported], bool] = lambda event: True) -> str:
         """The sentence of the event; waits a little for it. Fails where there is none."""

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.fleet
 
 
 def test_loop_and_chain_are_measured_and_taken_away(fleet: Fleet, rows: list[tuple[str, ...]]) -> None:
-    """Beside the fleet of the other tests, so that nothing is said of how long it takes."""
+    """Next to the fleet of the other tests, so that nothing is said of how long it takes."""
     assert fleet.robots
     script = str(ROOT / "deploy" / "container_latency.py")
     found = json.loads(run(sys.executable, script, "--seconds", "5", "--rate", "20", timeout=120.0).stdout)
@@ -21,4 +21,4 @@ def test_loop_and_chain_are_measured_and_taken_away(fleet: Fleet, rows: list[tup
         assert 0.0 < reported["p50"] <= reported["p99"] <= reported["p999"]
     assert run("docker", "ps", "-aq", "--filter", "name=safedpa-latency").stdout == ""
     text = f"sense to act p99 {found['loop_us']['p99'] / 1000.0:.1f} ms, {found['watchdog_ticks']} late"
-    rows.append(("one more robot, 5 s, beside the fleet", text))
+    rows.append(("one more robot, 5 s, next to the fleet", text))

@@ -389,7 +389,7 @@ def test_the_updated_model_is_tried_with_the_others_numbers_and_written(recordin
     assert found["confirmed"]["after"] < 0.3 * found["confirmed"]["before"]
     model = load_model(tmp_path / "model.toml")
     assert np.isclose(model.settings["quadratic_drag.coefficient"].value, DRAG, atol=0.002)
-    assert "Mend the model file" in (tmp_path / "fleet.html").read_text(encoding="utf-8")
+    assert "Correct the model file" in (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
 
 def test_a_model_of_an_earlier_fleet_does_not_stay(recordings, tmp_path):

@@ -93,7 +93,7 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
     ("arguments", "reported"),
     [
         (["car"], "--fleet FOLDER"), (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
-        (["car", "--anew", "a.csv"], "--anew: got no fleet"), (["car", "--fleet", "nowhere"], "is no folder"),
+        (["car", "--again", "a.csv"], "--again: got no fleet"), (["car", "--fleet", "nowhere"], "is no folder"),
         (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of the two out"),
         (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
     ],

@@ -32,7 +32,7 @@ MODEL = load_model("car")
 
 
 class Clock:
-    """Stands still unless it is moved."""
+    """Is stationary unless it is moved."""
 
     def __init__(self) -> None:
         self.now = 100.0

@@ -20,7 +20,7 @@ def knocked(sender: ZenohTransport, key: str, heard: Callable[[], bool]) -> None
     """Returns once what is said under the key is heard, and a little later: what comes together is a flood."""
     deadline = time.monotonic() + _PATIENCE_SECONDS
     while not heard():
-        assert time.monotonic() < deadline, f"nobody hears {key}"
+        assert time.monotonic() < deadline, f"no one hears {key}"
         sender.put(key, _KNOCK, never_drop=True)
         time.sleep(0.1)
     time.sleep(0.1)

@@ -142,7 +142,7 @@ def test_a_column_s_name_comes_back_as_text(column: str, tmp_path: Path, capsys:
 
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
 def test_a_file_s_name_is_text_in_the_report(command: str, tmp_path: Path) -> None:
-    """Of a car that stands still too, in which no share of the error is a number."""
+    """Of a car that is stationary too, in which no share of the error is a number."""
     path = tmp_path / "\x1b[2J\u202e<b>.csv"
     rows = "".join(f"{0.05 * k:.2f},{0.05 * k:.3f},0,0,1,1,0\n" for k in range(200))
     path.write_text(f"t,x,y,yaw,speed,target_speed,steer\n{rows}", encoding="utf-8")

@@ -71,7 +71,7 @@ def test_what_a_killed_machine_left_behind_goes_with_the_next_run(
             assert living.exists(), "another run's"
             assert next_one.exists()
             assert not forgotten.exists()
-            assert (tmp_path / "safedpa-run-of-somebody-else").exists(), "it is none of ours: nobody ever held it"
+            assert (tmp_path / "safedpa-run-of-somebody-else").exists(), "it is none of ours: no one ever held it"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["safedpa-run-of-somebody-else"]
 
 

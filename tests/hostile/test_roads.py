@@ -38,7 +38,7 @@ def test_the_sample_meets_every_road_and_every_kind_of_bag() -> None:
     everything = list(pairs())
     assert {road for road, _ in everything} == set(ROADS)
     never = {bomb.ending for bomb in BOMBS} - {bomb.ending for _, bomb in everything}
-    assert never == {".npz", ".msgpack"}, "files of our own making, and messages: nobody hands them to a command"
+    assert never == {".npz", ".msgpack"}, "files of our own making, and messages: no one hands them to a command"
 
 
 def test_every_command_that_reads_a_file_has_a_road() -> None:

@@ -93,9 +93,9 @@ def sentence(errors, **more):
         ((-0.2,) * 6, "speed: 0.2 m/s less than predicted after 1 s"),
         ((-0.5, -0.4, -0.3, -0.2), "speed: 0.35 m/s less than predicted after 1 s"),
         ((0.5, 0.4, 0.3, 0.2), "speed: 0.35 m/s more than predicted after 1 s"),
-        ((-0.5, 0.4, -0.3, 0.2), "speed: 0.35 m/s beside the prediction after 1 s"),
+        ((-0.5, 0.4, -0.3, 0.2), "speed: 0.35 m/s next to the prediction after 1 s"),
         ((0.5, 0.4, 0.3, 0.2, -0.35), "speed: 0.35 m/s more than predicted after 1 s"),
-        ((-0.5, -0.4, 0.3, 0.2, -0.35), "speed: 0.35 m/s beside the prediction after 1 s"),
+        ((-0.5, -0.4, 0.3, 0.2, -0.35), "speed: 0.35 m/s next to the prediction after 1 s"),
         ((1.0, 1.0, 1.0), ""),
     ],
 )

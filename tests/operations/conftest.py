@@ -91,7 +91,7 @@ STATE_FIELDS: dict[str, Any] = {
 }
 VERDICT_FIELDS: dict[str, Any] = {
     "status": "passed",
-    "sentence": "The nominal action keeps every barrier condition and is handed on unchanged.",
+    "sentence": "The nominal action satisfies every barrier condition and is handed on unchanged.",
     "action": (1.0, 0.0),
     "nominal": (1.0, 0.0),
     "slack": 0.0,

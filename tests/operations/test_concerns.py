@@ -49,7 +49,7 @@ def test_a_healthy_robot_raises_no_concern() -> None:
 
 LOST = {
     "state": ("state_at", "alive, but it tells no state"),
-    "verdict": ("verdict_at", "no verdict: nobody filters"),
+    "verdict": ("verdict_at", "no verdict: no one filters"),
 }
 
 

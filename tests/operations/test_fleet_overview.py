@@ -85,7 +85,7 @@ def test_the_age_of_each_source_and_what_is_wrong_with_one_are_reported(fleet: A
 
 
 def test_an_empty_bus_is_not_healthy(fleet: Any) -> None:
-    assert fleet.overview.no_one
+    assert fleet.overview.is_empty
     assert not document_of(fleet.overview)["healthy"]
 
 
@@ -131,7 +131,7 @@ def test_missing_silent_failing_and_disagreeing_services(fleet: Any) -> None:
 
 def test_a_recorder_that_fails_is_trouble_and_none_is_worth_a_look(fleet: Any) -> None:
     fleet.drive(1, silent=("recorder",))
-    assert sentences(fleet, "attention") == ["nobody records"]
+    assert sentences(fleet, "attention") == ["no one records"]
     fleet.beat("recorder", free_bytes=5_000_000, acknowledged=1)
     fleet.overview.listen(0.0)
     assert "recorder: 5 MB of disk left" in sentences(fleet, "attention")
@@ -152,7 +152,7 @@ def test_a_robot_that_falls_silent_is_trouble_and_one_that_ended_in_order_is_not
     assert sentences(fleet, "attention") == ["ended in order"]
     fleet.now += 400.0
     fleet.overview.listen(0.0)
-    assert fleet.overview.no_one, "and after minutes nobody speaks of them any more"
+    assert fleet.overview.is_empty, "and after minutes no one speaks of them any more"
 
 
 def test_a_process_that_was_replaced_is_no_concern(fleet: Any) -> None:
@@ -183,7 +183,7 @@ def test_bytes_that_are_no_message_are_counted(fleet: Any) -> None:
     MemoryTransport(fleet.broker).put("safedpa/test/r1/state", b"garbage", never_drop=False)
     fleet.overview.listen(0.0)
     assert fleet.overview.refused == 1
-    assert fleet.overview.no_one
+    assert fleet.overview.is_empty
 
 
 @pytest.mark.parametrize("width", [80, 120, 200])

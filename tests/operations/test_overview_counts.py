@@ -144,9 +144,9 @@ def test_a_silent_process_was_replaced_if_another_of_its_service_was_heard_since
 @pytest.mark.parametrize(("after", "known"), [(300.0, True), (300.1, False)])
 def test_a_robot_or_process_that_was_silent_for_five_minutes_has_left(after: float, known: bool) -> None:
     listened = Listened()
-    assert listened.fleet.no_one
+    assert listened.fleet.is_empty
     listened.heard("r")
-    assert not listened.fleet.no_one
+    assert not listened.fleet.is_empty
     listened.now += after
     listened.fleet.listen(0.0)
     assert ("r" in listened.fleet.robots) is known
@@ -183,11 +183,11 @@ def test_a_listener_for_one_robot_also_hears_services_that_serve_none() -> None:
 def test_robots_alone_or_processes_alone_are_a_fleet(fleet: Any) -> None:
     fleet.beat("recorder")
     fleet.overview.listen(0.0)
-    assert (list(fleet.overview.robots), fleet.overview.no_one) == ([], False)
+    assert (list(fleet.overview.robots), fleet.overview.is_empty) == ([], False)
     fleet.overview.services.clear()
     fleet.drive(1, silent=(*LOOP, "recorder"))
     fleet.overview.services.clear()
-    assert (list(fleet.overview.robots), fleet.overview.no_one) == (["r1"], False)
+    assert (list(fleet.overview.robots), fleet.overview.is_empty) == (["r1"], False)
 
 
 def test_a_robot_without_a_verdict_has_neither_status_nor_h(fleet: Any) -> None:

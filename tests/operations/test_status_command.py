@@ -34,7 +34,7 @@ def test_an_empty_bus_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytes
     output, errors = capsys.readouterr()
     assert output == ""
     assert errors.count("\n") == 1
-    assert "nobody was heard on the bus within 0.5 s" in errors
+    assert "no one was heard on the bus within 0.5 s" in errors
     assert "--connect" in errors
 
 

@@ -80,7 +80,7 @@ def test_answers_say_how_long_an_order_holds(tmp_path: Path) -> None:
     lost = StopOrders(tmp_path / "missing" / "orders.json")
     assert "cannot be written" in lost.answer("r1", STOP).sentence
     assert lost.reason("r1") != "", "in force all the same"
-    assert "will stop it anew" in lost.answer("r1", GO).sentence
+    assert "will stop it again" in lost.answer("r1", GO).sentence
 
 
 def car_filter() -> SafetyFilter:

@@ -206,7 +206,7 @@ def test_the_teacher_pushes_towards_the_turn_and_against_the_wind() -> None:
 
 @pytest.mark.long
 def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_next_to_it() -> None:
-    """It pushes itself away where h < epsilon / eta, although by what it believes it stands still."""
+    """It pushes itself away where h < epsilon / eta, although by what it believes it is stationary."""
     task = PointTask(1, 0)
     task.layout.hazards[:] = _one((0.0, 0.0))
     task.simulation.pose[:, 0] = -(HAZARD_RADIUS + 0.004), 0.0, 0.0

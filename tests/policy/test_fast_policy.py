@@ -41,7 +41,7 @@ def test_one_car_sees_what_many_see(seed, obstacles):
 
 @given(some.floats(-3.2, 3.2), some.floats(0.0, 0.2), some.floats(0.3, 0.9))
 def test_rays_at_the_rim_of_an_obstacle(bearing, gap, radius):
-    """Seen from right beside it, an obstacle covers half of all rays, and the rim decides."""
+    """Seen from right next to it, an obstacle covers half of all rays, and the rim decides."""
     footprint, reach = np.array([0.1, 0.1, 0.15]), radius + 0.15 + gap
     around = [[reach * np.cos(bearing), reach * np.sin(bearing), radius]]
     still, field = np.zeros(4), np.array([-4.0, 4.0, -4.0, 4.0])

@@ -119,7 +119,7 @@ def test_turning_and_shifting_the_world_changes_nothing(start: State, goal: Poin
 
 
 def shuttled(settings: GoalSeekerSettings, seconds: float = 40.0) -> list[str]:
-    """The modes, one after the other, where what is beside it lets it turn to the goal's side backwards alone."""
+    """The modes, one after the other, where what is next to it lets it turn to the goal's side backwards alone."""
     seeker, state, modes = GoalSeeker(settings), (0.0, 0.0, 0.0, 0.0), [""]
     for tick in range(round(seconds / PERIOD)):
         speed, steer = seeker.nominal_action(tick * PERIOD, state, (0.3, -0.9))

@@ -179,7 +179,7 @@ def test_latents_of_another_length_and_weights_of_no_or_another_policy_are_refus
         LearnedPolicy(weights()).nominal_action(STATE, np.zeros(3))
     with pytest.raises(InputError, match="no policy"):
         LearnedPolicy(without_policy(weights()))
-    with pytest.raises(InputError, match="train it anew"):
+    with pytest.raises(InputError, match="train it again"):
         LearnedPolicy(weights().with_tensors({"policy.0.weight": np.zeros((8, 12))}))
 
 

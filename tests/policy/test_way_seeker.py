@@ -1,4 +1,4 @@
-"""The controller that looks where it goes; whoever is held back tries another way."""
+"""The controller that looks where it goes; anyone who is held back tries another way."""
 
 import math
 from dataclasses import replace

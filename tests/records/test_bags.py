@@ -308,7 +308,7 @@ def test_a_flight_log_that_ends_within_its_descriptions_is_refused_at_once(tmp_p
     """The library would read for ever: it steps back from what it does not know, beyond where it began."""
     path = tmp_path / "cut.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\x05\x00Fa:b c" + b"\xff\x00\x99" + bytes(9))
-    assert "is a damaged PX4 flight log; fetch it from the vehicle's card once more" in one_line(path)
+    assert "is a damaged PX4 flight log; fetch it from the vehicle's card again" in one_line(path)
 
 
 def test_names_that_are_no_text_or_have_line_ends_are_shown_on_one_line(tmp_path: Path) -> None:

@@ -211,8 +211,8 @@ BAD_ENTRIES = """
 { from = ["b", "c"] } >> .join: got None, wanted how they become one
 { from = ["b", "c"], join = "median" } >> .join: got 'median', wanted how they become one: mean, sum, difference, norm
 { from = ["b", 2], join = "sum" } >> .from: got 2, wanted a column's
-{ topic = "/o", field = "z", from = "b" } >> .from: got it beside a topic
-{ topic = "/o", field = "z", join = "sum" } >> .join: got it beside a topic
+{ topic = "/o", field = "z", from = "b" } >> .from: got it next to a topic
+{ topic = "/o", field = "z", join = "sum" } >> .join: got it next to a topic
 { topic = "/o" } >> : wanted a field of the topic, or for t clock
 { topic = "", field = "z" } >> .topic: got '', wanted a topic's name
 { topic = "/o", field = "" } >> .field: got '', wanted a field of the topic

@@ -250,7 +250,7 @@ def test_a_lockstep_swing_repeats_bit_for_bit() -> None:
 
 
 DEAD = range(100, 180)
-"""Ticks; 0.8 s, in which the supervisor has started it anew."""
+"""Ticks; 0.8 s, in which the supervisor has started it again."""
 
 
 def least_room(dead: str, direction: float, end: int = 240) -> tuple[float, PendulumRobot, list[VerdictMessage]]:

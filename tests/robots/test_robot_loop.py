@@ -61,7 +61,7 @@ class Fleet:
 
     @classmethod
     def by_its_own_clock(cls, answer: Answer, period: float) -> Fleet:
-        """In real time by a clock that stands still but while the loop waits: no other process holds this one up."""
+        """In real time by a clock that is stationary but while the loop waits: no other process holds this one up."""
         now = [0.0]
 
         class Waiting(Bus):

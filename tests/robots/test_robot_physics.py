@@ -72,7 +72,7 @@ def test_a_tyre_has_its_cornering_stiffness_at_small_slip():
 def test_the_car_never_accelerates_beyond_tyre_friction(sequence):
     world = open_world()
     car = CAR_PARAMETERS
-    # Air and rolling resistance act beside the tyres.
+    # Air and rolling resistance act next to the tyres.
     largest = car.friction * GRAVITY + car.rolling + car.drag * 2.1**2
     for target_speed, steer in sequence:
         vx, vy = world.body.velocity

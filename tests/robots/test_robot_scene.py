@@ -330,7 +330,7 @@ def test_the_robot_tells_what_a_filter_counts_that_never_slept() -> None:
         way.follow(replace(state, distance_reversed=-1.0))
         assert state.distance_reversed == way.way, f"tick {number}, to the last bit"
         drive(robot, 1, speed, 0.1)
-    assert reported[0] == robot.state_message().towed[1], "at first nobody knows how the load hangs"
+    assert reported[0] == robot.state_message().towed[1], "at first no one knows how the load hangs"
     assert min(reported) == 0.0
     assert reported[-1] > 0.0
 

@@ -101,7 +101,7 @@ def test_a_gateway_waits_ten_seconds_for_the_driver(
     if found:
         assert hash_used(link) == "RIHS01_of_the_driver"
     else:
-        with pytest.raises(InputError, match="nobody listens there after 10 s"):
+        with pytest.raises(InputError, match="no one listens there after 10 s"):
             hash_used(link)
     assert now[0] < 11.0
 

@@ -72,7 +72,7 @@ def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[s
     assert topics["/drive"]["hash"] == HASHES["ackermann_msgs/msg/AckermannDriveStamped"]
     assert topics["/drive_in"]["publishers"] == ["/policy"]
     assert safedpa.run(["ros", "discover", side.endpoint]) == 0
-    assert "/odom   nav_msgs/msg/Odometry\n    from /base; to nobody" in capsys.readouterr().out
+    assert "/odom   nav_msgs/msg/Odometry\n    from /base; to no one" in capsys.readouterr().out
 
 
 @pytest.mark.long
@@ -86,7 +86,7 @@ def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anyt
     car = side.car(_LONG)
     car.send("go")
     assert "wants 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
-    assert "/nowhere: nobody listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
+    assert "/nowhere: no one listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
     assert "nominal.topic: got the command's own, '/drive'" in refused(file_of(side, nominal={"topic": "/drive"}))
     assert "wanted one of ackermann_msgs/msg/AckermannDriveStamped" in refused(
         file_of(side, command={"type": "std_msgs/msg/String"})
@@ -273,7 +273,7 @@ def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_brakes_for_a_publis
         time.sleep(3.0)
         car.send("mark")
         stranger.send("go")
-        loop.wait_for("ros_gateway", "somebody who shows no token")
+        loop.wait_for("ros_gateway", "someone who shows no token")
         time.sleep(1.5)
         car.send("end")
         found = car.reported()

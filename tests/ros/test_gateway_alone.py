@@ -228,7 +228,7 @@ def test_a_gateway_brakes_while_another_publisher_commands(form: str, announced:
             assert rig.drive.sent == [BRAKE], "it is answered at once"
         assert rig.turns() == [BRAKE if named or echo_monitor else (0.5, 0.1)]
         assert rig.gateway.why.startswith("/joystick publishes on /drive too") is named
-        assert rig.gateway.why.startswith("somebody who shows no token") is (echo_monitor and not named)
+        assert rig.gateway.why.startswith("someone who shows no token") is (echo_monitor and not named)
         rig.now[0] += 2.0
         assert rig.turns() == [BRAKE if named else (0.5, 0.1)], "one that fell silent is gone"
 

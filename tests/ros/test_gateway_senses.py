@@ -122,7 +122,7 @@ def test_a_publisher_without_a_token_on_the_driver_s_topic_is_reported_and_answe
     heard.answer = answer
     assert heard.why == ""
     heard.take(b"", Attachment(1, 2, b"\xab" * 16))
-    assert heard.why == "somebody who shows no token (sender abababab) publishes on /drive too; find and end it"
+    assert heard.why == "someone who shows no token (sender abababab) publishes on /drive too; find and end it"
     for _ in range(1000):
         heard.take(b"")
     assert answers == [1], "a flood is answered once in a millisecond"

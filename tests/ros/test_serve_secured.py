@@ -117,7 +117,7 @@ def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing
             assert done.stdout, done.stderr
             accounts.append(json.loads(done.stdout.splitlines()[-1]))
     another, known = accounts
-    assert another["watchdog_ticks"] == another["ticks"], "nobody answers a robot that was not named"
+    assert another["watchdog_ticks"] == another["ticks"], "no one answers a robot that was not named"
     assert known["ticks"] == 100
     assert known["watchdog_ticks"] < 60
     assert known["collisions"] == 0

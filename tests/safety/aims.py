@@ -1,4 +1,4 @@
-"""One question to the search for the least unsafe action: h as a plain function of the action."""
+"""One question to the search for the least-violation action: h as a plain function of the action."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Numbers that carry one slope: what slopes of equations are held against, without anything of the recorder."""
+"""Numbers that carry one slope: what slopes of equations are compared with, without anything of the recorder."""
 
 from __future__ import annotations
 

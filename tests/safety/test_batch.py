@@ -1,4 +1,4 @@
-"""The filter for many robots beside the filter for one, which is the reference."""
+"""The filter for many robots alongside the filter for one, which is the reference."""
 
 from dataclasses import replace
 from typing import Any
@@ -248,7 +248,7 @@ def test_other_robots_are_refused() -> None:
 
 
 def test_a_robot_of_one_action_and_barriers_that_are_functions() -> None:
-    """A pendulum's torque in a corridor, beside the same corridor as a function of the user's own."""
+    """A pendulum's torque in a corridor, next to the same corridor as a function of the user's own."""
     model, chosen = load_model("pendulum"), replace(settings_named("pendulum"), eta=0.15, epsilon={})
     many, one = BatchFilter(model, chosen), SafetyFilter.for_model(model, chosen)
     random = np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""The filter for many robots beside the filter of each alone, with random motions and barriers of no robot."""
+"""The filter for many robots alongside the filter of each alone, with random motions and barriers of no robot."""
 
 from dataclasses import replace
 from math import inf
@@ -166,7 +166,7 @@ def test_more_than_two_actions_are_refused() -> None:
 
 @pytest.mark.parametrize("free", [(), ("wind.speed",)])
 def test_a_model_of_one_latent_or_none(free: tuple[str, ...]) -> None:
-    """Without what the model needs nobody is answered, with what it does not believe neither; without need all are."""
+    """Without what the model needs no one is answered, with what it does not believe neither; without need all are."""
     whole, settings = (
         load_model("pendulum"),
         FilterSettings(system="pendulum", action_low=(-10.0,), action_high=(10.0,)),

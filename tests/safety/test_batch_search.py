@@ -1,4 +1,4 @@
-"""The search of many robots, part by part: what it calls kept, near and silent, beside the conditions of one robot."""
+"""The search of many robots, part by part: what it calls kept, near and silent, next to the conditions of one robot."""
 
 from __future__ import annotations
 

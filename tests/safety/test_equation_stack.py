@@ -1,4 +1,4 @@
-"""Barriers that are equations, beside the equation run on plain numbers, and the slope of every operation."""
+"""Barriers that are equations, next to the equation run on plain numbers, and the slope of every operation."""
 
 import pickle
 from collections.abc import Callable, Sequence

@@ -157,7 +157,7 @@ def test_violated_begins_right_below_zero(start: float, status: Status) -> None:
 
 
 def test_violated_names_all_that_is_below_zero_even_where_the_nominal_action_keeps_every_condition() -> None:
-    """From -1 to -0.5 is what a condition asks for and more; nobody is to be told that all is well."""
+    """From -1 to -0.5 is what a condition asks for and more; no one is to be told that all is well."""
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: x[0])], settings)
     verdict = safe.decide(np.array([-1.0]), [0.5])
@@ -234,7 +234,7 @@ def test_a_feasible_action_next_to_the_least_broken_of_many_is_found(
     barrier = FunctionBarrier(lambda x: problems.heights(robot, x), lambda x: problems.gradient(robot, x), names)
     state = problems.state[robot]
     verdict = SafetyFilter(Prediction(affine, step), [barrier], TWO).decide(state, problems.nominal[robot])
-    assert (verdict.status, verdict.reason) == (Status.corrected, "Found beside the least broken of many actions.")
+    assert (verdict.status, verdict.reason) == (Status.corrected, "Found next to the least broken of many actions.")
     now, then = barrier.values(state), barrier.values(step(state, verdict.action))
     assert (then >= (1.0 - TWO.eta) * now + 0.01 - 1e-9 * np.abs(now)).all()
 
@@ -291,7 +291,7 @@ SAFE = SafetyFilter(lambda x: (x - 0.1, np.eye(1)), [FunctionBarrier(lambda x: x
 @pytest.mark.parametrize(
     ("height", "action", "status"),
     [
-        (3.0, 0.5, Status.corrected),  # the resting action passes, but nobody requested it
+        (3.0, 0.5, Status.corrected),  # the resting action passes, but no one requested it
         (0.05, 0.5, Status.corrected),
         (-3.0, 1.0, Status.violated),
     ],
@@ -375,7 +375,7 @@ def test_it_rests_knows_nothing_and_says_why() -> None:
 
 def test_its_action_is_a_copy() -> None:
     rest = np.zeros(2)
-    verdict = resting_verdict(rest, "nobody is there")
+    verdict = resting_verdict(rest, "no one is there")
     rest[0] = 9.0
     assert verdict.action.tolist() == [0.0, 0.0]
     with pytest.raises(ValueError, match="read-only"):

@@ -264,7 +264,7 @@ GIVEN_UP = solution(0.1, False, "max iter reached")
 
 @pytest.mark.parametrize("useless", [GIVEN_UP, solution(math.nan), solution(math.inf)], ids=["gives up", "nan", "inf"])
 def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.MonkeyPatch, useless: Solution) -> None:
-    """From the backup, which keeps the condition, as far towards the nominal action as it allows: 0.2 would be the nearest."""
+    """From the backup, which satisfies the condition, as far towards the nominal action as it allows: 0.2 would be the nearest."""
     safe = scalar_filter()
     program_reports(monkeypatch, safe, useless)
     verdict = safe.decide(np.zeros(1), [1.0])
@@ -311,7 +311,7 @@ def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still
 
 
 def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No action on the way from it to the nominal action keeps the condition: the backup itself, as a correction, with its h."""
+    """No action on the way from it to the nominal action satisfies the condition: the backup itself, as a correction, with its h."""
     safe = scalar_filter(affine=lambda x: (x + 0.1, np.array([[0.2]])), backup=lambda state: np.array([0.5]))
     program_reports(monkeypatch, safe, GIVEN_UP)
     verdict = safe.decide(np.zeros(1), [1.0])

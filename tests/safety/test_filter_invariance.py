@@ -62,7 +62,7 @@ def test_without_the_filter_the_same_nominal_actions_collide(
 def test_every_safe_state_has_an_admissible_action(
     car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
 ) -> None:
-    """h >= epsilon / eta everywhere, then braking straight keeps every condition: counted over the state space."""
+    """h >= epsilon / eta everywhere, then braking straight satisfies every condition: counted over the state space."""
     random, kept, count = np.random.default_rng(11), 0, 3000
     safe = SafetyFilter.for_model(car, settings)
     for _ in range(count):
@@ -70,7 +70,7 @@ def test_every_safe_state_has_an_admissible_action(
         state = safe_state(random, barriers, 0.05)
         verdict = safe.decide(state, settings.resting_action, barriers=barriers)
         kept += verdict.status is Status.passed
-    print(f"states with h >= epsilon / eta at which braking keeps every condition: {kept} of {count}")
+    print(f"states with h >= epsilon / eta at which braking satisfies every condition: {kept} of {count}")
     assert kept == count
 
 

@@ -23,7 +23,7 @@ DRAWN = hypothesis_settings(derandomize=True, deadline=None, database=None, max_
 
 
 ATTAINED = 0.01
-"""Share of a barrier's scale by which the least unsafe action may fall short of the best."""
+"""Share of a barrier's scale by which the least-violation action may fall short of the best."""
 
 
 @dataclass
@@ -188,7 +188,7 @@ def test_the_nearest_of_equally_unsafe_actions_is_taken(seed: int) -> None:
 
 
 def test_where_the_least_h_leaves_room_the_backup_decides() -> None:
-    """h_0 cannot be helped within one step; the other keeps its condition, as near to the backup (0, 0) as it can."""
+    """h_0 cannot be helped within one step; the other satisfies its condition, as near to the backup (0, 0) as it can."""
     problem = Problem(
         now=np.array([0.5, 1.0]), base=np.array([-0.2, 0.4]), slopes=np.array([[0.0, 0.0], [1.0, -1.0]]),
         low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]), nominal=np.array([-0.9, 0.3]), weights=np.ones(2),
@@ -298,7 +298,7 @@ def test_actions_in_any_unit(exponent: int, gradient: bool) -> None:
 def test_one_decision_in_any_units(
     h: float, state: tuple[float, float], action: float, gradient: bool, place: float, speed: float
 ) -> None:
-    """Also where h is below 0, or no action keeps the condition."""
+    """Also where h is below 0, or no action satisfies the condition."""
     units = Units(10.0**h, 10.0 ** np.array(state), 10.0**action)
     start = np.array([place, speed])
     one = readme(SAME, gradient).decide(start, [1.0])

@@ -1,6 +1,6 @@
 """The filter decides as it did when ``recorded_verdicts.json`` was written: what makes it faster must not change it.
 
-Run this file as a script to write the recording anew, after a change that is meant to change decisions.
+Run this file as a script to write the recording again, after a change that is meant to change decisions.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""A delay that nobody told of is found from what the robot did; none is found where there is none."""
+"""A delay that no one told of is found from what the robot did; none is found where there is none."""
 
 from typing import Any
 

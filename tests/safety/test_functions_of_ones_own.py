@@ -299,7 +299,7 @@ def test_a_period_with_a_default_is_no_latent() -> None:
 
 
 def test_a_period_with_a_default_keeps_it_when_a_latent_is_given() -> None:
-    """The third argument of affine and the fourth of step are nobody's: they keep their defaults."""
+    """The third argument of affine and the fourth of step are no one's: they keep their defaults."""
 
     def free(x: Any, latent: Any, dt: float = 0.5) -> Any:
         return x, latent[0] * dt * np.eye(1)

@@ -1,4 +1,4 @@
-"""The linear program behind the least unsafe action, and that action against what scipy and fine grids know."""
+"""The linear program behind the least-violation action, and that action against what scipy and fine grids know."""
 
 from itertools import pairwise
 from math import inf, nan
@@ -367,7 +367,7 @@ def test_an_affine_question_is_answered_in_one_round_without_anything_between_kn
     case.run()
     assert len(case.asked) == 4 + 1 + 1 + 2
     assert highest.solved == 1
-    # As near to the nominal action as what may be given away allows: what the programs propose is foretold, and no better.
+    # As near to the nominal action as what may be given away allows: what the programs propose is predicted, and no better.
     case = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0])
     assert case.run([-1.0], [0.9962]).action == (0.9962,)
     assert len(case.asked) == 2 + 2 + 1 + 2

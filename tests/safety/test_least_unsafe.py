@@ -1,4 +1,4 @@
-"""The least unsafe action, aim by aim: the highest, then the conditions, then the nominal action."""
+"""The least-violation action, aim by aim: the highest, then the conditions, then the nominal action."""
 
 from itertools import product
 from typing import Any
@@ -151,7 +151,7 @@ def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
 
 
 def test_what_bends_is_followed_to_its_top_on_a_line_and_in_the_plane() -> None:
-    """A tangent anywhere else leads past it: the programs are posed anew, steps on the way are tried."""
+    """A tangent anywhere else leads past it: the programs are posed again, steps on the way are tried."""
     for nominal, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
         found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [nominal]).run()  # type: ignore[misc]
         assert found.h_next[0] >= -1.0 - 0.02 * 4.0

@@ -108,7 +108,7 @@ def test_of_several_rates_the_models_own_counts_if_it_has_steps_enough() -> None
 
 @pytest.mark.parametrize("together", [False, True])
 def test_of_several_rates_without_the_models_own_none_is_chosen(together: bool) -> None:
-    """In two recordings or in one: nobody says at which of them the robot will drive."""
+    """In two recordings or in one: no one says at which of them the robot will drive."""
     parts = [np.full(900, 0.01), np.full(200, 1.0 / 7.0)]
     runs = [log_of(np.concatenate(parts))] if together else [log_of(part) for part in parts]
     notice = refused(*runs)
@@ -244,14 +244,14 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
 
 
 def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
-    """At h of 5 nobody is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
+    """At h of 5 no one is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
     drives = [{"a": np.array([HSample(5.0, 5.0 - 0.04 * k), HSample(0.3, 0.3)])} for k in range(100)]
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
     assert far.constants == {"clip.a": 0.5, "drive.clip.a": 0.5}
     no_one = [{"a": np.array([HSample(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
     seen = calibration_from_drives(no_one, 0.9, "2026-11-22", "x", ErrorClip(0.1, {"a": 0.5}))
-    assert seen.constants["clip.a"] == 1.0, "where nobody came near, farther steps have to say something"
+    assert seen.constants["clip.a"] == 1.0, "where no one came near, farther steps have to say something"
     assert seen.drive["a"] == pytest.approx(0.009)
     with pytest.raises(InputError, match="transitions: got 0"):
         calibration_from_drives([{"a": np.zeros((0, 4))}] * 100, 0.9, "", "x")

@@ -95,7 +95,7 @@ def test_no_condition_is_too_dear_however_steep_for_one_robot_or_many(size: floa
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_in_whatever_order_a_condition_that_another_makes_needless_is_left_behind(order: tuple[int, ...]) -> None:
-    """x >= 0.6 is kept by whoever keeps x >= 0.75; in whatever order they stand."""
+    """x >= 0.6 is kept by anyone who keeps x >= 0.75; in whatever order they stand."""
     rows: list[Row] = [(1.0, 0.0, 0.6), (1.0, 0.0, 0.75), (1.0, 1.0, 1.2)]
     assert nearest_feasible([*[rows[index] for index in order]], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
     rows: list[Row] = [(1.0, 0.0, 0.9), (-0.5, 0.5, 0.4), (-0.3, -0.7, -0.1)]

@@ -198,7 +198,7 @@ def test_a_pure_delay_is_judged_after_what_is_pending() -> None:
     assert begin is not None
     expected = rolled(model, memory, [action] * 5)
     other = rolled(model, memory, [(2.0, 0.34)] * 5)
-    assert expected[:4] == other[:4]  # nobody can change these any more
+    assert expected[:4] == other[:4]  # no one can change these any more
     assert begin.path == tuple(expected[:4])
     assert begin.state == expected[3]
     assert begin.rows == 1

@@ -166,7 +166,7 @@ def test_a_step_so_large_that_only_curvature_answers_is_not_believed(moved: floa
 
 
 def test_one_value_that_answers_is_enough_for_all() -> None:
-    """What is small beside its own size does not make the step grow for the others."""
+    """What is small next to its own size does not make the step grow for the others."""
     steps = []
 
     def function(x: np.ndarray) -> np.ndarray:

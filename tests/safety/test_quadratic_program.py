@@ -1,4 +1,4 @@
-"""The filter's program, whoever solves it, against quadprog and against the optimality conditions."""
+"""The filter's program, anyone who solves it, against quadprog and against the optimality conditions."""
 
 from typing import Any
 
@@ -125,7 +125,7 @@ def test_infeasible_conditions_cost_slack_only() -> None:
 
 
 def test_a_corner_is_the_minimiser_to_the_last_bit_and_only_where_quadprog_says_so() -> None:
-    """Two actions, limits out of reach among the rows: the solver alone would end a billionth beside the corner."""
+    """Two actions, limits out of reach among the rows: the solver alone would end a billionth next to the corner."""
     random, corners, others = np.random.default_rng(3), 0, 0
     for _ in range(400):
         low = -random.uniform(0.2, 3.0, 2)

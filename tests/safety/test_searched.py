@@ -1,4 +1,4 @@
-"""A robot of a short period looks for the least unsafe action twenty times a second, and holds it in between."""
+"""A robot of a short period looks for the least-violation action twenty times a second, and holds it in between."""
 
 from math import inf
 from typing import Any
@@ -60,7 +60,7 @@ def test_within_a_twentieth_of_a_second_the_action_is_held_without_another_searc
 
 @pytest.mark.parametrize("later", [0.0, LASTS, 2.0 * LASTS, -0.005, float("nan")])
 def test_a_robot_of_twenty_hertz_looks_in_every_tick(later: float) -> None:
-    """So does one whose clock was set back, and whose tick is decided once more."""
+    """So does one whose clock was set back, and whose tick is decided again."""
     robot, other = Robot(), Robot()
     robot.at(1.0)
     robot.asked = 0
@@ -82,7 +82,7 @@ def test_of_what_was_held_the_age_is_counted_from_the_search() -> None:
     ("h", "held"), [(0.19, True), (0.18999, True), (0.1899, False), (0.185, False), (0.1905, True)]
 )
 def test_an_action_that_is_worse_by_a_hundredth_is_searched_for_again(h: float, held: bool) -> None:
-    """Nearer to the boundary another action may be the least unsafe one; a rise is welcome."""
+    """Nearer to the boundary another action may be the least-violation one; a rise is welcome."""
     robot, other = Robot(step=-SLOW), Robot(step=-SLOW)
     robot.at(0.0)
     robot.asked = 0
@@ -224,7 +224,7 @@ def test_an_action_of_another_filter_is_not_handed_on(sides: Any) -> None:
 
 
 def eroded(hold: bool, ticks: int = 24, error: float = 0.0005) -> tuple[float, int]:
-    """Least h of a barrier beside one that hardly any action moves, and how often it was below 0.
+    """Least h of a barrier next to one that hardly any action moves, and how often it was below 0.
 
     h_A = x is short of its condition whatever is done; h_B is the room beyond the braking way, which the nominal action uses up.
     """

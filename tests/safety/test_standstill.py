@@ -112,7 +112,7 @@ def test_each_reason_has_its_cure(reason: str, begins: str) -> None:
 def test_noise_and_creeping_are_standing_but_driving_is_not() -> None:
     assert stood(6.0, 0.005, 0.001, creep=2e-5).seconds > 5.0
     assert stood(6.0, 0.005, 0.001, noise=1e-4).seconds > 5.0
-    assert stood(6.0, 0.005, 0.001, creep=2e-4).seconds > 5.0, "it is the nominal action that is held against"
+    assert stood(6.0, 0.005, 0.001, creep=2e-4).seconds > 5.0, "it is the nominal action that is compared with"
     assert stood(6.0, 0.005, 0.004, creep=0.004).seconds == 0.0
     assert stood(6.0, 0.0, 0.0).seconds == 0.0, "nothing is requested"
 
@@ -166,7 +166,7 @@ def test_half_a_second_without_a_nominal_action_is_forgiven() -> None:
 
 
 def test_a_margin_remains_the_reason_though_a_last_little_push_failed() -> None:
-    """Where the least unsafe action dies away, its last half second moves nobody; after that nothing pushes."""
+    """Where the least-violation action dies away, its last half second moves no one; after that nothing pushes."""
     standing = DeadlockDetector((0,))
     for tick in range(200):
         standing.measure((1.0,), PERIOD)

@@ -370,7 +370,7 @@ def test_a_base_cannot_borrow_a_shipped_name(tmp_path: Path) -> None:
 
 
 def test_a_users_car_with_the_same_states_and_actions_is_driven() -> None:
-    """Whoever has a car's states and actions may use a car's barriers, under a name of its own."""
+    """Anyone who has a car's states and actions may use a car's barriers, under a name of its own."""
     car = load_model("car")
     other = replace_system(car, replace(CAR, name="my_car"))
     with pytest.raises(InputError, match="made for the system 'car', the model is of 'my_car'"):

@@ -356,7 +356,7 @@ def test_where_an_action_raises_h_by_the_error_h_stays_above_0_wherever_it_begin
         STEP + 2.0 * error
     )  # of what the actions can change in h, for the least change of a nominal action
     now, then = driven(-(error + given_away) / STEP, error, h, 300)
-    assert min(now) >= min(h, (EPSILON - error) / ETA) - 1e-9, "where the condition is kept h tends to the second"
+    assert min(now) >= min(h, (EPSILON - error) / ETA) - 1e-9, "where the condition is satisfied h tends to the second"
     bound = least_after(h, [error] * 300, [error] * 300, ETA)
     assert bound >= -1e-12
     assert min(now) >= bound - 1e-9

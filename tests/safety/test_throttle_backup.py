@@ -263,7 +263,7 @@ def made(backup: Any) -> SafetyFilter:
     ids=lambda one: repr(one)[:9],
 )
 def test_what_cannot_be_called_is_no_backup(backup: Any) -> None:
-    """Its action looks like one; nobody would ask it, and the robot would rest where it was to be steered away."""
+    """Its action looks like one; no one would ask it, and the robot would rest where it was to be steered away."""
     assert not callable(backup)
     with pytest.raises(
         InputError, match=f"backup: got {type(backup).__name__}, wanted a function of the state or None"

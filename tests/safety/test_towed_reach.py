@@ -128,7 +128,7 @@ def message(tick: int, x: float, y: float = 0.0, yaw: float = 0.0, **other: Any)
 def test_the_way_is_unknown_first_then_forgotten_forwards_and_counted_backwards() -> None:
     way = ReverseOdometer()
     way.follow(message(0, 0.0))
-    assert way.way >= TOWED[1], "nobody knows how the load hangs"
+    assert way.way >= TOWED[1], "no one knows how the load hangs"
     way.follow(message(1, 0.2))
     assert way.way == pytest.approx(TOWED[1] - 0.2) or way.way == pytest.approx(TOWED[1])
     for tick, x in ((2, 0.6), (3, 1.0), (4, 1.4)):
@@ -388,7 +388,7 @@ def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> 
     assert latents[0].tolist() == [2.0]
     assert scene.backup is not None
     assert scene.backup(np.array([3.0, 0.0])).tolist() == [3.0]
-    assert scene.backup(None).tolist() == PENDULUM.resting_action.tolist(), "where it is, nobody knows"
+    assert scene.backup(None).tolist() == PENDULUM.resting_action.tolist(), "where it is, no one knows"
     assert (scene.stationary_for, declared(barriers).stationary_for) == (False, True)
     assert (AbstractScene.stationary_for, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
 

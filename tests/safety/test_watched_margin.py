@@ -193,7 +193,7 @@ def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
     late = HSample(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
     assert clip.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
     assert NO_CLIP.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
-    assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
+    assert clip.error("function", HSample(0.5, 0.5), 0.0) is None, "at the ceiling no one is near"
     assert ErrorClip.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
 
 
@@ -263,7 +263,7 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
         latents = [calm] * 3 + [later] * 3  # the barriers of a tick are those of the latent one tick before
         along = [DriveTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
         heights = barrier_residuals(model, settings, along)["obstacle"]
-        assert heights.shape == (5, 4), "each tick but the first is held against what was expected of it"
+        assert heights.shape == (5, 4), "each tick but the first is compared with what was expected of it"
         found[later] = NO_CLIP.errors("obstacle", heights)
     lost = [
         tick._replace(state=replace(tick.state, values=(nan,) * 5)) if k == 3 else tick for k, tick in enumerate(along)

@@ -200,7 +200,7 @@ def test_a_short_period_looks_at_fewer_actions_in_one_tick(period: float, ticks:
 
 @pytest.mark.parametrize("from_tick", [1, 2, 4])
 def test_what_has_no_height_is_no_way_out(from_tick: int) -> None:
-    """Where a barrier is no number nobody knows anything: neither the nominal action nor a manoeuvre leads there."""
+    """Where a barrier is no number no one knows anything: neither the nominal action nor a manoeuvre leads there."""
 
     def unknown(action: float, ticks: int) -> list[float]:
         return [*dips(action, ticks), float("nan") if ticks >= from_tick and action != 0.0 else 9.0]

@@ -1,4 +1,4 @@
-"""The simulated laser measures the objects around it, and where its rays end nobody hides."""
+"""The simulated laser measures the objects around it, and where its rays end no one hides."""
 
 from math import cos, hypot, pi, sin
 

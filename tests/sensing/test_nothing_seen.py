@@ -226,7 +226,7 @@ def test_obstacles_of_a_robot_with_sources_are_not_dropped_in_silence() -> None:
     node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
     verdict = asked(node, state, surroundings(state))
     assert verdict.status == "fallback"
-    assert "beside sources" in verdict.sentence
+    assert "next to sources" in verdict.sentence
 
 
 def test_a_mover_ahead_of_a_stationary_car_counts_though_a_wall_is_nearer() -> None:

@@ -130,7 +130,7 @@ def test_only_the_discs_that_count_give_barriers() -> None:
         assert (one.names, one.shared, one.each) == (wanted.names, wanted.shared, wanted.each)
 
 
-@pytest.mark.parametrize(("speed", "reported"), [(0.1, ""), (0.11, "somebody whom nobody sees may be")])
+@pytest.mark.parametrize(("speed", "reported"), [(0.1, ""), (0.11, "someone whom no one sees may be")])
 def test_only_a_moving_car_yields_to_hidden_people(speed: float, reported: str) -> None:
     state, place = state_of((0.0, 0.0, 0.0, speed)), (0.6, 0.0, 0.1)
     assert sensed_barriers(SETTINGS, COUNTER, state, seen_by(state), None).yields_to == ""

@@ -180,7 +180,7 @@ def test_its_slopes_are_those_of_its_values_and_within_their_bound() -> None:
 @pytest.mark.parametrize("against", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize(("deceleration", "gain"), [(2.0, 2.5), (1.0, 1.0), (4.0, 2.5)])
 def test_no_slope_exceeds_the_bound_however_the_car_brakes(against: float, deceleration: float, gain: float) -> None:
-    """A car with a throttle needs a longer way than its segment of what stands still has."""
+    """A car with a throttle needs a longer way than its segment of what is stationary has."""
     draw = np.random.default_rng(7)
     discs = np.column_stack([draw.uniform(-4, 4, (60, 2)), np.full(60, 0.1), draw.uniform(0.0, 1.5, 60)])
     counter = ReversalBraking(deceleration, gain, against)
@@ -297,7 +297,7 @@ def of_some_kind(discs: np.ndarray, towed: TrailerEnvelope | None) -> list[Obsta
 @pytest.mark.parametrize("late", [0, 1, 4])
 @pytest.mark.parametrize("name", ["car", "car_measured", "car_learned"])
 def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late: int) -> None:
-    """Every action of one period, from where it begins to act: h of what is as far as that keeps its condition."""
+    """Every action of one period, from where it begins to act: h of what is as far as that satisfies its condition."""
     draw, model, left_out = np.random.default_rng(9), load_model(name).with_period(0.05), 0
     quick = performance_limits(model, SETTINGS)
     farthest = 12.0 if name != "car_learned" else 60.0  # with latents at their ends it is three times as quick

@@ -1,4 +1,4 @@
-"""Cars among people and each other: who comes near is not forgotten, and nobody shoves anybody."""
+"""Cars among people and each other: who comes near is not forgotten, and no one shoves anybody."""
 
 from functools import cache
 from itertools import pairwise

@@ -149,13 +149,13 @@ def test_no_person_leaves_an_unseen_ignored_zone_but_one_appearing_next_to_it_ma
     outside = ~no_one & (away < 1.2)
     for marked in (True, False):
         hiding = OcclusionMap(grid.size, 0.2, 1.5)
-        hiding.no_one = no_one if marked else nothing
+        hiding.unoccupied = no_one if marked else nothing
         hiding.look(0.0, ~no_one, nothing, nothing, nothing)
         hiding.wait(0.2)
         assert bool(hiding.reached(0.2)[outside].any()) is not marked
         assert bool(hiding.ways_out[away < 1.2].any()) is not marked
     seen_through = OcclusionMap(grid.size, 0.2, 1.5)
-    seen_through.no_one = no_one
+    seen_through.unoccupied = no_one
     seen_through.look(0.0, np.ones_like(no_one), nothing, nothing, nothing)
     assert (seen_through.reached(0.2) == no_one)[away < 1.2].all(), "it was empty; who stands in it now is not seen"
 

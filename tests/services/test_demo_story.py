@@ -208,7 +208,7 @@ def test_another_click_is_asked_for_once_and_only_where_the_first_one_changed_no
     drive.model, drive.pending, drive.sentence = model, pending, sentence
     for t in (60.0, 66.0, 72.0):
         drive.report(t, "candidates", model=OLD)
-    assert drive.reported("click Accept once more") == reported
+    assert drive.reported("click Accept again") == reported
     assert not drive.story.done
     if model == NEW:
         drive.report(73.0, "learning", 0.2)
@@ -320,7 +320,7 @@ def demonstrated(monkeypatch, tmp_path):
     [
         ({}, "", 71.0),
         ({"takes": False}, "drove for 61 s, and the model was not changed", 151.0),
-        ({"seconds": 58}, "ended before the error with the mended model could be told", 57.0),
+        ({"seconds": 58}, "ended before the error with the corrected model could be told", 57.0),
         ({"after": 0.297}, "the error fell by 1 %, wanted 60 %", 71.0),
     ],
 )

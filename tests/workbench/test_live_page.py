@@ -23,7 +23,7 @@ from safedpa_services.workbench.rerun_view import RerunViewerServer
 
 FORESEEN = ("the margin goes from 1 to 2",)
 STATUS = Answer(ok=True, sentence="change 1 begins", candidates=("drag", "wind"), foreseen=FORESEEN, earlier=1)
-REFUSED = Answer(ok=False, sentence="refused: nobody is there")
+REFUSED = Answer(ok=False, sentence="refused: no one is there")
 BACK = "back to the model before the last change"
 LONGEST_COVERED = 10_000
 """ms for which words may cover a part of the page."""
@@ -82,7 +82,7 @@ def can_be_read(notice):
         ("accept drag", "accept", reported(STATUS), "Accepted: change 1 begins.", "positive"),
         ("reject drag", "reject", reported(STATUS), "Rejected: change 1 begins.", "positive"),
         (BACK, "roll_back", reported(STATUS), "Rolled back: change 1 begins.", "positive"),
-        ("accept drag", "accept", reported(REFUSED), "Refused because nobody is there.", "negative"),
+        ("accept drag", "accept", reported(REFUSED), "Refused because no one is there.", "negative"),
         ("accept drag", "accept", QueryResult(None, "No diagnosis answers."), "No diagnosis answers.", "negative"),
     ],
 )

@@ -40,7 +40,7 @@ def test_the_hidden_effect_is_the_choice_and_its_number_is_right(first, proposed
 
 
 def test_a_person_may_take_another_one_and_go_back(first, proposed):
-    """Back is the very same proposal once more, after the other one was taken from it."""
+    """Back is the very same proposal again, after the other one was taken from it."""
     other = with_candidate(first, proposed, "viscous_drag")
     assert [item.name for item in other.model.effects] == ["viscous_drag"]
     assert first.model.effects == ()

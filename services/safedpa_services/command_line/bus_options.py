@@ -59,12 +59,12 @@ def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
     return Bus(ZenohTransport(settings), options["fleet"])
 
 
-def request_answer(bus: Bus, robot: str, request: Request, kind: str, no_one: str) -> Answer:
-    """The answer to an order. Raises InputError where it is refused, SafedpaError with the words ``no_one`` where none
+def request_answer(bus: Bus, robot: str, request: Request, kind: str, no_answer: str) -> Answer:
+    """The answer to an order. Raises InputError where it is refused, SafedpaError with the words ``no_answer`` where none
     comes within 2 s."""
     answer = bus.request(robot, request, _ANSWER_SECONDS, kind)
     if answer is None:
-        raise SafedpaError(f"fleet '{bus.fleet}': {no_one}")
+        raise SafedpaError(f"fleet '{bus.fleet}': {no_answer}")
     if not answer.ok:
         raise InputError(answer.sentence)
     return answer

@@ -16,7 +16,7 @@ from safedpa_services.command_line.json_answer import answers_json, report_progr
 @click.option("--host", "hosts", multiple=True, metavar="NAME", help="host name or address of a router; repeatable")
 @click.option("--router", "routers", multiple=True, metavar="NAME", help="one more router, as router.NAME; repeatable")
 @click.option("--days", type=float, default=90.0, show_default=True, help="how long the certificates are good")
-@click.option("--renew", is_flag=True, help="make those anew that are there already")
+@click.option("--renew", is_flag=True, help="make those again that are there already")
 @answers_json
 def command(
     folder: Path,

@@ -26,7 +26,7 @@ _LONGEST_CHANGE_SECONDS = 120.0
 """A model that is made when it is accepted takes some seconds; the diagnosis itself gives up after a minute."""
 _LOOK_SECONDS = 0.1
 _SILENCE_SECONDS = 10.0
-"""A change goes on while one answer about it is late or lost; nobody is there where none comes for so long."""
+"""A change goes on while one answer about it is late or lost; no one is there where none comes for so long."""
 
 
 def bus_options(command: _C) -> _C:
@@ -37,7 +37,7 @@ def bus_options(command: _C) -> _C:
 def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) -> None:
     """Asks, waits until the change is taken or dropped, and tells what came of it.
 
-    Raises InputError when it is refused, SafedpaError when nobody answers or nothing came of it.
+    Raises InputError when it is refused, SafedpaError when no one answers or nothing came of it.
     """
     from safedpa.bus import Request
 
@@ -59,11 +59,11 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
 def _asked(bus: Bus, robot: str, request: Request) -> Answer:
     answer = bus.request(robot, request, _TIMEOUT_SECONDS)
     if answer is None:
-        raise _no_one(bus, robot)
+        raise _no_answer(bus, robot)
     return answer
 
 
-def _no_one(bus: Bus, robot: str) -> SafedpaError:
+def _no_answer(bus: Bus, robot: str) -> SafedpaError:
     return SafedpaError(
         f"robot '{robot}' of fleet '{bus.fleet}': no diagnosis answers; wanted a running 'safedpa up', whose "
         "endpoint is named with --connect"
@@ -83,7 +83,7 @@ def _end_of(bus: Bus, robot: str, begun: Answer) -> Answer:
             if not status.pending or status.change != begun.change:
                 return status
         elif time.monotonic() - heard > _SILENCE_SECONDS:
-            raise _no_one(bus, robot)
+            raise _no_answer(bus, robot)
         time.sleep(_LOOK_SECONDS)
     raise SafedpaError(
         f"change {begun.change} is not over after {_LONGEST_CHANGE_SECONDS:.0f} s; does the robot drive?"

@@ -1,4 +1,4 @@
-"""``safedpa check``: whether a robot that somebody declares is complete, and safe to filter."""
+"""``safedpa check``: whether a robot that someone declares is complete, and safe to filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``safedpa compare``: a model held against measurements."""
+"""``safedpa compare``: a model compared with measurements."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORST = 8
 """Bins that are printed."""
 
 NAME = 20
-"""Characters of a run's name that fit beside the numbers in 80 columns."""
+"""Characters of a run's name that fit next to the numbers in 80 columns."""
 
 
 @click.command(name="compare")
@@ -51,8 +51,8 @@ def command(
 ) -> None:
     """Hold MODEL against recorded RUNs: how large its error is, and where.
 
-    Predicts open loop from a start every 0.1 s, prints the errors beside predictors that know no physics, and writes
-    compare.html (readable offline) with compare.json beside it.
+    Predicts open loop from a start every 0.1 s, prints the errors next to predictors that know no physics, and writes
+    compare.html (readable offline) with compare.json next to it.
     """
     from safedpa.comparison.comparison import compare_model
     from safedpa.comparison.output import results_folder

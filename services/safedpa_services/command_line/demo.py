@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _AFTER = 25.0
 """s of driving before the change: the first 20 teach the diagnosis what is usual."""
 _LONGEST_UNASKED = 150.0
-"""s by the robot's clock until which the model is to be mended where nobody is waited for."""
+"""s by the robot's clock until which the model is to be corrected where no one is waited for."""
 _MODEL, _CHANGE = "car_measured", "steering_offset"
 _BAR = 40
 
@@ -47,7 +47,7 @@ def command(**options: Any) -> None:
 
     Drives in real time behind the safety filter and opens the live page. After 25 s the steering linkage is bent by
     0.08 rad, and no model is told. The diagnosis notices, searches for what the model lacks and proposes it; a click on
-    Accept (or --yes) mends the model while the car drives. At the end: the fall of the error, and a report.
+    Accept (or --yes) corrects the model while the car drives. At the end: the fall of the error, and a report.
     """
     from safedpa.bus.service.process import StopSignal
 
@@ -120,7 +120,7 @@ class _DemoRun:
             if story.done and self._photographed():
                 self._stop.set("the story is told")
             elif self._options["yes"] and story.reported.taken is None and _clock(watch) > _LONGEST_UNASKED:
-                self._stop.set("the model was not mended")
+                self._stop.set("the model was not corrected")
 
         yield turn
 
@@ -137,7 +137,7 @@ class _DemoRun:
             show(address)
 
     def _photographed(self) -> bool:
-        """Whether the picture is there, or none is wanted; begins it beside the loop."""
+        """Whether the picture is there, or none is wanted; begins it alongside the loop."""
         from safedpa_services.workbench.pictures import photograph
 
         if self._options["picture"] is None:
@@ -185,9 +185,9 @@ def _failure(story: DemoNarrator, summary: dict[str, Any]) -> str:
 
     if story.reported.taken is None:
         drove = f"drove for {summary['robot_seconds']:.0f} s"
-        return f"demo: {drove}, and the model was not changed; say it once more, perhaps with another --seed"
+        return f"demo: {drove}, and the model was not changed; say it again, perhaps with another --seed"
     if story.reported.fall is None:
-        return "demo: ended before the error with the mended model could be told; leave it 20 s after Accept"
+        return "demo: ended before the error with the corrected model could be told; leave it 20 s after Accept"
     if story.reported.fall < WANTED_FALL:
         return f"demo: the error fell by {100 * story.reported.fall:.0f} %, wanted {100 * WANTED_FALL:.0f} %"
     return ""

@@ -128,7 +128,7 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
 
 
 def _margin(report: Report, runs: Sequence[Run], out: Path) -> CalibratedMargin:
-    """The filter's margin for the diagnosed model, beside it; none where the data allowed no verdict."""
+    """The filter's margin for the diagnosed model, next to it; none where the data allowed no verdict."""
     from safedpa.comparison.excerpt import subsample_runs
     from safedpa_services.driving import CalibratedMargin, calibrate_margin_file
 
@@ -159,7 +159,7 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
     texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
     if isinstance(report.models[-1].base, LearnedBase):
-        save_model(report.models[-1], out / "model.toml")  # with its weights beside it
+        save_model(report.models[-1], out / "model.toml")  # with its weights next to it
     else:
         texts["model.toml"] = write_model(report.models[-1])
     for name, text in texts.items():

@@ -30,9 +30,9 @@ _NAMES = 8
 
 
 def fleet_options(command: Command) -> Command:
-    """--fleet, --by, --jobs, --ray and --anew, in this order on the help page."""
+    """--fleet, --by, --jobs, --ray and --again, in this order on the help page."""
     for option in (
-        click.option("--anew", is_flag=True, help="Of a fleet: do every robot again, also those that are done."),
+        click.option("--again", is_flag=True, help="Of a fleet: do every robot again, also those that are done."),
         click.option(
             "--ray",
             is_flag=False,
@@ -115,7 +115,7 @@ def _found(runs: Sequence[str], options: dict[str, Any]) -> DiscoveredRobots:
     if fleet is None:
         return robots_of_files([Path(run) for run in runs], options["by"])
     if runs:
-        raise InputError(f"--fleet {fleet}: got runs beside it ({runs[0]}); leave one of the two out")
+        raise InputError(f"--fleet {fleet}: got runs next to it ({runs[0]}); leave one of the two out")
     return robots_in_folder(fleet.resolve(), options["by"])
 
 

@@ -18,7 +18,7 @@ COMMANDS = (
     "effects", "export", "go", "migrate", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
     "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
-"""One file beside this one each, with a click command named ``command``; imported when it is called."""
+"""One file next to this one each, with a click command named ``command``; imported when it is called."""
 
 ENTRY_POINTS = "safedpa.commands"
 """The group under which other distributions bring commands: name = "module:command"."""
@@ -31,7 +31,7 @@ START = """\
 safedpa drives a robot behind a safety filter, and finds out what its model of the robot lacks.
 
 What to do first:
-  safedpa demo                        two minutes: a fault while it drives, found, mended by your click
+  safedpa demo                        two minutes: a fault while it drives, found, corrected by your click
   safedpa up                          drive the simulated car; prints the address of the live view; Ctrl-C ends it
   safedpa up --no-filter              the same without the filter, to see what it is for
   safedpa compare MODEL RUN...        how wrong is a model, and where? MODEL: a file, or a name such as car

@@ -48,7 +48,7 @@ def command(
 ) -> None:
     """Rehearse a diagnosis of RUNs: hide each effect that MODEL may lack in their commands, and look for it.
 
-    The runs are simulated anew, with their own commands and noise, and diagnosed: does a drive like these show what one
+    The runs are simulated again, with their own commands and noise, and diagnosed: does a drive like these show what one
     wants to know? Takes a diagnosis for each effect and size.
     """
     from safedpa.diagnosis.identifiability.rehearsal import rehearse_diagnosis

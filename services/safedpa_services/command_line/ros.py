@@ -42,8 +42,8 @@ def _discover(endpoint: str, domain: int, as_json: bool) -> None:
     if not topics:
         click.echo(f"{endpoint}: no node of domain {domain} shows itself; is it another --domain, or a bridge to DDS?")
     for name, entry in topics.items():
-        who = ", ".join(entry["publishers"]) or "no_one"
-        heard = ", ".join(entry["subscribers"]) or "no_one"
+        who = ", ".join(entry["publishers"]) or "none"
+        heard = ", ".join(entry["subscribers"]) or "none"
         click.echo(f"{name}   {entry['type']}\n    from {who}; to {heard}; {entry['hash'][:15]}")
 
 

@@ -33,8 +33,10 @@ def command(robot: str, sources: tuple[str, ...], zones: tuple[str, ...], **opti
     who = options["who"] or getpass.getuser()
     request = Request(do="switch" if switches else "status", switches=switches, who=who)
     with bus_of(options) as bus:
-        no_one = "no perception answers; wanted a running loop with one (safedpa up --laser), whose endpoint is named"
-        answer = request_answer(bus, robot, request, SENSE, f"{no_one} with --connect")
+        no_answer = (
+            "no perception answers; wanted a running loop with one (safedpa up --laser), whose endpoint is named"
+        )
+        answer = request_answer(bus, robot, request, SENSE, f"{no_answer} with --connect")
     if options["as_json"]:
         click.echo(json.dumps({"sentence": answer.sentence}))
     else:

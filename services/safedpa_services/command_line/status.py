@@ -35,7 +35,7 @@ _FEWEST_COLUMNS = 80
 def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
     """Show the fleet: robots, processes, rates, ages, late ticks, verdicts, margin, diagnosis, recorder.
 
-    Exit code 0 when everything is healthy, 1 when something is not or nobody is on the bus.
+    Exit code 0 when everything is healthy, 1 when something is not or no one is on the bus.
     """
     from safedpa.bus.monitor import FleetOverview
 
@@ -57,17 +57,17 @@ def _reported(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> 
     document = document_of(fleet)
     if options["as_json"]:
         click.echo(json.dumps(document))
-    elif fleet.no_one:
-        raise SafedpaError(_no_one(fleet, seconds, options))
+    elif fleet.is_empty:
+        raise SafedpaError(_no_answer(fleet, seconds, options))
     else:
         _draw(document, options["picture"])
     return bool(document["healthy"])
 
 
-def _no_one(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> str:
+def _no_answer(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> str:
     where = ", ".join(options["connect"]) or "this machine"
     return (
-        f"fleet '{fleet.bus.fleet}': nobody was heard on the bus within {seconds:g} s ({where}); wanted a running "
+        f"fleet '{fleet.bus.fleet}': no one was heard on the bus within {seconds:g} s ({where}); wanted a running "
         "'safedpa up', whose endpoint is named with --connect"
     )
 
@@ -113,9 +113,9 @@ def _watched(fleet: FleetOverview) -> bool:
             fleet.listen(_REDRAW_SECONDS)
             document = document_of(fleet)
             healthy = document["healthy"]
-            if fleet.no_one:
+            if fleet.is_empty:
                 heard = time.monotonic() - fleet.since
-                live.update(Text(f"fleet '{fleet.bus.fleet}': nobody was heard for {heard:.0f} s"), refresh=True)
+                live.update(Text(f"fleet '{fleet.bus.fleet}': no one was heard for {heard:.0f} s"), refresh=True)
             else:
                 live.update(
                     SanitizedRenderable(render_status_table(document, console.width, console.height)), refresh=True
@@ -138,7 +138,7 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
     return {
         "fleet": fleet.bus.fleet,
-        "healthy": not fleet.no_one and all(concern.level != "trouble" for concern in concerns),
+        "healthy": not fleet.is_empty and all(concern.level != "trouble" for concern in concerns),
         "listened": round(now - fleet.since, 3),
         "robots": robots,
         "services": services,

@@ -37,9 +37,9 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")
         request = Request(do=do, who=options["who"] or getpass.getuser())
-        no_one = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
-        no_one += ". Robots without a filter brake by themselves"
-        answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, no_one)
+        no_answer = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
+        no_answer += ". Robots without a filter brake by themselves"
+        answer = request_answer(bus, robot or NO_ROBOT, request, ORDER, no_answer)
         reported = _obeyed(fleet, do)
     _report(answer, reported, as_json=options["as_json"])
     slow = [name for name, sentence in reported.items() if sentence.startswith("still ")]

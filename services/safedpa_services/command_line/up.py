@@ -358,7 +358,7 @@ def _is_diagnosed(options: dict[str, Any]) -> bool:
 
 
 def _workbench_port(options: dict[str, Any]) -> int:
-    """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
+    """Where the page is served; 0 where no one looks, nothing is diagnosed, or its framework is not installed."""
     from safedpa.bus.transport.ports import free_port
 
     wanted = not options["headless"] and _is_diagnosed(options) and not missing("workbench")

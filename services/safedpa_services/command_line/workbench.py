@@ -86,7 +86,7 @@ __all__ = ["command"]
 def command(**options: Any) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
 
-    What is decided is kept in session.json below --out: the same command once more goes on with it; without arguments
+    What is decided is kept in session.json below --out: the same command again goes on with it; without arguments
     the last session goes on, and where there is none the page asks for model and recordings. With --fleet or --connect
     it watches driving robots as well, at /live. Everything is served from this machine.
     """
@@ -167,7 +167,7 @@ def _look_at(named: InputSelection) -> None:
 
 
 def _take_pictures(options: dict[str, Any]) -> None:
-    """This very command once more, behind a headless browser."""
+    """This very command again, behind a headless browser."""
     from safedpa_services.workbench.pictures import take_pictures
 
     live = bool(options["fleet"] or options["connect"] or options["replay"])

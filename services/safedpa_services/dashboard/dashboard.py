@@ -38,7 +38,7 @@ _HEARTBEAT_SECONDS = 0.25
 
 
 class Dashboard:
-    """Draws the fleet of a bus until it is stopped. It only listens: nobody waits for it."""
+    """Draws the fleet of a bus until it is stopped. It only listens: no one waits for it."""
 
     def __init__(self, bus: Bus, view: FleetView, painter: RerunRecording, robot: str = "*", detail: str = "") -> None:
         self._bus = bus

@@ -76,7 +76,7 @@ _LARGEST_TIME = 1e9
 class TimeLine:
     """t = robot time + offset of the robot's epoch.
 
-    The first robot's offset is 0: its t is its robot time. A robot that appears later, or starts anew, begins at the t
+    The first robot's offset is 0: its t is its robot time. A robot that appears later, or restarts, begins at the t
     of now, so that the view of the last seconds shows every robot and no second life covers the first.
     """
 

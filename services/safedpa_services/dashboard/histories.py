@@ -1,4 +1,4 @@
-"""What the dashboard remembers of one robot beside its picture: findings, health of its services, residuals.
+"""What the dashboard remembers of one robot next to its picture: findings, health of its services, residuals.
 
 Findings: error and band, stage, model in force, and marks where these change. Health: what services say of themselves,
 and their silence. Residuals: what was measured less what was predicted.

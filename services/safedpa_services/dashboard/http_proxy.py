@@ -83,7 +83,7 @@ class ViewerServer:
     """Serves the viewer's program, and sends a browser that comes without an address of data to those of ``grpc_port``.
 
     So the address to remember is short, and works from another machine as it does from this one. Asked for under a
-    name that nobody named it answers nothing: another page could have had its own name resolve to this machine.
+    name that no one named it answers nothing: another page could have had its own name resolve to this machine.
     """
 
     def __init__(self, bind: str, port: int, grpc_port: int, names: Sequence[str] = ()) -> None:
@@ -134,7 +134,7 @@ class ViewerServer:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
-        """Answers no more. The thread ends first: it would go on looking at whoever gets the closed socket's number."""
+        """Answers no more. The thread ends first: it would go on looking at anyone who gets the closed socket's number."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -192,7 +192,7 @@ _DROPPED = frozenset({b"connection", b"keep-alive", b"upgrade", b"http2-settings
 
 
 def private_loopback() -> str:
-    """An address of the loopback interface that nobody guesses, where the system has more than one (Linux)."""
+    """An address of the loopback interface that no one guesses, where the system has more than one (Linux)."""
     for _ in range(_GUESSES):
         address = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
         with contextlib.suppress(OSError), socket.socket() as probe:
@@ -204,7 +204,7 @@ def private_loopback() -> str:
 class DataProxy:
     """Listens at ``bind`` and ``port``, and hands on to ``behind`` what asks for it under a name of ours.
 
-    ``names`` are those beside the machine's own. Raises InputError when the port is taken.
+    ``names`` are those next to the machine's own. Raises InputError when the port is taken.
     """
 
     def __init__(self, bind: str, port: int, behind: tuple[str, int], names: Sequence[str] = ()) -> None:
@@ -270,7 +270,7 @@ class DataProxy:
         for line in lines:
             name, colon, value = line.partition(b":")
             if not colon or name != name.strip() or b"\n" in line or b"\r" in line or b"\0" in line:
-                return None  # folded, or two lines for somebody else
+                return None  # folded, or two lines for someone else
             if name.lower() in found:
                 found[name.lower()].append(value.strip().decode("latin-1"))
             if name.lower() not in _DROPPED:

@@ -1,4 +1,4 @@
-"""What the dashboard must know of a robot beside its messages: names, units, limits, size of the drawn body."""
+"""What the dashboard must know of a robot next to its messages: names, units, limits, size of the drawn body."""
 
 from __future__ import annotations
 

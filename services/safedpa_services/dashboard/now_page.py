@@ -97,7 +97,7 @@ class NowPage:
         if self._look.latent_names and now - self._heard.get(LatentMessage, -1e9) > _SILENT_SECONDS:
             missing.append("an estimate of the adaptation; the filter uses the model's own numbers meanwhile")
         if FindingMessage not in self._heard:
-            missing.append("the diagnosis, which nobody needs to drive: the panes of the error are empty without it")
+            missing.append("the diagnosis, which no one needs to drive: the panes of the error are empty without it")
         return missing
 
     def _numbers(self) -> str:
@@ -130,7 +130,7 @@ def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Markdo
     """While no robot has sent a state: what is awaited, who was heard, by name with its state, and what was refused."""
     parts = [
         "# Waiting for a robot",
-        f"Nobody has sent a state in fleet **{_plain(fleet)}** yet; a tab for each robot appears as soon as it speaks.",
+        f"No one has sent a state in fleet **{_plain(fleet)}** yet; a tab for each robot appears as soon as it speaks.",
     ]
     if heard:
         listed = ", ".join(f"{_plain(name)} ({_plain(state)})" for name, state in sorted(heard.items()))

@@ -49,7 +49,7 @@ _WORLD = (
     ),
     (
         "what its sensors see",
-        "at rest grey, what may move red, pink rings where somebody may come out of hiding; lines lead to what holds "
+        "at rest grey, what may move red, pink rings where someone may come out of hiding; lines lead to what holds "
         "its action back.",
     ),
 )

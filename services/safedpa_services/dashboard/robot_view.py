@@ -47,7 +47,7 @@ from safedpa_services.dashboard.world import (
 __all__ = ["RobotView"]
 
 _LONGEST_GAP_TICKS = 4
-"""Without a verdict; beyond it nobody knows what the trail's colour would say."""
+"""Without a verdict; beyond it no one knows what the trail's colour would say."""
 
 
 class RobotView:

@@ -1,6 +1,6 @@
 """The world from above: messages in, shapes out.
 
-Also what the sensors see of it: what is at rest, what may move, where somebody may hide, what holds back.
+Also what the sensors see of it: what is at rest, what may move, where someone may hide, what holds back.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ _KINDS = ("points", "movers", "hidden")
 
 
 def seen_entries(seen: SurroundingsMessage) -> list[TimelineEntry]:
-    """Discs at rest, of what may move and rings where somebody may hide, each as wide as is told; zones as they are."""
+    """Discs at rest, of what may move and rings where someone may hide, each as wide as is told; zones as they are."""
     points, movers, hidden = (_discs(getattr(seen, name)) for name in _KINDS)
     return [
         TimelineEntry(("world", "seen", "at_rest"), Discs(*points, GREY)),

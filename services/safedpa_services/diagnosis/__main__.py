@@ -28,7 +28,7 @@ from safedpa_services.serving import service_parser
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
     """Serves until ``stop``; returns the exit code."""
-    os.nice(10)  # nobody waits for it
+    os.nice(10)  # no one waits for it
     worker = ProcessWorker(options.settings)
     node = _node(options, worker)
     try:
@@ -46,7 +46,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
 def _report(bus: Bus, robot: str, request: Request | None, answer: Answer) -> None:
     """What was asked and what came of it, for the recording; who only looks is left out."""
     if request is None or request.do != STATUS:
-        with contextlib.suppress(BusError):  # closed meanwhile: then nobody waits for the answer either
+        with contextlib.suppress(BusError):  # closed meanwhile: then no one waits for the answer either
             bus.publish(ASKED, robot or NO_ROBOT, asked_message(request, answer))
 
 

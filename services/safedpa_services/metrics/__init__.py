@@ -1,1 +1,1 @@
-"""What is said on the bus, as metrics in Prometheus's format: one process beside the loop, which waits for nothing."""
+"""What is said on the bus, as metrics in Prometheus's format: one process alongside the loop, which waits for nothing."""

@@ -171,7 +171,7 @@ Sample = tuple[str, tuple[str, ...], float]
 
 
 class FleetCollector:
-    """A collector of ``prometheus_client``: ``listen`` in a loop, ``collect`` whenever somebody scrapes."""
+    """A collector of ``prometheus_client``: ``listen`` in a loop, ``collect`` whenever someone scrapes."""
 
     def __init__(self, fleet: FleetOverview) -> None:
         self._fleet, self._lock = fleet, threading.Lock()

@@ -35,7 +35,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 class Recorder:
     """Writes messages until told to stop; says in its health how many are on the disk, and why it cannot write.
 
-    When the disk is full it waits for room and goes on in a file beside the first, which begins with all setups.
+    When the disk is full it waits for room and goes on in a file next to the first, which begins with all setups.
     """
 
     def __init__(self, bus: Bus, path: Path, setup: SetupMessage, robot: str = "*") -> None:
@@ -124,14 +124,14 @@ class Recorder:
             log_event("recorder.failed", self._error, level="error", service="recorder", written=self._written)
 
     def _go_on(self) -> None:
-        """A new file beside the old one, as soon as there is room."""
+        """A new file next to the old one, as soon as there is room."""
         if _free_bytes(self._path) < _ROOM_BYTES:
             return
         try:
             self._file = McapRecorder(self._path, self._about)
         except RecordingError:  # not yet
             return
-        log_event("recorder.resumed", f"goes on beside {self._path}", service="recorder", lost=self._lost)
+        log_event("recorder.resumed", f"goes on next to {self._path}", service="recorder", lost=self._lost)
         now = time.time_ns()
         for key, payload in self._setups.items():
             self._guarded(partial(McapRecorder.write, key=key, payload=payload, log_time_ns=now, publish_time_ns=now))

@@ -43,7 +43,7 @@ from safedpa_services.ros_gateway.sensor_inputs import LatestMessage, SensorInpu
 __all__ = ["checked_face", "make_gateway", "parser", "work"]
 
 _POLICY = "policy"
-"""Whose certificate is shown for the nominal action; it lies beside the robot's."""
+"""Whose certificate is shown for the nominal action; it lies next to the robot's."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -161,7 +161,7 @@ def _sensor_inputs(link: RosLink, asked: RobotFile, face: AbstractFace, nominal_
 
 
 def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
-    """As the driver's own token asks. Raises InputError where it wants another type, or somebody drives already."""
+    """As the driver's own token asks. Raises InputError where it wants another type, or someone drives already."""
     if link.form != "rmw_zenoh":
         return hash_of(command_type)
     topic = asked.command.topic
@@ -175,7 +175,7 @@ def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
     while not (drivers := link.others_on(topic, SUBSCRIBER)):
         if time.monotonic() > end:
             raise InputError(
-                f"{topic}: nobody listens there after {_DRIVER_SECONDS:.0f} s; start the robot's driver, correct the "
+                f"{topic}: no one listens there after {_DRIVER_SECONDS:.0f} s; start the robot's driver, correct the "
                 "topic, or name command.hash to drive all the same"
             )
         time.sleep(0.2)

@@ -1,4 +1,4 @@
-"""Whether one publisher alone speaks on a topic: of two nobody knows which is right, so neither is believed."""
+"""Whether one publisher alone speaks on a topic: of two no one knows which is right, so neither is believed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ALONE_SECONDS = 1.0
 class PublisherMonitor:
     """Who spoke last, and until when nothing is believed; called on the network's thread.
 
-    Who signs nothing counts as one publisher beside those who do: a bridge signs nothing, and is alone then.
+    Who signs nothing counts as one publisher next to those who do: a bridge signs nothing, and is alone then.
     """
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ __all__ = ["CommandEchoMonitor"]
 _SILENT_SECONDS = 1.0
 """s without a word after which it counts as gone."""
 _ANSWER_SECONDS = 0.001
-"""At most so often a word is answered, whoever floods the topic."""
+"""At most so often a word is answered, anyone who floods the topic."""
 
 
 @final
@@ -39,11 +39,11 @@ class CommandEchoMonitor:
 
     @property
     def why(self) -> str:
-        """A sentence while somebody speaks there; empty else."""
+        """A sentence while someone speaks there; empty else."""
         at, sender = self._last
         if self._clock() - at > _SILENT_SECONDS:
             return ""
-        return f"somebody who shows no token ({sender}) publishes on {self._topic} too; find and end it"
+        return f"someone who shows no token ({sender}) publishes on {self._topic} too; find and end it"
 
 
 def _nothing() -> None:

@@ -2,7 +2,7 @@
 
 Each period: state[k] from the newest odometry and the nominal action of the robot's own policy go to the bus, the filter's
 action of tick k goes to the driver as soon as it is there. Where none comes in time, the odometry is too old, or
-somebody else drives, the gateway sends the brake itself. It counts ticks by its own clock, whatever the stamps say.
+someone else drives, the gateway sends the brake itself. It counts ticks by its own clock, whatever the stamps say.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Limits = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 @final
 class Gateway:
-    """Turns one robot; ``run`` until somebody says stop."""
+    """Turns one robot; ``run`` until someone says stop."""
 
     def __init__(
         self,
@@ -253,7 +253,7 @@ class Gateway:
         return now
 
     def _answer(self) -> None:
-        """A brake at once for each command of somebody else, so that it is in force for a moment only."""
+        """A brake at once for each command of someone else, so that it is in force for a moment only."""
         self._send(None)
 
     def _report_gateway(self, sent: int, age: float, stamp: int, seconds: float) -> None:
@@ -269,7 +269,7 @@ class Gateway:
         self._health_publisher.gateway(self.why, facts)
 
     def _look(self) -> None:
-        """Whether somebody else speaks on the driver's topic, as far as is known without asking anybody now."""
+        """Whether someone else speaks on the driver's topic, as far as is known without asking anybody now."""
         topic = self._asked.command.topic
         others = self._link.watched(topic, PUBLISHER) if self._link.form == "rmw_zenoh" else []
         named = f"{others[0].node} publishes on {topic} too; remap it to another topic" if others else ""

@@ -53,7 +53,7 @@ class TransformListener:
             return
         found = (float(place.x), float(place.y), yaw_of(turn.x, turn.y, turn.z, turn.w))
         if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in found):
-            self._refuse("its rotation is none, or a number is not finite, or so large that nobody believes it")
+            self._refuse("its rotation is none, or a number is not finite, or so large that no one believes it")
             return
         stamp = (int(one.header.stamp.sec), int(one.header.stamp.nanosec))
         with self._lock:

@@ -80,7 +80,7 @@ class NominalActionTopic:
 
 @dataclass(frozen=True)
 class CommandTopic:
-    """What its driver obeys. Nobody else may speak there."""
+    """What its driver obeys. No one else may speak there."""
 
     topic: str
     type: str = ""
@@ -239,7 +239,7 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def check_served(found: ServedRobot) -> None:
-    """Raises InputError for a name that the bus cannot carry, a robot that nobody knows, a rate that is none."""
+    """Raises InputError for a name that the bus cannot carry, a robot that no one knows, a rate that is none."""
     robot_named(found.robot)
     try:
         key_of("fleet", found.name, STATE)
@@ -262,7 +262,7 @@ def check_robot_file(found: RobotFile) -> None:
         raise InputError(f"scans.name: got {', '.join(names)}, wanted another one for each scanner")
     if found.scans and found.surroundings.obstacles:
         raise InputError(
-            "surroundings.obstacles: got some beside [[scans]], wanted none: perception tells what is seen"
+            "surroundings.obstacles: got some next to [[scans]], wanted none: perception tells what is seen"
         )
 
 

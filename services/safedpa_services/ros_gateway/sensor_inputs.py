@@ -98,7 +98,7 @@ class LatestMessage:
             return
         numbers = tuple(float(value) for value in values[self._skip :])
         if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in numbers):
-            self._refuse("a number is not finite, or so large that nobody believes it")
+            self._refuse("a number is not finite, or so large that no one believes it")
             return
         if self._stamped and self._frame and values[1].strip("/") != self._frame.strip("/"):
             self._refuse(f"its frame is '{values[1][:60]}', wanted '{self._frame}'")

@@ -35,7 +35,7 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         log_event(
             "router.open",
             f"routes fleet '{options.fleet}' on {', '.join(settings.listen)}"
-            f"{', plain text, nobody is denied anything' if options.plain else ''}",
+            f"{', plain text, no one is denied anything' if options.plain else ''}",
             level="warning" if options.plain else "info",
             service=ROUTER,
             robots=", ".join(options.robot),

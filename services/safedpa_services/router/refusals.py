@@ -158,7 +158,7 @@ def capture_zenoh_log(directives: str, hear: Callable[[str], None]) -> None:
     """From now on, for the whole process, hands every line of Zenoh's log to ``hear``, on a thread of its own.
 
     Must be called before the first session is opened; takes standard output for itself. Between them lies a file in
-    memory, and no pipe: whoever writes to a full pipe waits for its reader or is told of an error, and of each error
+    memory, and no pipe: anyone who writes to a full pipe waits for its reader or is told of an error, and of each error
     Zenoh would tell standard error, again waiting, while messages of the loop stand behind it. What a flood writes
     faster than it is read is passed over, and that is told once a second. The messages are refused all the same.
     """
@@ -181,7 +181,7 @@ class LogFile:
         self._most_unread = most_unread
         self._read, self._rest = 0, b""
         self.passed_over = 0
-        """bytes that nobody read."""
+        """bytes that no one read."""
 
     def lines(self) -> list[str]:
         """Whole lines that came since the last call, a gulp of them at most; never waits."""
@@ -203,7 +203,7 @@ class LogFile:
 
 
 def _read(file: LogFile, hear: Callable[[str], None]) -> None:
-    """In gulps, behind everything else: at every line a reader would be woken beside the messages' own way."""
+    """In gulps, behind everything else: at every line a reader would be woken next to the messages' own way."""
     thread = threading.get_native_id()
     with contextlib.suppress(OSError):
         os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))  # --realtime is for the messages

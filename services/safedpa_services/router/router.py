@@ -38,8 +38,8 @@ class DuplicateCertificates:
     """Finds certificates that two processes show at once: a copy in wrong hands, or a service that was started twice.
 
     The one that was there first stays; ``cut_off`` ends the links of the others. Of those that came together when the
-    router began nobody knows which is the copy: both stay, and it is told. A session whose link is lost and comes back
-    is no newcomer: a router that stood still loses all of them at once, and they come back in any order.
+    router began no one knows which is the copy: both stay, and it is told. A session whose link is lost and comes back
+    is no newcomer: a router that was stationary loses all of them at once, and they come back in any order.
 
     Only roles that announce themselves are one process each: people and health checks come and go in any number.
     """
@@ -108,7 +108,7 @@ class RevocationList:
         return cut
 
     def _read(self) -> None:
-        """A file that cannot be read revokes nobody more than before."""
+        """A file that cannot be read revokes no one more than before."""
         assert self._path is not None
         with contextlib.suppress(OSError, UnicodeDecodeError, SafedpaError):
             changed = self._path.stat().st_mtime_ns

@@ -1,4 +1,4 @@
-"""Ends a process whose work has come to a stand, so that whoever started it starts it anew."""
+"""Ends a process whose work has come to a stand, so that anyone who started it starts it again."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class LoopWatchdog:
             still, seen = (still + 1, seen) if self._beats == seen else (0, self._beats)
             if still >= self._looks:
                 seconds = self._looks * self._look_seconds
-                sentence = f"the router's own work has stood still for {seconds:.0f} s: it ends, to be started anew"
+                sentence = f"the router's own work has was stationary for {seconds:.0f} s: it ends, to be restarted"
                 log_event("router.stands", sentence, level="error", service="router")
                 self._stationary()
                 return

@@ -79,7 +79,7 @@ class Child:
         return self._process.poll() if self._process else None
 
     def start(self) -> None:
-        """Starts the process; a later call starts it anew."""
+        """Starts the process; a later call starts it again."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
         command += ["--await-word"] if self.waits and not self._reported else []
         cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
@@ -111,7 +111,7 @@ class Child:
 
     def _opened_log(self) -> BinaryIO:
         """To write to; what takes nothing where the log cannot be had: a loop without logs is better than none."""
-        with contextlib.suppress(OSError):  # somebody may have removed the folder of the run
+        with contextlib.suppress(OSError):  # someone may have removed the folder of the run
             self.log.parent.mkdir(parents=True, exist_ok=True)
             return self.log.open("ab")
         return Path(os.devnull).open("ab")

@@ -43,7 +43,7 @@ class Plan:
     """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
     folder: Path
     diagnosis: bool = False
-    """Whether a diagnosis runs beside the loop."""
+    """Whether a diagnosis runs alongside the loop."""
     workbench_port: int = 0
     """Where the workbench serves its page; 0: no workbench."""
     page_token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
@@ -56,7 +56,7 @@ class Plan:
     """s until then, by the robot's clock."""
 
     sensor_inputs: bool = False
-    """Whether the robot has sensors of its own, and perception runs beside the loop."""
+    """Whether the robot has sensors of its own, and perception runs alongside the loop."""
     perception: str = ""
     """Its settings, sources and zones: a file; empty: the defaults."""
     robots: int = 1
@@ -172,7 +172,7 @@ class Plan:
         return child
 
     def robot_process(self, index: int = 0) -> Child:
-        """The robot, or another one beside it, whose scene has the next seed."""
+        """The robot, or another one next to it, whose scene has the next seed."""
         options = ["--robot", self.robot, "--name", self.names[index], "--load", self.load]
         options += ["--seed", str(self.seed + index), "--rate", repr(self.rate), "--seconds", repr(self.seconds)]
         options += ["--summary", str(self._summary(index))]

@@ -68,7 +68,7 @@ def _parent() -> Path:
 
 
 def _locked(path: Path) -> int | None:
-    """A descriptor that holds the file; None where somebody else does, or it cannot be opened."""
+    """A descriptor that holds the file; None where someone else does, or it cannot be opened."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError:
@@ -82,7 +82,7 @@ def _locked(path: Path) -> int | None:
 
 
 def _remove_forgotten(parent: Path) -> None:
-    """Folders of this user that nobody holds any more."""
+    """Folders of this user that no one holds any more."""
     with contextlib.suppress(OSError):
         for folder in parent.glob(f"{_PREFIX}*"):
             about = folder.lstat()

@@ -41,7 +41,7 @@ def screen(
     if quiet:
         yield Warnings((robot, *services), folder).look
         return
-    from rich.live import Live  # here, so that whoever draws nothing does not wait for it at the start
+    from rich.live import Live  # here, so that anyone who draws nothing does not wait for it at the start
 
     from safedpa_services.supervisor.view import render_view
     from safedpa_services.terminal import SanitizedRenderable, terminal
@@ -89,7 +89,7 @@ class _Announcement:
 
 
 class _Page:
-    """An address of this machine that is worth telling once somebody answers there."""
+    """An address of this machine that is worth telling once someone answers there."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -97,7 +97,7 @@ class _Page:
         self._next_look = 0.0
 
     def lines(self) -> list[str]:
-        """The address with its name; nothing while nobody answers."""
+        """The address with its name; nothing while no one answers."""
         if not self._address:
             return []
         if not self._answers and time.monotonic() >= self._next_look:
@@ -107,7 +107,7 @@ class _Page:
 
 
 def answers(address: str) -> bool:
-    """Whether somebody serves a page there, on this machine."""
+    """Whether someone serves a page there, on this machine."""
     parts = urlsplit(address)
     try:
         socket.create_connection((parts.hostname or "127.0.0.1", parts.port or 80), _PROBE_SECONDS).close()

@@ -55,7 +55,7 @@ class CertificateStore:
 
 @contextmanager
 def ephemeral_certificates(fleet: str, robot: str) -> Iterator[CertificateStore]:
-    """A certificate for every role; nobody can make another one, and all are gone however the run ends.
+    """A certificate for every role; no one can make another one, and all are gone however the run ends.
 
     The folder is for this user alone. Keys of robot and services are in it for the moment in which they are made; then
     this process has them, hands each to its own process, and no other process of this user looks into its memory.

@@ -1,4 +1,4 @@
-"""The live story: a robot drives, something about it changes, and its model is mended. Told, and measured.
+"""The live story: a robot drives, something about it changes, and its model is corrected. Told, and measured.
 
     fall = 1 - mean error from 10 s after the change of the model on / mean error from the finding to that change
 
@@ -63,7 +63,7 @@ class DemoSummary:
     effect: str = ""
     """Best candidate of the newest search."""
     taken: float | None = None
-    """When the mended model was in force."""
+    """When the corrected model was in force."""
     error_before: float | None = None
     error_after: float | None = None
     fall: float | None = None
@@ -104,7 +104,7 @@ class DemoNarrator:
 
     @property
     def done(self) -> bool:
-        """Whether the error was seen long enough with the mended model."""
+        """Whether the error was seen long enough with the corrected model."""
         since = 0.0 if self.reported.taken is None else self._now - self.reported.taken
         return since >= _ENOUGH and bool(self._after) and len(self.models) > 1
 
@@ -174,7 +174,7 @@ class DemoNarrator:
         reported.error_before, reported.error_after = fmean(self._before), fmean(self._after)
         reported.fall = 1.0 - reported.error_after / reported.error_before
 
-    # asking, beside the turns of the loop
+    # asking, next to the turns of the loop
 
     def _alongside(self, do: Callable[[], None]) -> None:
         """Does it on a thread of its own, after what was begun before."""
@@ -229,7 +229,7 @@ class DemoNarrator:
         seen = self._asked(Request(do="status"))
         if not seen.pending and seen.sentence != self._reported_person and seen.fingerprint == self._model:
             self._reported_person = seen.sentence
-            self._lines.put(f"{seen.sentence}; click Accept once more")
+            self._lines.put(f"{seen.sentence}; click Accept again")
 
     def _accept(self, effect: str) -> None:
         seen = self._asked(Request(do="status"))

@@ -23,7 +23,7 @@ _BRAKING_SECONDS = 5.0
 _OTHERS_PATIENCE_SECONDS = 5.0
 """After the first robot's end, for the others to come to theirs."""
 _SERVICE_PATIENCE_SECONDS = 6.0
-"""The filter takes up to 5 s to see robots stand that it serves beside this loop's."""
+"""The filter takes up to 5 s to see robots stand that it serves next to this loop's."""
 _HUNG_SECONDS = 10.0
 """Without a heartbeat, of which there are four a second; a busy machine keeps one waiting for a second or two."""
 _LAST = ("recorder", "router")
@@ -44,7 +44,7 @@ class Supervisor:
     hurried: Callable[[], bool] = lambda: False
     """Whether to end everything at once, in whatever state it is."""
     others: Sequence[tuple[Child, RunMonitor]] = ()
-    """Further robots that drive beside the first, whose end is the end."""
+    """Further robots that drive next to the first, whose end is the end."""
 
     def run(self) -> int:
         """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
@@ -112,13 +112,13 @@ class Supervisor:
             if child.exit_code is not None:
                 self._revive(child)
             elif child.essential and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
-                child.kill()  # a process that lives and does not work is as good as dead; it is started anew
+                child.kill()  # a process that lives and does not work is as good as dead; it is restarted
         self.on_turn()
 
     def _revive(self, child: Child) -> None:
-        """Starts it anew. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
+        """Starts it again. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
         if child is self.robot and child.exit_code == _BAD_INPUT and "robot" not in self.watch.health:
-            raise InputError(child.last_text())  # it never drove: nobody would hear why
+            raise InputError(child.last_text())  # it never drove: no one would hear why
         if child.exit_code != _BAD_INPUT or any(robot.begun for robot in self._robots):
             child.restart_if_due()
         elif child.essential:

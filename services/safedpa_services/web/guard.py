@@ -1,6 +1,6 @@
 """Stands before every page and socket: names, origins, the token of this run, sizes, and what browsers must refuse.
 
-The token is part of the address that is printed. Whoever opens it gets it as a cookie, which no script can read and
+The token is part of the address that is printed. Anyone who opens it gets it as a cookie, which no script can read and
 which the browser sends to this page alone; everything else is refused before the page's framework sees it.
 """
 
@@ -143,7 +143,7 @@ class Guard:
             await _answer(send, 303, b"", {**headers, "Location": path})
 
     async def _log_in(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One try a second, whoever tries."""
+        """One try a second, anyone who tries."""
         if scope["method"] != "POST":
             await _answer(send, 200, _FORM, {"Content-Type": "text/html; charset=utf-8"})
             return
@@ -154,7 +154,7 @@ class Guard:
                 await self._redirect(send, "/")
                 return
             await asyncio.sleep(_WRONG_PASSWORD_SECONDS)
-        log_event("page.wrong_password", "somebody gave a wrong password", level="warning", service="workbench")
+        log_event("page.wrong_password", "someone gave a wrong password", level="warning", service="workbench")
         await _answer(send, 401, _FORM, {"Content-Type": "text/html; charset=utf-8"})
 
     async def _refuse(self, scope: Scope, send: Send, code: int, reason: str) -> None:

@@ -1,7 +1,7 @@
 """Under which names a page may be asked for.
 
 A foreign page can have its own name resolve to this machine (DNS rebinding); the browser then sends that name, and
-the answer to it would be readable to the foreign page. So names that nobody named are refused. A numeric address
+the answer to it would be readable to the foreign page. So names that no one named are refused. A numeric address
 cannot be made to resolve to something else.
 """
 

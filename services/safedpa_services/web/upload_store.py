@@ -79,7 +79,7 @@ class FileStore:
         return str(self._below(name, _MODELS, "a model file (.toml), or the name of one that ships"))
 
     def _below(self, path: str, endings: tuple[str, ...], wanted: str) -> Path:
-        """The same refusal whatever is wrong, so that nobody learns what lies elsewhere."""
+        """The same refusal whatever is wrong, so that no one learns what lies elsewhere."""
         try:
             found = Path(os.path.realpath(self._readable(path), strict=True))
             inside = next((folder for folder in self._folders if found.is_relative_to(folder)), None)
@@ -106,7 +106,7 @@ class FileStore:
             return "\1"  # a name that no file has
         try:
             return str(Path(text).expanduser()) if text else ""
-        except RuntimeError:  # the home of nobody
+        except RuntimeError:  # the home of no one
             return "\1"
 
     def _refusal(self, path: str, wanted: str) -> InputError:

@@ -2,7 +2,7 @@
 
 The library's own server for it listens on every interface of the machine, and says nothing of where it may listen.
 So the program is fetched once, when it is first asked for, from Rerun's command line listening on the loopback
-interface for that moment, and served by whoever has the page.
+interface for that moment, and served by anyone who has the page.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def _command(port: int) -> list[str]:
     found = find_spec("rerun_cli")
     program = None if found is None or found.origin is None else Path(found.origin).parent / "rerun"
     if program is not None and program.exists():
-        no_one = "rerun+http://127.0.0.1:9/proxy"  # with an address to look at it serves no data itself
-        return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_one]
+        no_answer = "rerun+http://127.0.0.1:9/proxy"  # with an address to look at it serves no data itself
+        return [str(program), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), no_answer]
     return [
         sys.executable,
         "-c",

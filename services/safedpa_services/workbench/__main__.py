@@ -1,4 +1,4 @@
-"""``python -m safedpa_services.workbench``: the live page beside a running loop, as the supervisor starts it."""
+"""``python -m safedpa_services.workbench``: the live page next to a running loop, as the supervisor starts it."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class Bench:
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.ensure_future(work)
-        self._tasks.add(task)  # else nobody holds it
+        self._tasks.add(task)  # else no one holds it
         task.add_done_callback(self._tasks.discard)
 
     # opening
@@ -136,7 +136,7 @@ class Bench:
             self.look_for_more()
 
     async def _again(self, session: Session | None, do: str, effect: str, title: str) -> bool:
-        """One decision once more; False where something else was opened meanwhile."""
+        """One decision again; False where something else was opened meanwhile."""
         if session is None or session is not self.session:
             return False
         if do == "rejected":

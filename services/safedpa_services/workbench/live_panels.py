@@ -1,4 +1,4 @@
-"""What the live page shows beside its buttons: tables and bars, candidates as cards, figures.
+"""What the live page shows next to its buttons: tables and bars, candidates as cards, figures.
 
 The error before and after a change, what happened when, the drive; candidates from the report that a running diagnosis
 sent and the names that it accepts; the robot in its field, and the error with its band along time.

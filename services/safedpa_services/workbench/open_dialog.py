@@ -42,7 +42,7 @@ _NAME_UPLOAD = """(node) => {
   if (window.droppedRecordings) { window.takeRecordings(window.droppedRecordings); window.droppedRecordings = null; }
 }"""
 """The framework draws a link around the control; the control itself is what the keyboard reaches. And it takes what was
-dropped beside it, or before the dialog was there."""
+dropped next to it, or before the dialog was there."""
 _DROPS = """<script>
 document.addEventListener('dragover', (event) => {
   if ([...event.dataTransfer.types].includes('Files')) event.preventDefault();
@@ -196,7 +196,7 @@ class OpenDialog:
             return None
 
     def _refresh(self) -> None:
-        """Reads the first file's columns anew."""
+        """Reads the first file's columns again."""
         model, paths = self._loaded_model(), self._files_named()
         if model is None or not paths:
             return
@@ -341,7 +341,7 @@ class ColumnsTable:
         self._grid = ui.element("div").classes("map-grid")
 
     def show(self, lines: list[QuantityForm], raw: RawRows) -> None:
-        """Draws the form anew."""
+        """Draws the form again."""
         self.lines, self._raw = list(lines), raw
         self._grid.clear()
         if not lines:

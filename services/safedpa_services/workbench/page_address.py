@@ -14,7 +14,7 @@ from safedpa_services.web.hosts import Hosts, is_loopback
 __all__ = ["PASSWORD_VARIABLE", "TOKEN_VARIABLE", "PageServerOptions"]
 
 TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
-"""Environment variable: the token, where whoever starts the page prints the address itself."""
+"""Environment variable: the token, where anyone who starts the page prints the address itself."""
 PASSWORD_VARIABLE = "SAFEDPA_PAGE_PASSWORD"
 """Environment variable: a password that opens the page; arguments can be read by every user of the machine."""
 _SHORTEST_PASSWORD = 12
@@ -29,7 +29,7 @@ class PageServerOptions:
     names: tuple[str, ...] = ()
     """Under which the page is also asked for."""
     folders: tuple[Path, ...] = ()
-    """From which recordings may be opened, beside those of the recordings that were named."""
+    """From which recordings may be opened, next to those of the recordings that were named."""
     certificate: Path | None = None
     key: Path | None = None
     token_only: bool = False

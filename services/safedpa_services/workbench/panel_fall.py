@@ -40,7 +40,7 @@ class ErrorReductionPanel:
         self._save.set_enabled(not saving)
 
     def show(self, session: Session) -> None:
-        """Draws the bars anew."""
+        """Draws the bars again."""
         highest = max((version.error for version in session.versions), default=0.0)
         self._stages.clear()
         with self._stages:

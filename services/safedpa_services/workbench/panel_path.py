@@ -49,7 +49,7 @@ class PathPanel:
         self._on_start(int(self._slider.value) + by)
 
     def show(self, session: Session, look: ColourTheme) -> None:
-        """Draws everything anew."""
+        """Draws everything again."""
         found = excerpt_of(session)
         notice = f"{session.horizon:g} s ahead from {found.moment:.2f} s of {shortened(found.run, 22)}"
         self._where.set_content(escaped(notice))
@@ -163,7 +163,7 @@ def path_figure(session: Session, found: Excerpt, look: ColourTheme) -> dict[str
             scaleanchor="x",
             constrain="domain",
         ),
-        margin={"l": 66, "r": 8, "t": 6, "b": 38},  # room for wide numbers; automargin would never settle beside x
+        margin={"l": 66, "r": 8, "t": 6, "b": 38},  # room for wide numbers; automargin would never settle next to x
     )
     return {"data": data, "layout": layout, "config": CONFIG}
 

@@ -83,8 +83,8 @@ class WherePanel:
             self._on_brush(brush)
 
     def show(self, session: Session, look: ColourTheme) -> None:
-        """Draws everything anew."""
-        self._session = None  # while the boxes are set, nobody chose
+        """Draws everything again."""
+        self._session = None  # while the boxes are set, no one chose
         options = {name: name.replace("_", " ") for name in variables_of(session.comparison.windows)}
         self._x.set_options(options, value=session.axes[0])
         self._y.set_options(options, value=session.axes[1])
@@ -96,7 +96,7 @@ class WherePanel:
         self.show_time(session, look)
 
     def show_time(self, session: Session, look: ColourTheme) -> None:
-        """Draws the error along time anew, where the chosen start is marked."""
+        """Draws the error along time again, where the chosen start is marked."""
         self._time.update_figure(time_figure(session, look))
 
 

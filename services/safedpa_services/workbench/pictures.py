@@ -113,7 +113,7 @@ def _candidates(page: Any) -> None:
 
 
 def _added(page: Any) -> None:
-    """The two best additions, and what may be missing beside them."""
+    """The two best additions, and what may be missing next to them."""
     for _ in range(2):
         bars = page.locator(".stages .value").count()
         page.keyboard.press("a")
@@ -146,4 +146,4 @@ def _changed(page: Any) -> None:
 
 _LIVE: dict[str, Callable[[Any], None]] = {"workbench_live.png": _live}
 _REPLAYED: dict[str, Callable[[Any], None]] = {**_LIVE, "workbench_changed.png": _changed}
-"""In a recording somebody accepted; with a driving robot that is for the person before the page."""
+"""In a recording someone accepted; with a driving robot that is for the person before the page."""

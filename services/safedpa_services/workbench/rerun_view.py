@@ -43,7 +43,7 @@ def _require_room(path: Path) -> None:
 
 
 def write_view(session: Session, path: Path) -> None:
-    """Writes measured and predicted states of the chosen run, from the chosen start on, started anew each horizon.
+    """Writes measured and predicted states of the chosen run, from the chosen start on, restarted each horizon.
 
     The time line is the run's own time; its first moment is the chosen start. Raises RecordingError when the file
     cannot be written.

@@ -47,7 +47,7 @@ _LAST_WORD_SECONDS = 4.0
 """For the browsers to say that they show the end of the drive."""
 _RECONNECT_SECONDS = 30.0
 """s for which a page that lost its connection is kept. A browser that is silent for 0.4 of it counts as lost: on a busy
-machine, or while it asks something of a person, it may be, and a page that is loaded anew loses what was typed."""
+machine, or while it asks something of a person, it may be, and a page that is loaded again loses what was typed."""
 
 
 def serve(
@@ -165,7 +165,7 @@ def chosen_port(host: str, port: int | None) -> int:
 _LONGEST = 300
 _MOST_BYTES = 4_000_000
 _LEFT = ("No response returned.",)
-"""What the web framework says where a browser hangs up before its answer: nobody needs to hear of that."""
+"""What the web framework says where a browser hangs up before its answer: no one needs to hear of that."""
 
 
 def _keep_tracebacks_in(path: Path) -> None:

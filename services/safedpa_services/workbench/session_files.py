@@ -1,6 +1,6 @@
 """What stays on the disk: the model with its final numbers, the filter's margin for it, and the session.
 
-A session is what was opened and decided, as a small file beside what Save writes: with it the work goes on after any
+A session is what was opened and decided, as a small file next to what Save writes: with it the work goes on after any
 end.
 """
 

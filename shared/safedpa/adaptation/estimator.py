@@ -143,7 +143,7 @@ class EstimatorSettings:
 
 
 def _settings_of(model: PhysicsModel) -> EstimatorSettings:
-    """With what the robot declares of its measurements; of a system that nobody declared a robot for, the default's."""
+    """With what the robot declares of its measurements; of a system that no one declared a robot for, the default's."""
     robot = robots().get(model.system.name)
     if robot is None:
         return EstimatorSettings()

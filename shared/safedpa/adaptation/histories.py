@@ -33,7 +33,7 @@ class BatchHistoryEstimator:
         """Of the states that were seen last."""
 
     def reset(self, which: NDArray[np.intp] | Sequence[int]) -> None:
-        """The robots of those indices begin anew: nothing is known of them."""
+        """The robots of those indices begin again: nothing is known of them."""
         self._streams.reset(np.asarray(which).tolist())
         self._seen[which] = self._begun[which] = False
 

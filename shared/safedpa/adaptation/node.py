@@ -74,7 +74,7 @@ class AdaptationNode(AbstractNode):
 
     With a history encoder among the model's weights, latent[k] = phi(history up to state[k]). Without, the model's free
     parameters are estimated recursively, and latent[k] holds what all transitions before state[k] taught: the newest
-    one is learned while the policy computes, so that nobody waits for it.
+    one is learned while the policy computes, so that no one waits for it.
 
     A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it. A
     new model's estimate begins with the values of its file and learns from the last transitions, before it is used.
@@ -191,7 +191,7 @@ class AdaptationNode(AbstractNode):
                 memory.successor = None
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """No latent: the others have the last one for a second. What was learned may be broken, so it begins anew."""
+        """No latent: the others have the last one for a second. What was learned may be broken, so it begins again."""
         del state, reason
         self._robots.pop(robot, None)
         return {}

@@ -7,7 +7,7 @@ A line is a JSON object: ``time`` [s since 1970], ``level``, ``kind`` (dotted, s
 terminal, or with ``SAFEDPA_LOG=text``, it is one readable line instead.
 
 A flood costs one line a second: of events of the same kind, robot and service within a second only the first is
-written, and the line that closes the second carries ``repeated``, the number of those that were left out, beside the
+written, and the line that closes the second carries ``repeated``, the number of those that were left out, next to the
 newest of them.
 """
 
@@ -53,7 +53,7 @@ KINDS = MappingProxyType(
         "filter.disabled": "The safety filter hands nominal actions on unchecked, since it is switched off.",
         "filter.stopped": "A robot is stopped by an order or by the filter's end.",
         "filter.released": "A robot that was stopped may drive again.",
-        "order.taken": "Somebody ordered robots to stop or to go, or switched a source or a zone.",
+        "order.taken": "Someone ordered robots to stop or to go, or switched a source or a zone.",
         "order.refused": "An order was refused; says why.",
         "order.kept": "A filter, or perception, that was started found an order that is still in force.",
         "order.lost": "Perception cannot read the orders that it kept: no source counts until one is switched on.",
@@ -72,21 +72,21 @@ KINDS = MappingProxyType(
         "recorder.resumed": "The recording goes on in another file, since the disk has room again.",
         "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
         "router.open": "The router accepts connections.",
-        "router.stands": "The router's own work came to a stand; it ends, so that it is started anew.",
+        "router.stands": "The router's own work came to a stand; it ends, so that it is restarted.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
         "bus.unclosed": "A process ends, and its session with the bus did not close in time; its links end with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",
         "bus.astray": "What came under another key than it was sent under, after a lost link, was passed over.",
         "bus.twice": "Two connect with one certificate; one of them may not be who it says.",
-        "bus.joined": "Somebody connects to the router with a certificate.",
-        "bus.handshake_refused": "Somebody was refused at the router's door.",
-        "bus.denied": "Somebody tried what its role may not; the router let nothing through.",
-        "bus.too_large": "Somebody sent more bytes than the topic allows; the router let nothing through.",
-        "bus.held_back": "Somebody sends more often than any robot ticks; the router lets a part through.",
+        "bus.joined": "Someone connects to the router with a certificate.",
+        "bus.handshake_refused": "Someone was refused at the router's door.",
+        "bus.denied": "Someone tried what its role may not; the router let nothing through.",
+        "bus.too_large": "Someone sent more bytes than the topic allows; the router let nothing through.",
+        "bus.held_back": "Someone sends more often than any robot ticks; the router lets a part through.",
         "bus.strangers_cut_off": "Connections were ended that did not say in time who they are.",
         "bus.revoked": "Links of certificates that are good for nothing any more were ended.",
         "page.refused": "A page was asked by another page, under another name, without its token, or for too much.",
-        "page.wrong_password": "Somebody gave a wrong password to a page.",
+        "page.wrong_password": "Someone gave a wrong password to a page.",
         "bus.log_overrun": "More was refused than could be told one by one.",
         "bus.zenoh": "A warning of the network library.",
     }

@@ -1,4 +1,4 @@
-"""The theory's bound from recordings of a robot whose environment nobody knows: the error of whole steps, by norms.
+"""The theory's bound from recordings of a robot whose environment no one knows: the error of whole steps, by norms.
 
 With the latent at work as the definition of z, eps_z is 0 and eps_f + eps_g |u|_1 + eps_r is |v - v^|_sup, which can be
 measured. Times the largest gradient of h it is a margin: that of Theorem 1, as far as a recording can tell.

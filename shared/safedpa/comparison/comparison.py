@@ -1,4 +1,4 @@
-"""A model held against measurements: what ``safedpa compare`` prints and draws, as plain data."""
+"""A model compared with measurements: what ``safedpa compare`` prints and draws, as plain data."""
 
 from __future__ import annotations
 

@@ -111,5 +111,5 @@ def _marks(run: Run) -> NDArray[np.float64]:
     weights = np.random.default_rng(7).uniform(1.0, 2.0, rows.shape[1])
     total = np.zeros(len(rows))
     for weight, column in zip(weights.tolist(), rows.T, strict=True):
-        total = total + weight * column  # column by column: the same sum whatever stands beside it
+        total = total + weight * column  # column by column: the same sum whatever stands next to it
     return np.unique(total)

@@ -11,7 +11,7 @@ __all__ = ["LOOK_BACK", "constant_velocity", "measured_rates", "naive_errors", "
 
 LOOK_BACK = 0.1
 """s; measured rates are the change over this past (one row where rows are further apart): long enough to average the
-noise of motion capture and encoders, short beside the motions of a car or pendulum."""
+noise of motion capture and encoders, short next to the motions of a car or pendulum."""
 
 
 def no_change(windows: Windows, rows: IndexArray) -> FloatArray:

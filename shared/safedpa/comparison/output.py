@@ -54,7 +54,7 @@ def results_folder(
 ) -> Iterator[Path]:
     """``out``, or a new folder named by command, model and time where there is none.
 
-    It is there at once, so that nobody else takes it; whatever was made goes again where the command fails before it
+    It is there at once, so that no one else takes it; whatever was made goes again where the command fails before it
     wrote anything. ``names`` are the files that will be written there. Raises InputError where the folder cannot be
     written to, and where one of the files is an input, unless ``force``.
     """

@@ -94,7 +94,7 @@ def rollout_steps(model: PhysicsModel, windows: Windows) -> Iterator[tuple[int, 
         rows = start[:active] + step
         seconds: Any = windows.period[rows] if period is None else period
         now = [column[:active] for column in states]
-        with np.errstate(all="ignore"):  # not around the loop: whoever takes the steps would be silenced as well
+        with np.errstate(all="ignore"):  # not around the loop: anyone who takes the steps would be silenced as well
             states = mechanics.ahead(now, [column[rows] for column in felt], seconds, windows.time[rows])
         yield step + 1, order[:active], np.stack(states, axis=-1)
 

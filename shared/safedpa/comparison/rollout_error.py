@@ -1,4 +1,4 @@
-"""The one number by which models are held against measurements."""
+"""The one number by which models are compared with measurements."""
 
 from __future__ import annotations
 

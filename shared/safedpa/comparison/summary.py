@@ -130,7 +130,7 @@ def worse_sentence(before: Comparison, after: Comparison) -> str:
 
 
 def naive_sentence(comparison: Comparison) -> str:
-    """One sentence: the model beside the predictors that know no physics."""
+    """One sentence: the model next to the predictors that know no physics."""
     errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
     if not (comparison.error.scale > 0).any():
         return "No predictor can be told from another."

@@ -1,4 +1,4 @@
-"""Windows: the stretches of measured time over which open-loop predictions are held against measurements."""
+"""Windows: the stretches of measured time over which open-loop predictions are compared with measurements."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def check_runs(runs: Sequence[Run]) -> None:
         if (run.system.name, run.system.state_names, run.system.action_names) != _columns_of(runs[0].system):
             raise RunError(
                 f"{run.name}: a run of robot '{run.system.name}' with actions {', '.join(run.system.action_names)} "
-                f"beside {runs[0].name} of '{runs[0].system.name}' with {', '.join(runs[0].system.action_names)}; "
+                f"next to {runs[0].name} of '{runs[0].system.name}' with {', '.join(runs[0].system.action_names)}; "
                 "compare them one at a time"
             )
         if not any(len(part) > 1 for part in run.stretches):

@@ -1,7 +1,7 @@
 """Before anything is searched: which effects these very logs could show, from which size on, and which only as a sum.
 
 A parameter moved away from doing nothing displaces the predictions by d (windows, numbers). Were it in the data with s
-times that size, the search would see the squares s^2 |d|^2 + 2 s d'e beside the present residual e. Put into the
+times that size, the search would see the squares s^2 |d|^2 + 2 s d'e next to the present residual e. Put into the
 search's own rule (gain over independent blocks, fall of the rollout error) that gives the smallest s that passes.
 
 Source: Walter and Pronzato, Identification of Parametric Models, Springer 1997, ch. 6 (sensitivities and what an

@@ -130,7 +130,7 @@ def proposal(
 
 
 def with_candidate(step: StepwiseModel, proposed: RankedCandidates, name: str) -> StepwiseModel:
-    """The model with one of the candidates, all fitted anew; the choice is the person's, whatever the ranking says.
+    """The model with one of the candidates, all fitted again; the choice is the person's, whatever the ranking says.
 
     Raises InputError for a name that is none of the candidates.
     """
@@ -160,7 +160,7 @@ def _copied(search: SearchState) -> SearchState:
 
 
 def _settle(search: SearchState, heldout: Heldout) -> None:
-    """Fits once more about the present model."""
+    """Fits again about the present model."""
     now = search.current.fit
     search.shooting = search.shooting.around(now.model)
     again = fit(now.model, now.paths, search.shooting, now.scale)

@@ -198,7 +198,7 @@ class Detectable:
     parameter: str
     unit: str
     smallest: float | None
-    """Change from doing nothing that would have been found in nineteen of twenty cases; None: none within bounds."""
+    """Change from doing nothing that would have been found with 95 % power cases; None: none within bounds."""
     ordinary: float
     """The change that is ordinary."""
     only_with: tuple[str, ...]

@@ -89,8 +89,8 @@ class AbstractDynamics(ABC):
 class RunClock:
     """At what time of its run a model is asked, for who asks it tick by tick: filter, estimator, policy.
 
-    Seconds since the start of the run, 0 until somebody says; what a call says as ``time`` counts from there.
-    Who serves several robots with one model sets it anew before each question.
+    Seconds since the start of the run, 0 until someone says; what a call says as ``time`` counts from there.
+    Who serves several robots with one model sets it again before each question.
     """
 
     seconds: float = 0.0

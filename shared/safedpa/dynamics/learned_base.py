@@ -24,7 +24,7 @@ __all__ = ["LearnedBase"]
 class LearnedBase(AbstractBase):
     """d(state)/dt = (f(x, z) + g(x, z) a) / period from networks; z are the parameters latent_0, latent_1, ...
 
-    ``nominal`` is the physics that the file names beside the weights: its parameters (a wheelbase, say) are what named
+    ``nominal`` is the physics that the file names next to the weights: its parameters (a wheelbase, say) are what named
     effects on top refer to; it does not move the robot. Raises ModelFileError when the weights are for another robot.
     """
 
@@ -88,7 +88,7 @@ class LearnedBase(AbstractBase):
         return self.known_at(known[:states], known[states:])
 
     def known_at(self, state: tuple[float, ...], latent: tuple[float, ...]) -> list[float]:
-        """f (states,) and g (states, actions) in a row, at one state and latent; nobody may write into it.
+        """f (states,) and g (states, actions) in a row, at one state and latent; no one may write into it.
 
         The last are kept, for the many actions that the filter tries.
         """

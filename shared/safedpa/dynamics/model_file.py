@@ -88,7 +88,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
 
 
 def save_model(model: PhysicsModel, path: Path) -> None:
-    """Writes ``write_model`` to a file, and a learned model's weights beside it."""
+    """Writes ``write_model`` to a file, and a learned model's weights next to it."""
     name = ""
     if isinstance(model.base, LearnedBase):
         name = path.with_suffix(".safetensors").name
@@ -171,7 +171,7 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
 
 def _learned(nominal: AbstractBase, table: Any, folder: Path, period: float) -> LearnedBase:
     if not isinstance(table, dict) or not isinstance(table.get("weights"), str):
-        raise ModelFileError("networks.weights: missing; wanted the name of a safetensors file beside the model file")
+        raise ModelFileError("networks.weights: missing; wanted the name of a safetensors file next to the model file")
     refuse_unknown(table, _NETWORKS, "networks.", ModelFileError)
     try:
         weights = load_weights(folder / table["weights"])

@@ -162,7 +162,7 @@ class PhysicsModel(AbstractDynamics):
         return None if self._apart else self._straight.floats(period)
 
     def write_straight(self) -> None:
-        """Records the step of one period now, in some milliseconds, before somebody waits for it."""
+        """Records the step of one period now, in some milliseconds, before someone waits for it."""
         self._straight.write(self.period)
 
     def straight_tangent(self) -> StraightTangent | None:

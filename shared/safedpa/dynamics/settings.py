@@ -29,7 +29,7 @@ class Setting:
 
 
 def base_default(parameter: Parameter) -> Setting:
-    """What a base's parameter is when nobody says; a learned latent is free: adaptation is there to estimate it."""
+    """What a base's parameter is when no one says; a learned latent is free: adaptation is there to estimate it."""
     assert parameter.neutral is not None
     return Setting(parameter.neutral, free=parameter.name.startswith(LATENT_PREFIX))
 

@@ -1,7 +1,7 @@
 """The tangent of a step at an action: (f, g) with step(a) = f + g a, by the road that fits the numbers.
 
 For one robot it is the tangent of recorded equations, as one straight-line function. Dual numbers, one real number
-after the other: beside each value that depends on an entry of the action stands its slope, times 1e-30. These are the
+after the other: next to each value that depends on an entry of the action stands its slope, times 1e-30. These are the
 real and the imaginary part of ``complex_step``, without complex numbers: the value is computed once for all entries,
 and most slopes take one product. The slopes are those of ``complex_step``, mostly to the last bit; where a function has
 no rule here, complex numbers are taken for that one line.
@@ -47,7 +47,7 @@ Line = tuple[str, str, tuple[str, ...]]
 """Name, form and operands of one operation."""
 
 _IMAGINARY = 1e-30
-"""Imaginary part of a nudged action: its square vanishes beside every real part, so the slope is exact."""
+"""Imaginary part of a nudged action: its square vanishes next to every real part, so the slope is exact."""
 
 _FUNCTIONS = tuple(field.name for field in fields(Operations))
 

@@ -1,4 +1,4 @@
-"""Writes ``written_steps.py`` beside it: ``python -m safedpa.dynamics.write_steps``; ``--check`` only compares.
+"""Writes ``written_steps.py`` next to it: ``python -m safedpa.dynamics.write_steps``; ``--check`` only compares.
 
 What recording the shipped models gives stands in a module of its own, so that it is compiled with the rest. A step of
 the car takes 1.5 us as Python's own code and a fifth of that compiled; a robot-tick has about seventeen.

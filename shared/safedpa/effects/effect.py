@@ -50,7 +50,7 @@ class Stage(IntEnum):
     DRIVE = 50
     """What the drive itself loses: back-EMF."""
     RESISTANCE = 60
-    """Forces beside the drive that do not depend on the robot's mass: air, springs, bearings."""
+    """Forces next to the drive that do not depend on the robot's mass: air, springs, bearings."""
     OWN_MASS = 62
     """Mass on board: it divides drive and resistance."""
     WEIGHT = 64
@@ -60,7 +60,7 @@ class Stage(IntEnum):
     MOTION = 70
     """How steering turns into a yaw rate: understeer."""
     SLIP = 72
-    """Where the car travels beside where it points."""
+    """Where the car travels next to where it points."""
     DRIFT = 74
     """Motion of the medium or ground that carries the robot."""
     SENSOR = 80

@@ -36,7 +36,7 @@ def resistance(
 
     Rounded off near rest: deceleration direction_of(speed). Where ``context.holds``, what would bring the robot to rest
     within a period, at most its size d: clip(clip(rate, +-d) + inertia speed / period, +-d). So what is driven by less
-    than its friction stands still; rounded off it creeps, at up to half a metre a second per m/s2 of friction and s of
+    than its friction is stationary; rounded off it creeps, at up to half a metre a second per m/s2 of friction and s of
     period. ``inertia``: by what the rate is divided after the friction.
 
     Source: Karnopp, Journal of Dynamic Systems, Measurement, and Control 107, 1985 (stick and slip).

@@ -31,7 +31,7 @@ class ManyRows:
 
     def heights(self, state: FloatArray, shared: Sequence[Columns], each: Sequence[Columns]) -> FloatArray:
         """h (robots, rows) at states (robots, states)."""
-        with np.errstate(all="ignore"):  # what is computed beside the place where it is chosen
+        with np.errstate(all="ignore"):  # what is computed next to the place where it is chosen
             groups = self._heights(self._columns(state), shared, each)
         return np.concatenate([_rows(group, len(state)) for group in groups], axis=1)
 

@@ -101,7 +101,7 @@ class Recorded:
 
 
 def _binary(form: str, *, swapped: bool = False, neutral: float | None = None) -> Callable[[Recorded, Any], Recorded]:
-    """With ``neutral`` beside it a number is that number again to the last bit, and nothing is written down."""
+    """With ``neutral`` next to it a number is that number again to the last bit, and nothing is written down."""
 
     def operation(self: Recorded, other: Any) -> Recorded:
         if neutral is not None and isinstance(other, float) and other == neutral:

@@ -1,4 +1,4 @@
-"""Effects that all robots of a fleet have: they belong to the model, and the mended model is tried on every robot."""
+"""Effects that all robots of a fleet have: they belong to the model, and the corrected model is tried on every robot."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _TOGETHER = 4.0
 _ALTERNATIVES = 5
 """Effects that show in all together and are tried on the robots at most."""
 _FALLS = 0.01
-"""Chance, by a coin for each robot, below which so many falls of the error confirm the mended model."""
+"""Chance, by a coin for each robot, below which so many falls of the error confirm the corrected model."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class FleetEffect:
 
 @dataclass(frozen=True)
 class CorrectionTask:
-    """One robot on which the mended model is tried, with the numbers of the other robots: settings by effect."""
+    """One robot on which the corrected model is tried, with the numbers of the other robots: settings by effect."""
 
     robot: RobotLogs
     options: Options
@@ -175,7 +175,7 @@ def corrected_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Set
 
 
 def corrected_error(task: CorrectionTask) -> tuple[str, float]:
-    """The robot's name and its held-out error with the mended model; NaN where its data cannot be read any more."""
+    """The robot's name and its held-out error with the corrected model; NaN where its data cannot be read any more."""
     from safedpa.diagnosis.fit.cross_validation import error_with
     from safedpa.diagnosis.fit.data_checks import prepare_runs
     from safedpa.diagnosis.fit.horizon import data_at_horizon, displayed_windows
@@ -195,7 +195,7 @@ def corrected_error(task: CorrectionTask) -> tuple[str, float]:
 
 
 def confirm_correction(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
-    """How many robots the mended model predicts better, from the errors by robot."""
+    """How many robots the corrected model predicts better, from the errors by robot."""
     both = [(before[name], after[name]) for name in before if name in after]
     known = [pair for pair in both if all(math.isfinite(error) and error > 0 for error in pair)]
     if not known:

@@ -50,10 +50,10 @@ __all__ = [
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 Corrected = list[tuple[FleetEffect, Confirmation]]
-"""What was tried, and whether it held beside what held before it."""
+"""What was tried, and whether it held next to what held before it."""
 
 _MOST_TRIED = 40
-"""Robots on which a mended model is tried, evenly spread: more would not change what a coin says."""
+"""Robots on which a corrected model is tried, evenly spread: more would not change what a coin says."""
 
 
 class Workers(Protocol):
@@ -68,7 +68,7 @@ class Workers(Protocol):
 def correct_fleet_model(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Corrected:
     """Tries what the fleet has in common on robots, each with the others' numbers; writes the model with what holds.
 
-    First what nearly all were found to have, one after the other; then, beside it, the best of what shows in all
+    First what nearly all were found to have, one after the other; then, next to it, the best of what shows in all
     together only. Nothing is left at ``path`` where nothing holds.
     """
     path.unlink(missing_ok=True)  # of an earlier fleet
@@ -237,7 +237,7 @@ def diagnose_fleet(
 
 
 def _refuse_given(model: Path, out: Path) -> None:
-    """The mended model must not take the place of the given one."""
+    """The corrected model must not take the place of the given one."""
     if model.resolve() == (out / "model.toml").resolve():
         raise InputError(
             f"--out {out}: got the given model's own folder; choose another one, model.toml is written there"

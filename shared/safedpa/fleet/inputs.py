@@ -41,7 +41,7 @@ def options_digest(options: Options) -> str:
 
 
 def _files_of(source: str | None) -> list[Path]:
-    """The file that a name stands for, and weights beside a model; none where it is the name of what ships."""
+    """The file that a name stands for, and weights next to a model; none where it is the name of what ships."""
     path = Path(source) if source else None
     if path is None or not path.is_file():
         return []

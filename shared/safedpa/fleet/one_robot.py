@@ -63,7 +63,7 @@ def diagnose_robot(task: Task) -> RobotResult:
 
 
 def failed_result(task: Task, reason: str) -> RobotResult:
-    """The result of a robot whose process died or raised what nobody expected."""
+    """The result of a robot whose process died or raised what no one expected."""
     return RobotResult(task.robot.name, _document(task, "failed", reason, []))
 
 

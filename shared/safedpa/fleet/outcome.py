@@ -54,7 +54,7 @@ class RobotOutcome:
     trials: int = 1
     """Candidates among which the best was chosen."""
     last: Mapping[str, EffectEvidence] | None = None
-    """Every single effect in the last stage, beside all that was found."""
+    """Every single effect in the last stage, next to all that was found."""
     free: Mapping[str, Number] | None = None
     """Refitted parameters of the given model, by path."""
     error_before: float = math.nan
@@ -65,7 +65,7 @@ class RobotOutcome:
     processor_seconds: float = 0.0
     memory_mebibytes: float = 0.0
     unread: int = 0
-    """Files that could not be read beside those that could."""
+    """Files that could not be read next to those that could."""
     findings: int = 0
     """Messages about the data's quality."""
 

@@ -289,7 +289,7 @@ def _row(robot: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any
 
 
 def _chance(value: float) -> str:
-    """A chance with one digit; below one in a billion nobody knows it."""
+    """A chance with one digit; below one in a billion no one knows it."""
     return "< 1e−9" if value < 1e-9 else f"{value:.1g}".replace("e-0", "e−").replace("e-", "e−")
 
 

@@ -95,7 +95,7 @@ def _grouped(files: Sequence[Path], base: Path, by: By) -> DiscoveredRobots:
     for path in files:
         parts = path.relative_to(base).parts
         if by == "folder" and len(parts) == 1:
-            left.append((path, "lies beside the robots' folders"))
+            left.append((path, "lies next to the robots' folders"))
             continue
         name = parts[0] if by == "folder" else _joined(path.relative_to(base).with_suffix("").parts)
         if by == "file" and name in groups:

@@ -75,7 +75,7 @@ def common_sentence(document: Mapping[str, Any]) -> str:
         return ""
     reported = " ".join(f"{_common_part(item)} {_tried_text(item)}" for item in common["effects"])
     text = f"The fleet has in common: {reported}"
-    return f"{text} Mend the model file: {common['model']} holds it." if common["model"] else text
+    return f"{text} Correct the model file: {common['model']} holds it." if common["model"] else text
 
 
 def _common_part(item: Mapping[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 On one machine: one robot after the other in each process, bounded memory, and a process that dies costs one robot. A
 pool that a dead process broke does not say whose fault it was: the robots that were under way are done again one at a
-time, and the one with which it breaks anew is named.
+time, and the one with which it breaks again is named.
 
 On a cluster the same work, by an optional extra of the package, tested on a local instance. Ray's workers need this
 package installed, and the recordings under the same paths.

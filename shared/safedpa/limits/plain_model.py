@@ -1,6 +1,6 @@
 """A quick look at an offered model: whether it is written as this program writes models, and no larger.
 
-Nothing is parsed: each line has one of a few forms, so that what comes behind it takes as long whoever wrote it.
+Nothing is parsed: each line has one of a few forms, so that what comes behind it takes as long anyone who wrote it.
 """
 
 from __future__ import annotations

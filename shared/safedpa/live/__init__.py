@@ -1,1 +1,1 @@
-"""Diagnosis beside a driving robot: the watch over its model, findings, and changes of the model."""
+"""Diagnosis next to a driving robot: the watch over its model, findings, and changes of the model."""

@@ -6,7 +6,7 @@ that is found on another model, because it was restarted at a bad moment, gets t
 where it cannot use that one, everybody goes back to the version before.
 Source: two-phase commit with presumed abort (Mohan, Lindsay, Obermarck, 1986).
 
-Before it, a request may be refused with its reason; beside it, services are found that use another model than the one
+Before it, a request may be refused with its reason; next to it, services are found that use another model than the one
 agreed on, as their health tells.
 
 Nothing here knows the network: messages go in and out, time is counted in the robot's ticks.
@@ -118,7 +118,7 @@ class ModelChanges:
             self._finding, self._candidates = finding, dict(candidates)
 
     def prepared(self, made: OfferedEffect) -> None:
-        """The document of the wanted candidate was made; ignored when nobody waits for it any more."""
+        """The document of the wanted candidate was made; ignored when no one waits for it any more."""
         with self._lock:
             if self._change is not None and self.wanted is not None and self.wanted.effect == made.effect:
                 self._change.complete(made)
@@ -154,7 +154,7 @@ class ModelChanges:
             refusal = _refusal_of(
                 request,
                 in_force=self.fingerprint,
-                under_way="" if self._change is None else f"{self._change.name} by {self._change.who or 'somebody'}",
+                under_way="" if self._change is None else f"{self._change.name} by {self._change.who or 'someone'}",
                 finding=self._finding,
                 candidates=self._open_candidates(),
                 versions=len(self._retained.versions),
@@ -203,7 +203,7 @@ class ModelChanges:
         return tuple(effect for effect in self._candidates if (self._finding, effect) not in self.rejected)
 
     def _settle(self, state: StateMessage) -> None:
-        """From its tick on the new version is in force; a robot that started anew begins with it."""
+        """From its tick on the new version is in force; a robot that restarted begins with it."""
         self._strays.settle(state, again=False)
         change, coming = self._change, self._coming
         if coming is None or change is None:
@@ -237,7 +237,7 @@ class ModelChanges:
         return change.message("offer")
 
     def _decide(self, change: ChangeInProgress, state: StateMessage) -> ModelMessage | None:
-        """Kept first, told then: whoever asks after a crash hears what was decided."""
+        """Kept first, told then: anyone who asks after a crash hears what was decided."""
         problem = self._keep(replace(self._retained, versions=change.versions, offered=""))
         if problem:
             return self._give_up(change, problem)

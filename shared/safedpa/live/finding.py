@@ -84,7 +84,7 @@ _NONE = 1.0
 _REPLAYED = 3.0
 """Horizons of the past that a new model predicts at once."""
 _REPORTED_SECONDS = 60.0
-"""How long after a change of the model the error before is told beside the error now."""
+"""How long after a change of the model the error before is told next to the error now."""
 
 
 @dataclass
@@ -113,7 +113,7 @@ class RobotDiagnosis:
 
     ``document`` is the text of the model file in force, ``folder`` where the weights of a learned one are; ``period``
     [s] that of the robot's ticks, by default the model's; ``number`` that of the robot's last finding, before it
-    started anew.
+    restarted.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class RobotDiagnosis:
         return None if self._finding is None else self._finding.outcome
 
     def adopt(self, document: str) -> None:
-        """From now on another model is in force: the finding is closed and the band learned anew.
+        """From now on another model is in force: the finding is closed and the band learned again.
 
         The last seconds are predicted by the new model at once, so that its error is told without a gap.
         """

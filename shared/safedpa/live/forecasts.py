@@ -1,4 +1,4 @@
-"""Open-loop predictions of one running robot, one horizon ahead, held against what happened.
+"""Open-loop predictions of one running robot, one horizon ahead, compared with what happened.
 
 x[k+1] = model(x[k], a[k], z), from a measured start, with the actions that were applied and the latent that was known
 at the start; nothing is looked at later. A few predictions run side by side, one model step each in every period.
@@ -118,7 +118,7 @@ class ForecastTracker:
     def observe(self, tick: int, state: FloatArray, applied: FloatArray, latent: FloatArray | None) -> list[Forecast]:
         """Takes the state (states,) of a tick and what was applied since the last one (actions,).
 
-        Returns what came to its end. After a gap in the ticks, or a state that cannot be believed, all begins anew.
+        Returns what came to its end. After a gap in the ticks, or a state that cannot be believed, all begins again.
         """
         last = self._last
         if not self._model.system.is_plausible(state) or not np.isfinite(applied).all():

@@ -1,8 +1,8 @@
 """What accepting a candidate would do, told before anybody accepts it.
 
-While nobody asks anything of the worker, it makes the models of the first candidates and calibrates their margins, as
+While no one asks anything of the worker, it makes the models of the first candidates and calibrates their margins, as
 it would for an accepted one. What comes of it is only told, and in words what another margin would do to the robot: who
-accepts has the model made anew, on the newest data.
+accepts has the model made again, on the newest data.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class DiagnosisNode(AbstractNode):
     ``document`` is the text of the model file that robots begin with; raises ModelFileError when it is none. ``margin``
     is the text of the filter's margin for it; empty: the shipped one. ``folder`` holds the weights of a learned model.
     ``changes`` makes what keeps a robot's versions from the robot's name and the first one; by default they live as
-    long as the node. ``foretell`` says what a candidate's margin would do; without it nothing is foretold. Nobody waits
+    long as the node. ``foretell`` says what a candidate's margin would do; without it nothing is predicted. No one waits
     for any of it. ``answer`` may be called from any thread.
     """
 

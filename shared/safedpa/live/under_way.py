@@ -78,7 +78,7 @@ class ChangeInProgress:
         self.versions = (*self.versions, self.version)
 
     def hear(self, message: TakeoverMessage) -> None:
-        """Takes a service's answer; what is about another change, or from nobody who uses the model, is nothing."""
+        """Takes a service's answer; what is about another change, or from no one who uses the model, is nothing."""
         if self.version is None or message.change != self.number or message.service not in SERVICES:
             return
         if message.fingerprint != self.version.fingerprint:
@@ -152,7 +152,7 @@ class ModelMismatchMonitor:
         self._ticks += not again
 
     def found(self, fingerprint: str) -> str:
-        """Who uses another model than the one in force, in words; empty: nobody, or it is too early to say."""
+        """Who uses another model than the one in force, in words; empty: no one, or it is too early to say."""
         if self._since is None or self._ticks < self._again_at:
             return ""
         epoch, tick = self._since

@@ -23,7 +23,7 @@ For each channel c the band reaches to
 
 V is how much the commands moved during a forecast, over what they did on average: a model errs more in transients, and
 a stretch of quiet driving must not make the next manoeuvre look like a fault. scale is the standard deviation of the
-state's change over the horizon; an error below a twenty-fifth of that is nobody's concern.
+state's change over the horizon; an error below a twenty-fifth of that is no one's concern.
 
 The largest of n exchangeable scores is exceeded by the next one with probability 1 / (n + 1), whatever their
 distribution (split conformal prediction with a normalised score: Lei et al., Distribution-free predictive inference
@@ -66,7 +66,7 @@ _INFLATION = 1.5
 _CONCERN = 0.04
 _TRANSIENT = 0.5
 _MOVED = 0.05
-"""In the unit of some state's entry (m, rad, m/s, ...): less in a second is standing still."""
+"""In the unit of some state's entry (m, rad, m/s, ...): less in a second is being stationary."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ErrorBand:
 
 
 def has_moved(system: System, forecast: Forecast) -> bool:
-    """Whether the robot moved, or should have: standing still says nothing about a model."""
+    """Whether the robot moved, or should have: being stationary says nothing about a model."""
     happened = np.abs(system.difference(forecast.measured, forecast.began)).max()
     expected = np.abs(system.difference(forecast.predicted, forecast.began)).max()
     return bool(max(happened, expected) > _MOVED or not np.isfinite(expected))
@@ -144,7 +144,7 @@ def describe_conditions(system: System, band: ErrorBand, forecasts: Sequence[For
     above, below = float((errors > 0.0).mean()), float((errors < 0.0).mean())
     way = " more" if above >= _ONE_WAY else " less" if below >= _ONE_WAY else ""
     amount = f"{size:.2g}{'' if unit == '1' else ' ' + unit}"
-    measured = f"{amount}{way} than predicted" if way else f"{amount} beside the prediction"
+    measured = f"{amount}{way} than predicted" if way else f"{amount} next to the prediction"
     heading = "" if way else _heading(system, forecasts, errors)
     return f"{name}: {measured} after {horizon:g} s{heading or _condition(system, forecasts, errors)}"
 
@@ -246,7 +246,7 @@ class EDetector:
 _LEARN = 40
 """Forecasts in which the robot moves, 20 s of them, from which the band is learned."""
 _SETTLE = 2
-"""Forecasts left out at the start: actuators may remember what nobody saw."""
+"""Forecasts left out at the start: actuators may remember what no one saw."""
 _COVERED_SECONDS = 20.0
 _RETAINED = 80
 

@@ -87,7 +87,7 @@ def _searched(work: SearchJob) -> WorkOutcome:
 def _in_order(candidates: Sequence[Candidate], confirmed: set[str]) -> tuple[str, ...]:
     """What may be added: what is confirmed, what is suspected, and what cannot be told from the former; best first.
 
-    With seconds of data many effects pass, and the search then takes the one with the fewest numbers. Whoever predicts
+    With seconds of data many effects pass, and the search then takes the one with the fewest numbers. Anyone who predicts
     unseen data better by a tenth comes before it.
     """
     equal = {name for item in candidates if item.effect in confirmed for name in item.indistinguishable_from}
@@ -118,7 +118,7 @@ def _prepared(work: SearchJob, calibrate: Calibrate) -> WorkOutcome:
 
 
 class AbstractWorker(ABC):
-    """Carries out at most one work for each robot, beside whatever else goes on."""
+    """Carries out at most one work for each robot, next to whatever else goes on."""
 
     @abstractmethod
     def begin(self, robot: str, work: SearchJob) -> None:
@@ -139,7 +139,7 @@ class AbstractWorker(ABC):
 
 @final
 class InlineWorker(AbstractWorker):
-    """Does the work at once, in the caller's time: for experiments in lockstep, where nobody waits."""
+    """Does the work at once, in the caller's time: for experiments in lockstep, where no one waits."""
 
     def __init__(self, calibrate: Calibrate) -> None:
         self._calibrate = calibrate

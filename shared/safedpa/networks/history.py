@@ -18,7 +18,7 @@ __all__ = ["HistoryEncoder"]
 
 
 _CHUNK = 16
-"""Histories at a time: twice as many, and the memory for what lies between the layers is fetched anew each time."""
+"""Histories at a time: twice as many, and the memory for what lies between the layers is fetched again each time."""
 
 
 @final

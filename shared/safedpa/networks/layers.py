@@ -31,7 +31,7 @@ def layers_of(tensors: Mapping[str, AnyFloatArray], prefix: str) -> tuple[Layer,
     while (name := f"{prefix}.{len(layers)}.weight") in tensors:
         bias = f"{prefix}.{len(layers)}.bias"
         if bias not in tensors:
-            raise InputError(f"weights: got '{name}' without '{bias}', wanted both; write the file anew")
+            raise InputError(f"weights: got '{name}' without '{bias}', wanted both; write the file again")
         layers.append(Layer(tensors[name], tensors[bias]))
     return tuple(layers)
 

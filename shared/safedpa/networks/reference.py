@@ -1,4 +1,4 @@
-"""The networks as one writes them down in torch, in double precision: what every fast road is held against.
+"""The networks as one writes them down in torch, in double precision: what every fast road is compared with.
 
     f, g     ``safedpa.networks.tensors.TensorNetworks``     against  ``LearnedNetworks.increment``, one or many
     phi      ``reference_latent``                            against  ``HistoryEncoder.encode``, ``HistoryStreams.push``

@@ -88,7 +88,7 @@ class Weights:
     def __post_init__(self) -> None:
         for name, tensor in self.tensors.items():
             if not np.isfinite(tensor).all():
-                raise InputError(f"weights: '{name}' holds numbers that are not finite; train anew")
+                raise InputError(f"weights: '{name}' holds numbers that are not finite; train again")
         self._check_vectors()
         described, features = self.description, len(self["feature_middle"])
         states, actions, latents = len(described.states), len(described.actions), described.latents

@@ -1,4 +1,4 @@
-"""From scans to what a safety filter needs: what is at rest, what may move, and what nobody sees."""
+"""From scans to what a safety filter needs: what is at rest, what may move, and what no one sees."""
 
 from safedpa.perception.node import PerceptionNode
 from safedpa.perception.settings import PerceptionSettings, SourceSettings, load_perception, parse_perception

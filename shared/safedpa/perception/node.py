@@ -99,7 +99,7 @@ class PerceptionNode(AbstractNode):
         )
 
     def _report(self, robot: str, state: StateMessage, now: ActiveZones) -> None:
-        """What takes something away from what is told: when a robot is met, and when somebody switched."""
+        """What takes something away from what is told: when a robot is met, and when someone switched."""
         known, self._in_force[robot] = self._in_force.get(robot), now
         report_progress = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
         ignored = ", ".join(zone.name for zone in now.zones if zone.kind == "ignored")
@@ -111,7 +111,7 @@ class PerceptionNode(AbstractNode):
             report_progress("perception.source_unknown", f"the file names the source {strange}, the robot does not")
         if ignored:
             report_progress(
-                "perception.ignores", f"what is seen in {ignored} is not told, and nobody is taken to hide there"
+                "perception.ignores", f"what is seen in {ignored} is not told, and no one is taken to hide there"
             )
         if off:
             report_progress("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
@@ -122,7 +122,7 @@ class PerceptionNode(AbstractNode):
         return self._robots[robot]
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """Nothing: the filter brakes. What is remembered may be broken and begins anew."""
+        """Nothing: the filter brakes. What is remembered may be broken and begins again."""
         del state, reason
         self._robots.pop(robot, None)
         self._heard.pop(robot, None)

@@ -1,7 +1,7 @@
 """What was seen around the robot, on cells: what is at rest, what may move, and what was seen to be empty.
 
 A cell that is hit for the first time holds something at rest where nothing that moves can have come (``hiding``),
-beside what has long been at rest (noise), and, of cells that nobody ever saw empty, beside what is at rest: more of the
+next to what has long been at rest (noise), and, of cells that no one ever saw empty, next to what is at rest: more of the
 same thing comes into view. It holds something that may move where something hidden may have come, until it has stayed
 ``still_after``; and where it was seen to be empty before, something that was seen to move, until it has stayed
 ``restless``. What is seen through is empty; what may move and is not seen again is empty too, since it either is seen
@@ -32,7 +32,7 @@ _ALONGSIDE = 1.5 * CELL
 _SLACK = 8
 """Cells by which the robot leaves the grid's middle before the grid follows."""
 _LONG = 0.5
-"""s at rest, after which something is solid: nobody hides in it, and noise about it is nothing new."""
+"""s at rest, after which something is solid: no one hides in it, and noise about it is nothing new."""
 _UNSEEN = 0.25
 """s after which something that may move is not where it was seen: two scans at 10 Hz missed it."""
 _GOES_ON = 0.3
@@ -68,9 +68,9 @@ class ObstacleTracker:
         """By source: the cells that it ever saw empty."""
         self._x, self._y = (middles.copy() for middles in self.grid.middles)
         self.contradicted = 0.0
-        """Share of the cells hit by the last sweep whose content may move; 0 while nobody knows what is at rest."""
+        """Share of the cells hit by the last sweep whose content may move; 0 while no one knows what is at rest."""
         self.lost: FloatArray = np.empty((0, 2))
-        """(n, 2) m; where the last sweep gave up somebody who moved, with nobody seen beside: he went out of sight."""
+        """(n, 2) m; where the last sweep gave up someone who moved, with no one seen next to: he went out of sight."""
         self._began: float | None = None
         self._newest: dict[str, float] = {}
         """By source: s; when its newest sweep was measured."""
@@ -109,7 +109,7 @@ class ObstacleTracker:
         seen = (distance < sight - BEHIND) & ~hit
         empty = seen & ~dilate(
             hit, _ALONGSIDE, beyond=False
-        )  # along a wall one sees far past what stands beside the ray
+        )  # along a wall one sees far past what stands next to the ray
         self._forget(empty, sweep)
         self._add(hit, sweep)
         self._place(i, j, ends)

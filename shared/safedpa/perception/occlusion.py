@@ -1,4 +1,4 @@
-"""Where something that moves may hide: what nobody sees, and could have been reached since somebody looked.
+"""Where something that moves may hide: what no one sees, and could have been reached since someone looked.
 
 A thing of radius ``slimmest`` is hidden with its middle in a cell if no part of it is seen, and no part of it stands in
 what is known to be solid. Wherever in the cell its middle is, it holds all that is within ``width`` of the cell's own
@@ -55,8 +55,8 @@ class OcclusionMap:
         """s; the newest look that saw a cell without anybody in it, or something solid there."""
         self._newest = -inf
         """s; the newest look."""
-        self.no_one: BoolArray = np.zeros((size, size), dtype=bool)
-        """(size, size) cells in which a person says that nobody hides: nobody comes out of them. Who would come through
+        self.unoccupied: BoolArray = np.zeros((size, size), dtype=bool)
+        """(size, size) cells in which a person says that no one hides: no one comes out of them. Who would come through
         them is told where he comes in."""
 
     def move(self, way: tuple[int, int]) -> None:
@@ -65,7 +65,7 @@ class OcclusionMap:
         self.present = shift_cells(self.present, way, True)
         self._stuck = shift_cells(self._stuck, way, False)
         self._left, self._shown = shift_cells(self._left, way, -inf), shift_cells(self._shown, way, -inf)
-        self.no_one = shift_cells(self.no_one, way, False)
+        self.unoccupied = shift_cells(self.unoccupied, way, False)
 
     def look(self, time: float, seen: BoolArray, solid: BoolArray, own: BoolArray, leaves: BoolArray) -> None:
         """Takes up what ``solid`` is at rest at ``time`` [s], the robot's ``own``, and cells past whose middle, within
@@ -73,7 +73,7 @@ class OcclusionMap:
 
         ``leaves``: cells in which something that may move is seen, and may have gone out of sight by the next look. A
         look that comes late, after another source's newer one, knows nothing of who went out of sight since: the front
-        begins anew at whoever the newer one saw.
+        begins again at anyone who the newer one saw.
         """
         stuck = dilate(solid, self._slimmest, beyond=False)
         hidden = ~(seen | stuck | dilate(own, min(CELL, self.width), beyond=False))  # as far as it would overlap
@@ -88,35 +88,35 @@ class OcclusionMap:
 
     @property
     def ways_out(self) -> BoolArray:
-        """(size, size) cells of ``present`` beside one that is neither: whoever leaves a hiding place passes one.
+        """(size, size) cells of ``present`` next to one that is neither: anyone who leaves a hiding place passes one.
 
-        Between what hides and what is solid nobody comes out: behind a wall somebody may be, and stays there.
+        Between what hides and what is solid no one comes out: behind a wall someone may be, and stays there.
         """
-        present = self.present & ~self.no_one
+        present = self.present & ~self.unoccupied
         open_room = ~present & ~self._stuck
         return present & dilate(open_room, 1.5 * CELL, beyond=False)
 
     def reached(self, time: float) -> BoolArray:
         """(size, size) cells in which the middle of something that moves may be at ``time`` [s] unless it is seen.
 
-        Who comes out of where a person says that nobody hides was not seen to come either.
+        Who comes out of where a person says that no one hides was not seen to come either.
         """
-        return (self._earliest <= time) | self.no_one
+        return (self._earliest <= time) | self.unoccupied
 
     def wait(self, time: float) -> None:
-        """Nobody looked until ``time`` [s]: the front goes on."""
+        """No one looked until ``time`` [s]: the front goes on."""
         self.present = self._earliest <= time
         self._spread(time, np.zeros_like(self.present))
 
     @property
     def patience(self) -> float:
-        """s after which somebody has to look or wait again, for the front to keep its pace."""
+        """s after which someone has to look or wait again, for the front to keep its pace."""
         return (_FRONT - CELL) / self._fastest
 
     def _spread(self, time: float, leaves: BoolArray) -> None:
         start = np.where(leaves, time, inf)
         start = np.where(self.present, np.minimum(self._earliest, start), start)
-        start[self.no_one] = inf
+        start[self.unoccupied] = inf
         np.minimum(self._earliest, _reached(start, self._shown, self._fastest), out=self._earliest)
 
 

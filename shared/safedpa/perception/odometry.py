@@ -47,7 +47,7 @@ class OdometryBuffer:
             return self._poses[0]
         before, after = self._poses[later - 1], self._poses[later]
         passed = times[later] - times[later - 1]
-        share = min((time - times[later - 1]) / passed, 1.0) if passed > 0.0 else 1.0  # a clock may stand still
+        share = min((time - times[later - 1]) / passed, 1.0) if passed > 0.0 else 1.0  # a clock may be stationary
         x, y = (one + share * (other - one) for one, other in zip(before[:2], after[:2], strict=True))
         turned = remainder(after[2] - before[2], 2.0 * pi)  # the short way round: a robot may tell -pi after pi
         return x, y, before[2] + share * turned

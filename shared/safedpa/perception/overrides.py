@@ -88,7 +88,7 @@ class SensorOverrides:
 
     An order holds until another one; a robot that was silent finds it in force. ``path`` is where orders are kept for
     the next process, without it they end with this one. What opens a zone is never kept: closed zones do not open, and
-    ignored ones do not begin to be, by what somebody ordered before a crash.
+    ignored ones do not begin to be, by what someone ordered before a crash.
     """
 
     def __init__(self, settings: PerceptionSettings, path: Path | None = None) -> None:
@@ -168,7 +168,7 @@ class SensorOverrides:
             if request.do == "status":
                 return Answer(ok=True, sentence=f"robot '{robot}': {_listed(before)}{_blind(before)}")
             wanted = _wanted(request.switches, before)
-            self._who[robot] = readable(request.who, _LONGEST_NAME) or "somebody without a name"
+            self._who[robot] = readable(request.who, _LONGEST_NAME) or "someone without a name"
             self._ordered[robot] = MappingProxyType({**self._ordered.get(robot, {}), **wanted})
             changes = ", ".join(
                 f"{what} {name} {_word(counts)} (was {_word(before[what, name])})"
@@ -192,7 +192,7 @@ class SensorOverrides:
         return f"until another order{f', {opened} only until perception ends' if opened else ''}"
 
     def _lasting(self, ordered: _Switched) -> dict[tuple[str, str], bool]:
-        """Without what opens a zone; of a zone that the file does not have nobody knows what it does."""
+        """Without what opens a zone; of a zone that the file does not have no one knows what it does."""
         closed = {("zone", zone.name): zone.kind == "closed" for zone in self._settings.zones}
         return {key: counts for key, counts in ordered.items() if counts == closed.get(key, counts)}
 

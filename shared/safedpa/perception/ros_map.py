@@ -1,4 +1,4 @@
-"""Maps of rooms as ROS keeps them (a YAML file beside a picture): which cells are occupied, and so closed.
+"""Maps of rooms as ROS keeps them (a YAML file next to a picture): which cells are occupied, and so closed.
 
 Source of the format: the documentation of ROS' map_server and nav2_map_server (trinary mode); Netpbm's pgm(5).
 """

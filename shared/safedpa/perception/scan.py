@@ -119,7 +119,7 @@ class ScanRays:
         return np.where(seen_at_all & (spare >= 0.0), found, 0.0)
 
     def _from_here(self, x: FloatArray, y: FloatArray) -> _Bearings:
-        """Of places (x, y) [m]; asked for the same arrays once more, what was found."""
+        """Of places (x, y) [m]; asked for the same arrays again, what was found."""
         if self._known is None or self._known[0] is not x or self._known[1] is not y:
             apart_x, apart_y = x - self.x, y - self.y
             turn = _within_a_turn(np.arctan2(apart_y, apart_x) - self._first)

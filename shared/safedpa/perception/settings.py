@@ -51,7 +51,7 @@ class PerceptionSettings:
     fastest: float = 1.5
     """Speed that anything which moves may have, in any direction, at any moment: a person who walks quickly."""
     coming: float = 1.5
-    """Speed that is reckoned with for what comes out of a place that nobody sees. Less lets the robot drive faster past
+    """Speed that is reckoned with for what comes out of a place that no one sees. Less lets the robot drive faster past
     corners, and promises nothing about who comes faster."""
     slimmest: float = 0.2
     """Radius of the slimmest thing that may move: where it does not fit, nothing hides. No less than a cell of 0.1 m:
@@ -124,7 +124,7 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 
 def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
-    """The settings in a file, and its text, in which the maps that it names are written out: whoever has the text has
+    """The settings in a file, and its text, in which the maps that it names are written out: anyone who has the text has
     all. Raises InputError naming the file and the key."""
     try:
         text = _with_maps(text_of_file(path, "toml_bytes"), path.parent)

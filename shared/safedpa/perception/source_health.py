@@ -54,7 +54,7 @@ class Sources:
         self._off = off
 
     def believes(self, scan: ScanMessage, state: StateMessage) -> bool:
-        """Whether a scan is of a source of this robot, newer than the last one, and not the same once more."""
+        """Whether a scan is of a source of this robot, newer than the last one, and not the same again."""
         source = self._known.get(scan.source)
         if (
             source is None

@@ -45,7 +45,7 @@ _AHEAD = 1.0
 _LEAP = 10.0
 """s; after a leap of the clock by so much, or any backwards, nothing of before is believed."""
 _STRIDE = 0.3
-"""m beyond what is towed at which somebody may have been seen last who went to it: two scans at 1.5 m/s."""
+"""m beyond what is towed at which someone may have been seen last who went to it: two scans at 1.5 m/s."""
 _NEAR = 1.5
 """m; up to here each place has a disc of its own, up to twice as far a block of 2 x 2 cells, and so on."""
 _LEVELS = 2
@@ -81,7 +81,7 @@ class SurroundingsTracker:
         self._now: tuple[int, float] | None = None
         """Epoch and time [s] of the last state."""
         self._at_load = -inf
-        """s; when somebody went out of sight beside what is towed."""
+        """s; when someone went out of sight next to what is towed."""
         self._ignored: tuple[Zone, ...] = ()
         """Of the last state, as are the closed ones."""
         self._closed: tuple[Zone, ...] = ()
@@ -111,7 +111,7 @@ class SurroundingsTracker:
             self._things, self._looked = ObstacleTracker(self.settings, x, y), state.robot_time
         self._things.follow(x, y)
         self._things.driven += self._odometry.last_step
-        self._things.hiding.no_one = unoccupied_cells(self._ignored, self._things.grid, (x, y, yaw))
+        self._things.hiding.unoccupied = unoccupied_cells(self._ignored, self._things.grid, (x, y, yaw))
         for scan in self._due(state):
             self._take(scan, state, self._things)
         while state.robot_time - self._looked > self._things.hiding.patience:
@@ -143,7 +143,7 @@ class SurroundingsTracker:
             return
         sweep = ScanRays(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
         things.take(sweep, _own_cells(things.grid, pose, state))
-        self._looked = scan.robot_time  # however late it comes: from there on the front is drawn anew
+        self._looked = scan.robot_time  # however late it comes: from there on the front is redrawn
         self.sources.looked(scan, sweep, things.contradicted)
         if len(state.towed) == 3 and len(state.footprint) == 3 and len(things.lost):
             apart = things.lost - hitch_position(pose, state)
@@ -151,7 +151,7 @@ class SurroundingsTracker:
                 self._at_load = scan.robot_time
 
     def _alongside_load(self, state: StateMessage) -> Rows:
-        """Where somebody may be who went to what is towed: nothing of the robot's own is seen, so that he is not.
+        """Where someone may be who went to what is towed: nothing of the robot's own is seen, so that he is not.
 
         He counts as at rest with it as late as anybody else who stops.
         """
@@ -206,7 +206,7 @@ class SurroundingsTracker:
 
 
 def _own_cells(grid: Grid, pose: Pose, state: StateMessage) -> BoolArray:
-    """(size, size) cells whose middle lies within the robot or a cell beside it, or where what it tows may be."""
+    """(size, size) cells whose middle lies within the robot or a cell next to it, or where what it tows may be."""
     own = np.zeros((grid.size, grid.size), dtype=bool)
     if len(state.footprint) != 3:
         return own

@@ -1,4 +1,4 @@
-"""Places that a person marks: where nothing that is seen is told (``ignored``), and where nobody drives (``closed``).
+"""Places that a person marks: where nothing that is seen is told (``ignored``), and where no one drives (``closed``).
 
 A place is a polygon, or the occupied cells of a map.
 
@@ -89,7 +89,7 @@ class Zone:
         elif self.polygon or (self.kind, self.frame) != ("closed", "map"):
             raise InputError(
                 f"zone {self.name}: got cells of a map for {self.kind} in the frame of the {self.frame}"
-                f"{' beside a polygon' if self.polygon else ''}; wanted closed, frame = map, and cells alone"
+                f"{' next to a polygon' if self.polygon else ''}; wanted closed, frame = map, and cells alone"
             )
         low, high = (0.0, 0.0) if self.speed is None else self.speed
         if not (isfinite(low) and isfinite(high) and 0.0 <= low <= high):
@@ -307,7 +307,7 @@ def _first_edge(corners: FloatArray, here: FloatArray, ends: FloatArray) -> Floa
 
 
 def unoccupied_cells(zones: tuple[Zone, ...], grid: Grid, pose: Pose) -> BoolArray:
-    """(size, size) cells in which nobody is taken to hide: of the zones, and beside them as far as he would overlap."""
+    """(size, size) cells in which no one is taken to hide: of the zones, and next to them as far as he would overlap."""
     found = np.zeros((grid.size, grid.size), dtype=bool)
     if not zones:
         return found

@@ -1,7 +1,7 @@
 """A controller that is held back, by the filter or by a wall, backs off and tries again.
 
 A learned policy does not know what the filter will refuse it: it may ask for the same step for ever, and stand. So
-whoever makes no headway drives backwards for a moment with the wheels turned, to the other side each time.
+anyone who makes no headway drives backwards for a moment with the wheels turned, to the other side each time.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class BackOffController:
     """Hands on the nominal actions of another controller of a car, and interrupts it where the car makes no headway.
 
     The first time the heading turns towards the goal while the car reverses, then away from it, and so on in turn; a
-    new goal begins anew.
+    new goal begins again.
     """
 
     def __init__(self, controller: Controller, settings: BackOffSettings | None = None) -> None:

@@ -21,10 +21,10 @@ __all__ = ["Controller", "NetworkLatent", "RandomActions", "UsesSurroundings", "
 
 @final
 class RandomActions:
-    """Uniform over the actuators' bounds, drawn anew in each tick; of robots that declare none over the system's.
+    """Uniform over the actuators' bounds, redrawn in each tick; of robots that declare none over the system's.
 
     The generator's seed is the tick with the state's bytes: so a drive in lockstep repeats, also where this process was
-    started anew in between, and two robots in different states request different actions.
+    restarted in between, and two robots in different states request different actions.
     """
 
     def __init__(self, model: AbstractDynamics) -> None:
@@ -77,11 +77,11 @@ class UsesSurroundings(Protocol):
     """A controller that is told what perception makes of the sensors, before each nominal action of a robot that names any."""
 
     def look(self, seen: SurroundingsMessage | None) -> None:
-        """What is around the robot at the moment of the state that follows; None: nobody knows."""
+        """What is around the robot at the moment of the state that follows; None: no one knows."""
 
 
 def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[], Controller]:
-    """What makes the controller of one robot; called anew for each.
+    """What makes the controller of one robot; called again for each.
 
     Without a name: the learned policy when the model's weights hold one, else the robot's own default. Raises
     InputError for a name that this robot does not have, and for ``learned`` without a policy.

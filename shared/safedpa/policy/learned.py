@@ -46,7 +46,7 @@ class LearnedPolicy:
         if got != wanted:
             raise InputError(
                 f"weights: the policy takes {got[0]} numbers and gives {got[1]}, wanted {wanted[0]} and {wanted[1]}; "
-                "train it anew with phase 1b of 'safedpa train'"
+                "train it again with phase 1b of 'safedpa train'"
             )
         self._body = _body(weights)
         self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]

@@ -137,7 +137,7 @@ class PolicyNode(AbstractNode):
         return self._versions.fingerprint(robot)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """No nominal action: the filter brakes. What the controller remembers may be broken, so it begins anew."""
+        """No nominal action: the filter brakes. What the controller remembers may be broken, so it begins again."""
         del state, reason
         self._controllers.pop(robot, None)
         return {}

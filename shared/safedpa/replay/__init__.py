@@ -1,1 +1,1 @@
-"""Recordings of the bus fed through the real nodes again, and what comes out held against what was recorded."""
+"""Recordings of the bus fed through the real nodes again, and what comes out compared with what was recorded."""

@@ -1,8 +1,8 @@
-"""Drives the node of one service once more through the steps that a recording says it took.
+"""Drives the node of one service again through the steps that a recording says it took.
 
 Each recorded output names the state that it is about, the inputs that the step had, and how many steps went before. So
 the node is called as the service's loop called it: ``prepare`` alone for states that were passed over, ``step``,
-``afterwards``, ``forget`` when the robot started anew, a new node when the process did, and the steps of a change of
+``afterwards``, ``forget`` when the robot restarted, a new node when the process did, and the steps of a change of
 the model where the service answered them.
 
 Which models a recording knows, and when each service answered for them, is read from its changes of the model.

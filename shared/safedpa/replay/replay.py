@@ -40,8 +40,8 @@ _TOPICS = {PerceptionNode.name: SURROUNDINGS, "adaptation": LATENT, "policy": NO
 class UnknownStateSpan:
     """Steps whose memory was not known, because something was not recorded.
 
-    It reaches to the last output that came out otherwise before the memory began anew: what differs behind a gap may
-    stem from the gap, and is no difference that can be held against the service.
+    It reaches to the last output that came out otherwise before the memory began again: what differs behind a gap may
+    stem from the gap, and is no difference that can be compared with the service.
     """
 
     reason: str
@@ -51,7 +51,7 @@ class UnknownStateSpan:
     agrees_from: int | None = None
     """Tick from which on all came out as recorded again; None: it did not until the end of the span."""
     again_from: int | None = None
-    """Tick at which the memory began anew, and was known again; None: at none."""
+    """Tick at which the memory began again, and was known again; None: at none."""
     steps: int = 0
     """Not compared."""
 

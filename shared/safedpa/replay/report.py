@@ -86,7 +86,7 @@ def _span_sentence(span: UnknownStateSpan) -> str:
     if span.agrees_from is not None:
         return f"{began}, agrees again from tick {span.agrees_from} on"
     if span.again_from is not None:
-        return f"{began}, known again from tick {span.again_from} on, where it began anew"
+        return f"{began}, known again from tick {span.again_from} on, where it began again"
     return f"{began}, never agreed again"
 
 
@@ -206,7 +206,7 @@ class ReplayOutputs:
         self._steps.append(step)
 
     def leave(self, step: ReplayedStep) -> None:
-        """Hears of one step that nobody wants to keep."""
+        """Hears of one step that no one wants to keep."""
 
     def write(self, tape: RobotTape, path: Path) -> None:
         """The recorded states and setups with the replayed outputs, as a recording that can be replayed itself.

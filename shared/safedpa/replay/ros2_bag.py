@@ -88,7 +88,7 @@ def _writer(out: Path) -> Any:
 
 
 def _robot_in(recording: Path, robot: str | None) -> tuple[str, StateMessage]:
-    """The robot's name and its first state. Raises RunError where there is none, or several and nobody says which."""
+    """The robot's name and its first state. Raises RunError where there is none, or several and no one says which."""
     found: dict[str, StateMessage] = {}
     for key, _, message in read_messages(recording, None, (STATE,)):
         if isinstance(message, StateMessage):

@@ -209,7 +209,7 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> RobotTape:
     findings: list[Finding] = []
     fields: dict[type[Message], frozenset[str]] = {}
     others: set[str] = set()
-    """Robots that nobody asked for; their messages are not even decoded."""
+    """Robots that no one asked for; their messages are not even decoded."""
     for name, at, message in _messages(files, robot, others, findings, fields):
         if isinstance(message, SetupMessage):
             setups.append((at, name, message))
@@ -267,7 +267,7 @@ def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payl
     if topic.message not in fields:
         try:
             fields[topic.message] = frozenset(_FIELDS.decode(payload))  # which there are, whatever is in them
-        except (msgspec.DecodeError, UnicodeDecodeError):  # with fields beside ours whose names are no text
+        except (msgspec.DecodeError, UnicodeDecodeError):  # with fields next to ours whose names are no text
             fields[topic.message] = frozenset(item.name for item in dataclass_fields(topic.message))
 
 

@@ -1,6 +1,6 @@
 """What another filter would have decided on the recorded states: open loop, one verdict for each recorded one.
 
-The states and nominal actions stay the recorded ones. With another model its latents are estimated anew from the recorded
+The states and nominal actions stay the recorded ones. With another model its latents are estimated again from the recorded
 states. What the robot did was what the recorded filter said; where the other one says something else, it sees in the
 next tick that the robot did not do that, as it would with a robot that is braked by its watchdog. So it learns nothing
 about its margin from that period.
@@ -127,7 +127,7 @@ def what_if(
 ) -> list[DecisionPair]:
     """The decisions with robot time in ``window`` [s]. Raises InputError when the change does not fit the recording."""
     if not tape.computed["safety_filter"]:
-        raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided anew")
+        raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided again")
     _check(tape, change)
     estimates = _estimates(tape, change, folders) if change.model is not None else {}
     driver = Driver(

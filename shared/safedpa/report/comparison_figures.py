@@ -54,7 +54,7 @@ POINTS = 600
 
 
 def horizon_figure(comparison: Comparison) -> dict[str, Any]:
-    """Trimmed RMS error over the horizon, one panel a state, the model beside the naive predictors."""
+    """Trimmed RMS error over the horizon, one panel a state, the model next to the naive predictors."""
     states = comparison.windows.system.state
     panels = Panels(rows=1, columns=len(states), height=300)
     seconds = [item.seconds for item in comparison.horizons]

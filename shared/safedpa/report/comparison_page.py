@@ -60,7 +60,7 @@ def compare_page(comparison: Comparison, title: str) -> str:
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A template beside this file, with plotly.js, what draws figures by it, and the pages' common style in it."""
+    """A template next to this file, with plotly.js, what draws figures by it, and the pages' common style in it."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)

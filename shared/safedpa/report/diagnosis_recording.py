@@ -38,7 +38,7 @@ def write_recording(
     """Writes ``diagnosis.rrd`` into a folder that exists; returns its path.
 
     The time line plays the first minute of the first run once for every stage, the given model first: each state as a
-    curve, measured and predicted (open loop, started anew after every horizon), and all runs in the plane. Raises
+    curve, measured and predicted (open loop, restarted after every horizon), and all runs in the plane. Raises
     RecordingError when it cannot be written.
     """
     import rerun as rr

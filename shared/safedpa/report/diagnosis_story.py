@@ -34,7 +34,7 @@ class AcceptedEffect:
 
 @dataclass(frozen=True)
 class StageTable:
-    """The candidates of one stage, best first, beside the error that they were to lower."""
+    """The candidates of one stage, best first, next to the error that they were to lower."""
 
     number: int
     question: str
@@ -240,7 +240,7 @@ def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]
 def _stage(document: Mapping[str, Any], index: int) -> StageTable:
     stage = document["stages"][min(index, len(document["stages"]) - 1)]
     have = stage["effects"]
-    question = "What does the given model lack?" if not have else f"What is missing beside {_joined(have)}?"
+    question = "What does the given model lack?" if not have else f"What is missing next to {_joined(have)}?"
     candidates = [
         {**item, "text": parameters_text(item["parameters"]), "width": _width(item["heldout_error"], stage)}
         for item in document["candidates"]

@@ -3,4 +3,4 @@
 __all__ = ["DEFAULT"]
 
 DEFAULT = "car"
-"""Which of them is meant where nobody says."""
+"""Which of them is meant where no one says."""

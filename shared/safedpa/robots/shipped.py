@@ -1,4 +1,4 @@
-"""What the robots that ship have in common: effects in a package beside them, settings in a file of their name."""
+"""What the robots that ship have in common: effects in a package next to them, settings in a file of their name."""
 
 from __future__ import annotations
 

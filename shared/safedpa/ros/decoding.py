@@ -2,7 +2,7 @@
 
 A type is flattened once into a short program: stretches of fixed layout, which one call of ``struct`` reads whole, with
 strings and sequences between them. Nothing behind the last wanted number is looked at, so a scan of a thousand rays
-costs nothing beside the pose that is asked for. Every length is held against the bytes that are there before it is
+costs nothing next to the pose that is asked for. Every length is compared with the bytes that are there before it is
 believed.
 """
 

@@ -68,7 +68,7 @@ class Definitions:
     own: Mapping[str, Fields] = field(default_factory=dict)
 
     def of(self, name: str) -> Fields:
-        """The fields of a type. Raises InputError when nobody defines it."""
+        """The fields of a type. Raises InputError when no one defines it."""
         found = self.own.get(name)
         if found is None:
             found = known_fields(self.ros1).get(name)

@@ -20,7 +20,7 @@ __all__ = ["NO_HASH", "PUBLISHER", "QOS", "SUBSCRIBER", "Attachment", "Endpoint"
 NO_HASH = "TypeHashNotSupported"
 PUBLISHER, SUBSCRIBER = "MP", "MS"
 QOS = "::,10:,:,:,,"
-"""Reliable, volatile, the last ten: what ROS takes where nobody says otherwise."""
+"""Reliable, volatile, the last ten: what ROS takes where no one says otherwise."""
 _SPACE = "@ros2_lv"
 _ATTACHMENT = struct.Struct("<qqB16s")
 
@@ -38,7 +38,7 @@ def data_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 @dataclass(frozen=True)
 class Attachment:
-    """What stands beside a message; a receiver of rmw_zenoh that cannot read it ends its process."""
+    """What stands next to a message; a receiver of rmw_zenoh that cannot read it ends its process."""
 
     sequence: int
     time: int

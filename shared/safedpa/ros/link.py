@@ -1,6 +1,6 @@
 """A session on a robot's side: hears its topics, drives it, knows who else is there. No ROS is needed for it.
 
-Two forms: ``rmw_zenoh`` (ROS 2 nodes on Zenoh) and ``bridge`` (zenoh-bridge-ros2dds beside nodes on DDS: plain keys,
+Two forms: ``rmw_zenoh`` (ROS 2 nodes on Zenoh) and ``bridge`` (zenoh-bridge-ros2dds next to nodes on DDS: plain keys,
 no attachment, no tokens of ROS).
 """
 
@@ -29,12 +29,12 @@ _MOST_SEEN = 10_000
 """Tokens that are remembered."""
 
 Heard = Callable[[bytes, "Attachment | None"], None]
-"""Called on the network's thread for each message: its bytes, and what stood beside it."""
+"""Called on the network's thread for each message: its bytes, and what stood next to it."""
 
 
 @final
 class RosLink:
-    """Joins the robot's Zenoh router as a client. Raises BusError where nobody answers at the endpoint."""
+    """Joins the robot's Zenoh router as a client. Raises BusError where no one answers at the endpoint."""
 
     def __init__(self, endpoint: str, domain: int = 0, form: Form = "rmw_zenoh", node: str = "/safedpa") -> None:
         import zenoh

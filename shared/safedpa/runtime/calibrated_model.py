@@ -49,7 +49,7 @@ def checked_calibration(calibration: MarginCalibration, own: str, settings: Filt
     if calibration.fingerprint != own:
         raise InputError(
             f"margin: calibrated for model {calibration.fingerprint}, the filter has {own}; "
-            "calibrate it anew with 'safedpa calibrate'"
+            "calibrate it again with 'safedpa calibrate'"
         )
     check_margins(calibration.epsilon, ())
     return calibration.chosen(settings.margin)

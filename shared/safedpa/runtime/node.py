@@ -50,16 +50,16 @@ __all__ = ["SafetyFilterNode"]
 _IS_STATIONARY = 0.02
 """m/s; slower than that a car stands."""
 _WIDTHS = 1e3
-"""Margins that nobody can keep, as multiples of the largest |h| and of the margins in force."""
+"""Margins that no one can keep, as multiples of the largest |h| and of the margins in force."""
 
 
 @final
 class SafetyFilterNode(AbstractNode):
     """Filters the requests each robot. With ``settings.enabled`` false it hands nominal actions on and says so.
 
-    A new model comes with its own margin, and the watch over the margin begins anew. A latent of another model than the
+    A new model comes with its own margin, and the watch over the margin begins again. A latent of another model than the
     filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
-    belongs to another model, the settings are another robot's, or nobody wrote barriers for this one.
+    belongs to another model, the settings are another robot's, or no one wrote barriers for this one.
     """
 
     name = "safety_filter"
@@ -114,7 +114,7 @@ class SafetyFilterNode(AbstractNode):
         """The robot's memory with the model to decide with: a new one from the first latent of it on.
 
         The latent that a tick gets may be one tick old, and then it is of the old model: model, latent and margin of
-        until now belong together, and decide once more. For so long as a missing latent is waited for, and no longer.
+        until now belong together, and decide again. For so long as a missing latent is waited for, and no longer.
         """
         memory, held = self._robots[robot], self._versions.of(robot)
         if memory.held is held:
@@ -232,7 +232,7 @@ class SafetyFilterNode(AbstractNode):
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
         """The backup of a robot that does not rest by itself, else the resting action, and a verdict that says so.
 
-        What is remembered of the robot may be broken and begins anew, but for the margin, which may have been widened.
+        What is remembered of the robot may be broken and begins again, but for the margin, which may have been widened.
         """
         broken = self._robots.pop(robot, None)
         if broken is not None:
@@ -284,7 +284,7 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
 def _rehearse(memory: RobotSession, decided: LastDecision, barriers: AbstractBarrierSet) -> None:
     """Goes once through all that a decision may need, before a robot drives; changes no verdict.
 
-    The first decision for which no action keeps every condition took 5 ms where the next take half of one: solvers make
+    The first decision for which no action satisfies every condition took 5 ms where the next take half of one: solvers make
     their workspaces, equations are written down, modules are imported. A tick of 5 ms has no time for it later. So it
     is decided with margins that nothing can keep, and the verdict is thrown away.
     """

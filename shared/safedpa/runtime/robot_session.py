@@ -113,7 +113,7 @@ class RobotSession:
     _resting: list[float] = field(init=False)
     """(actions,) the nominal action of who requests nothing."""
     searched: HeldSolution = field(default_factory=HeldSolution)
-    """What the last whole search for the least unsafe action found, for periods too short to search in each."""
+    """What the last whole search for the least-violation action found, for periods too short to search in each."""
     rehearsed: bool = False
     """Whether all that a decision may need was gone through once, with this model."""
 
@@ -135,7 +135,7 @@ class RobotSession:
         """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now.
 
         ``period`` is the robot's own in s, over which the model has to predict, and the margin to hold.
-        Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
+        Raises InputError where the settings are another robot's, or no one wrote barriers for this one.
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
@@ -188,7 +188,7 @@ class RobotSession:
         self.watch_margin(state)
 
     def _look_around(self, state: StateMessage, seen: SurroundingsMessage) -> None:
-        """The barriers of what is seen; once more where the margin widens by this very state, since more is near then.
+        """The barriers of what is seen; again where the margin widens by this very state, since more is near then.
 
         Five misses together widen it at once by any factor.
         """
@@ -362,7 +362,7 @@ class RobotSession:
         return replace(resting, status=Status.corrected, nominal=verdict.nominal, active=verdict.active, reason=notice)
 
     def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: FloatArray | None) -> Verdict:
-        """Where no action keeps every condition: what leads out of the margin's layer (``DeadlockEscape``).
+        """Where no action satisfies every condition: what leads out of the margin's layer (``DeadlockEscape``).
 
         Judged from where the action begins to act. Nothing where it is felt over more periods than one: what the next
         ticks bring says nothing of it then.
@@ -370,7 +370,7 @@ class RobotSession:
         barriers, known = self.barriers, None if latent is None else tuple(latent.tolist())
         prediction, values = self.filter.tools.prediction, tuple(state.values)
         wanted = verdict.nominal is not None and self.way_out.wanted(verdict.status)
-        wanted = wanted and not state.sources  # a manoeuvre of seconds is judged among what stands still
+        wanted = wanted and not state.sources  # a manoeuvre of seconds is judged among what is stationary
         begin = None if isinstance(barriers, str) or not wanted else prediction.begin(values, known, self.pending)
         if isinstance(barriers, str) or not wanted or not (begin is None or begin.at_once):
             self.way_out.forget()
@@ -395,7 +395,7 @@ class RobotSession:
         found = self.way_out.instead_of(verdict, here, self.standing.seconds if self.scene.quick else 0.0)
         if found is verdict or not path:
             return found
-        lowest = min(min(barriers.heights(passed)) for passed in path)  # what nobody can change any more
+        lowest = min(min(barriers.heights(passed)) for passed in path)  # what no one can change any more
         return replace(found, h_next=min(found.h_next, lowest))
 
     def _next(self, state: StateMessage, action: FloatArray, latent: FloatArray | None) -> Rows:
@@ -431,7 +431,7 @@ class RobotSession:
         return self.standing.reason(verdict.status.value, verdict.active, eta * verdict.h_now < verdict.margin)
 
     def try_out(self, decided: LastDecision, barriers: AbstractBarrierSet | str) -> None:
-        """Decides once more what another model decided. Raises InputError where only this one has to fall back."""
+        """Decides again what another model decided. Raises InputError where only this one has to fall back."""
         if isinstance(barriers, str) or decided.verdict.status is Status.fallback:
             return
         state, latent = decided.state, self.model.latent

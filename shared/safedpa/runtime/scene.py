@@ -47,7 +47,7 @@ class AbstractScene(ABC):
     """Whether its h is cheap enough to be asked at hundreds of states in a tick."""
     yields_to: str = ""
     """Who may be at the robot before it stands, as of the last ``around``: then the backup is taken at once, since what
-    moves by itself may not be dodged but by standing. Empty: nobody."""
+    moves by itself may not be dodged but by standing. Empty: no one."""
     remark: str = ""
     """What a verdict has to say about the barriers of the last ``around``; empty: nothing."""
     backup: Backup | None = None
@@ -87,7 +87,7 @@ class AbstractScene(ABC):
 
 @final
 class DeclaredScene(AbstractScene):
-    """The barriers that a robot declares, built anew where its message or the latent changed.
+    """The barriers that a robot declares, built again where its message or the latent changed.
 
     Whatever the robot's own code raises is a sentence, and the backup acts.
     """
@@ -138,7 +138,7 @@ class DeclaredScene(AbstractScene):
 def scene_of(model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:
     """The barriers' builder for one robot.
 
-    Raises InputError for a robot whose barriers nobody wrote, settings of another one, or margins of unknown kinds.
+    Raises InputError for a robot whose barriers no one wrote, settings of another one, or margins of unknown kinds.
     """
     robot = robot_like(model.system)
     if robot is None:

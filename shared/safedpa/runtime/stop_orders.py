@@ -2,7 +2,7 @@
 
 Two kinds stand side by side: an order about one robot, and one about the whole fleet, robots that come later among
 them. A robot drives when neither is in force. What cannot be read counts as an order to stop everybody: an order that
-was lost would let robots drive that somebody stopped.
+was lost would let robots drive that someone stopped.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class StopOrders:
             return self._stop(robot, request.who) if request.do == "stop" else self._go(robot)
 
     def _stop(self, robot: str, who: str) -> Answer:
-        reason = f"ordered by {who or 'somebody who gave no name'}"
+        reason = f"ordered by {who or 'someone who gave no name'}"
         problem = self._change({**self._active, robot: reason})
         return Answer(ok=True, sentence=f"{_named(robot)} stops, {reason}{self._how_long(problem)}")
 
@@ -75,7 +75,7 @@ class StopOrders:
         if robot not in self._active:
             return Answer(ok=False, sentence=f"refused: {_named(robot)} is not stopped by an order{self._others()}")
         problem = self._change({name: why for name, why in self._active.items() if name != robot})
-        again = f"; but a filter that is started again will stop it anew: {problem}" if problem else ""
+        again = f"; but a filter that is started again will stop it again: {problem}" if problem else ""
         return Answer(ok=True, sentence=f"{_named(robot)} may drive{self._others()}{again}")
 
     def _others(self) -> str:

@@ -43,7 +43,7 @@ _NAMED: Final = 3
 """Barriers that a sentence names at most."""
 
 _STARTS: Final = 3
-"""Actions that keep all conditions from which a nearer one is looked for."""
+"""Actions that satisfy all conditions from which a nearer one is looked for."""
 
 
 @final
@@ -150,7 +150,7 @@ class Decision:
         return self._unchecked(status, action, f"Reason: {reason}.", solver)
 
     def stopped(self, reason: str) -> Verdict:
-        """The backup action because somebody ordered it, and of what it leads to whatever can be computed."""
+        """The backup action because someone ordered it, and of what it leads to whatever can be computed."""
         return self._unchecked(Status.stopped, self._backup_action(), f"Reason: {reason}.", "not run")
 
     def _unchecked(self, status: Status, action: Action, reason: str, solver: str) -> Verdict:
@@ -206,11 +206,11 @@ class Decision:
         nearby = self._coordinate_search(conditions, [backup, found, other, *spread])
         if nearby.kept:
             other, solver = self._restart_from(conditions, nominal, asked, [nearby])
-            return self._kept(conditions, nominal, other, "Found beside the least broken of many actions.", solver)
+            return self._kept(conditions, nominal, other, "Found next to the least broken of many actions.", solver)
         best, notice = self._least_violation(conditions, backup, [asked, found, other, nearby, *spread])
         if best.kept:
             other, solver = self._restart_from(conditions, nominal, asked, [best])
-            return self._kept(conditions, nominal, other, "Found among the least unsafe actions.", solver)
+            return self._kept(conditions, nominal, other, "Found among the least-violation actions.", solver)
         searched.note(best, self._seconds, notice)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{notice}", solver)
 
@@ -276,7 +276,7 @@ class Decision:
     def _least_violation(
         self, conditions: Constraints, backup: ActionCandidate, known: list[ActionCandidate]
     ) -> tuple[ActionCandidate, str]:
-        """The least unsafe outcome, and what is to be said of barriers that no action moves."""
+        """The least-violation outcome, and what is to be said of barriers that no action moves."""
         assert self._nominal is not None
         tools = self._tools
         best, stuck = least_violation(conditions, tools.program, tools.highest, self._nominal, backup, known)

@@ -7,7 +7,7 @@ Each tick it looks for
                     action_low <= a <= action_high,   s >= 0
 
 where p_i'x + q_i is the tangent of h_i at the predicted next state. The conditions are then evaluated at the model's
-own prediction for the solution and posed anew about it if they do not hold there; the verdict reports what holds.
+own prediction for the solution and posed again about it if they do not hold there; the verdict reports what holds.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class SafetyFilter:
         return self._barriers
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy, here or in another process, is made anew: with a solver's memory and a turn of its own."""
+        """A copy, here or in another process, is made again: with a solver's memory and a turn of its own."""
         tools = self.tools
         ranges = tools.state_range, tools.latent_range
         return _rebuilt, (tools.prediction, self._barriers or None, self.settings, tools.backup, *ranges, tools.clock)
@@ -161,7 +161,7 @@ class SafetyFilter:
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
         ``time`` [s] since the start of the run; a model that depends on it has the backup without. ``searched`` is what
-        is remembered of this robot's last search for the least unsafe action; without, every tick searches wholly.
+        is remembered of this robot's last search for the least-violation action; without, every tick searches wholly.
         """
         request = self._request(state, nominal, latent, memory, barriers, epsilon, stale, time, searched)
         return self._answer(_decided, request)
@@ -197,7 +197,7 @@ class SafetyFilter:
         Where the backup action brings the robot to rest (``stands``) it is taken as it is: braking straight lowers no
         h, and a robot that was stopped must not be led anywhere. A robot that has no stand, such as a pendulum, would
         leave its corridor: there the resting action is requested, and the filter changes it as it would any nominal action; the
-        verdict is ``stopped`` where that keeps every condition, and says what else came out where it does not.
+        verdict is ``stopped`` where that satisfies every condition, and says what else came out where it does not.
         """
         if stationary_for:
             nominal = self.tools.resting_action

@@ -37,7 +37,7 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
     """
 
     def __new__(cls, env: Any = None, *given: Any, **named: Any) -> Any:
-        """The wrapper that fits the environment, one or many; whoever copies one gives none."""
+        """The wrapper that fits the environment, one or many; anyone who copies one gives none."""
         if isinstance(env, VectorEnv):
             return GymnasiumVectorSafetyFilter(env, *given, **named)
         return super().__new__(cls)
@@ -77,7 +77,7 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
     """The same around a vector environment: one verdict an environment, ``infos["verdict"]`` (environments,) of them.
 
     One filter serves them all, one after the other; the functions get one environment's observation. Where an
-    environment begins anew with the next step, as gymnasium's do, it ignores the action of that step, and its verdict
+    environment begins again with the next step, as gymnasium's do, it ignores the action of that step, and its verdict
     is about none.
     """
 

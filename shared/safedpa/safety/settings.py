@@ -31,7 +31,7 @@ _BOUNDS = ("action_low", "action_high")
 
 
 class _LeftOut(tuple[float, ...]):
-    """In place of bounds that nobody gave; an empty tuple that somebody gives is a mistake."""
+    """In place of bounds that no one gave; an empty tuple that someone gives is a mistake."""
 
 
 _LEFT_OUT: tuple[float, ...] = _LeftOut()
@@ -67,12 +67,12 @@ class FilterSettings:
     backup_action: tuple[float, ...] = ()
     """(actions,) what is done when nothing can be computed; empty: 0 within the bounds."""
     relinearisations: int = 3
-    """How often the program is posed anew about its solution where the model is not affine in the action."""
+    """How often the program is posed again about its solution where the model is not affine in the action."""
     plausible_nominal: float = 10.0
     """A nominal action that lies further outside the bounds than this many ranges is not believed."""
     barriers: Mapping[str, float] = field(default_factory=dict)
     """What the robot's barriers take, by name (``AbstractRobot.barrier_settings``); what is left out has its default.
-    In a file they are keys beside the others."""
+    In a file they are keys next to the others."""
 
     def __post_init__(self) -> None:
         self._name_the_system()
@@ -205,7 +205,7 @@ def _system_of(table: Mapping[str, Any]) -> str:
 
 
 def _declared(system: str) -> tuple[BarrierSetting, ...]:
-    """What the barriers of a robot take; where nobody declared it, what those of any robot do."""
+    """What the barriers of a robot take; where no one declared it, what those of any robot do."""
     known = robots()
     if system in known:
         return known[system].barrier_settings

@@ -56,7 +56,7 @@ def checked_output(what: str, value: Any) -> FloatArray:
 
 
 def read_only(array: FloatArray) -> FloatArray:
-    """The same numbers as nobody can write into them: the array itself where that is so already."""
+    """The same numbers as no one can write into them: the array itself where that is so already."""
     if not array.flags.writeable:
         return array
     view = array.view()
@@ -65,7 +65,7 @@ def read_only(array: FloatArray) -> FloatArray:
 
 
 def _holds_other(value: Any) -> bool:
-    """Whether a list holds booleans or masked arrays, which numpy takes for numbers beside others."""
+    """Whether a list holds booleans or masked arrays, which numpy takes for numbers next to others."""
     if isinstance(value, (list, tuple)):
         return any(map(_holds_other, value))
     return isinstance(value, (bool, np.bool_, np.ma.MaskedArray))
@@ -98,7 +98,7 @@ class Plausible:
             raise ValueError("plausible range: got NaN, within which everything would be believed; wanted numbers")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy is made anew: what is compiled cannot be made without its arguments."""
+        """A copy is made again: what is compiled cannot be made without its arguments."""
         return Plausible, (self.low, self.high, self.names)
 
 

@@ -31,9 +31,9 @@ class Status(Enum):
 
 
 _SENTENCES = {
-    Status.passed: "The nominal action keeps every barrier condition and is handed on unchanged.",
-    Status.corrected: "The nominal action was changed to the nearest action that keeps every barrier condition.",
-    Status.relaxed: "No action was found that keeps every barrier condition; the least unsafe one is taken.",
+    Status.passed: "The nominal action satisfies every barrier condition and is handed on unchanged.",
+    Status.corrected: "The nominal action was changed to the nearest action that satisfies every barrier condition.",
+    Status.relaxed: "No action was found that satisfies every barrier condition; the least-violation one is taken.",
     Status.violated: "Unsafe now: some h is below 0; the action that raises the least h most is taken.",
     Status.fallback: "No decision could be computed; the backup action is taken.",
     Status.disabled: "The filter is switched off; the nominal action is handed on within the actuator limits.",
@@ -110,7 +110,7 @@ class Verdict:
 
 
 def resting_verdict(action: NDArray[np.float64], reason: str) -> Verdict:
-    """The fallback of whoever could not even ask the filter: the resting action (actions,), and nothing known."""
+    """The fallback of anyone who could not even ask the filter: the resting action (actions,), and nothing known."""
     taken = action.copy()
     taken.flags.writeable = False
     return Verdict(

@@ -1,1 +1,1 @@
-"""Benchmarks: every absolute time beside a reference that was measured in the same run."""
+"""Benchmarks: every absolute time next to a reference that was measured in the same run."""

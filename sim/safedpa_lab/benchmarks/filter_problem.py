@@ -148,7 +148,7 @@ def problem_with(count: int) -> FilterProblem:
 
 
 def wedged() -> FilterProblem:
-    """A standing car between two obstacles that both reach into it: no action keeps both conditions."""
+    """A standing car between two obstacles that both reach into it: no action satisfies both conditions."""
     rear, front, _ = _FOOTPRINT
     obstacles = np.array([(front + 0.2, 0.0, 0.3), (-rear - 0.2, 0.0, 0.3)])
     return FilterProblem(obstacles, np.zeros((1, 4)), settings_named("car"), np.zeros((1, 4)))

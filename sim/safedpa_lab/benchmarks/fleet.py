@@ -51,7 +51,7 @@ class FleetTrial:
     flood: bool = False
     """One more robot floods the bus with a thousand messages a second; it is not counted."""
     offers: float = 0.0
-    """Somebody with a diagnosis' key offers models that take long to read, in every other stretch of so many s."""
+    """Someone with a diagnosis' key offers models that take long to read, in every other stretch of so many s."""
 
 
 def fleet_benchmark(
@@ -154,7 +154,7 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
 
 
 def _cores() -> list[int]:
-    """Each has a reference loop beside the fleet, to tell what the machine does from what an attack does."""
+    """Each has a reference loop next to the fleet, to tell what the machine does from what an attack does."""
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
 
 

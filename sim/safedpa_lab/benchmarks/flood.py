@@ -1,4 +1,4 @@
-"""``python -m safedpa_lab.benchmarks.flood``: a robot that floods the bus, beside those that are measured.
+"""``python -m safedpa_lab.benchmarks.flood``: a robot that floods the bus, next to those that are measured.
 
 A thousand messages a second under a name of its own: states whose ticks race, garbage, NaN, and payloads of 60 KiB, in
 turn, and a model that is none in every tenth.

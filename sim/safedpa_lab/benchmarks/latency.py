@@ -1,4 +1,4 @@
-"""Sense to act over Zenoh: the real loop in its own processes, beside a bare chain of as many processes."""
+"""Sense to act over Zenoh: the real loop in its own processes, next to a bare chain of as many processes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def latency_benchmark(seconds: float, rate: float) -> dict[str, Any]:
 def real_loop(seconds: float, rate: float, *, watched: bool = False) -> dict[str, float]:
     """What the robot of ``safedpa up`` measures, in real time with every service in its own process.
 
-    The recorder and the diagnosis run beside it; where it is ``watched``, the dashboard and the workbench do too.
+    The recorder and the diagnosis run next to it; where it is ``watched``, the dashboard and the workbench do too.
     """
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "safedpa_services", "up", "--json", "--out", folder]
@@ -66,7 +66,7 @@ def real_loop(seconds: float, rate: float, *, watched: bool = False) -> dict[str
 
 
 def _check_watched(summary: dict[str, Any]) -> None:
-    """Raises SafedpaError where somebody who should have watched was not there."""
+    """Raises SafedpaError where someone who should have watched was not there."""
     there = {service["name"] for service in summary["services"]}
     absent = [name for name in ("dashboard", "diagnosis", "recorder", "workbench") if name not in there]
     if absent:

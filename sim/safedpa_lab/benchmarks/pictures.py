@@ -71,7 +71,7 @@ def _programs(rows: list[Document], path: Path) -> Path:
 
 
 def _dots(axis: Any, row: Document) -> None:
-    """One dot a program with its figure beside it, a line to p99 where there is one; this project's in colour."""
+    """One dot a program with its figure next to it, a line to p99 where there is one; this project's in colour."""
     bars = _bars(row)[::-1]
     unit = next((entry["unit"] for entry in row["ours"] if entry["figures"]), "")
     for place, (_, value, last, own) in enumerate(bars):

@@ -52,7 +52,7 @@ def of_source(calls: int, seconds: float) -> dict[str, Any]:
         return {"missing": f"without {compiled} no source is found: {last[:200]}"}
     answer: dict[str, Any] = json.loads(done.stdout)
     if answer.pop("compiled"):
-        return {"missing": "this Python has no source beside the compiled modules"}
+        return {"missing": "this Python has no source next to the compiled modules"}
     return answer
 
 

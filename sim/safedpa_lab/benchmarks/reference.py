@@ -1,6 +1,6 @@
 """``python -m safedpa_lab.benchmarks.reference``: a loop that does nothing but wake up in time, on one core.
 
-It stands before everything else of ours, so that only the machine itself can hold it up: its kernel, or whoever
+It stands before everything else of ours, so that only the machine itself can hold it up: its kernel, or anyone who
 shares the processor with it from outside. Ticks that are late at the same moment are not the fault of those who were
 to answer them. The kernel also holds it up where real-time processes took more than 95 % of a second of its core.
 """

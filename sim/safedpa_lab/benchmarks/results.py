@@ -51,7 +51,7 @@ class Entry:
 @final
 @dataclass(frozen=True)
 class Floor:
-    """What a part costs that nothing can do without, in the unit of the target that it stands beside."""
+    """What a part costs that nothing can do without, in the unit of the target that it stands next to."""
 
     name: str
     value: float
@@ -120,7 +120,7 @@ class Row:
         return times if self.better == "less" else 1.0 / times
 
     def as_document(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, with the ratios beside the peers and whether the targets were reached."""
+        """Plain numbers, strings and lists, with the ratios next to the peers and whether the targets were reached."""
         document = asdict(self)
         for entry, peer in zip(document["peers"], self.peers, strict=True):
             ratio = self.ratio(peer)

@@ -43,7 +43,7 @@ def row_lines(row: Document) -> tuple[list[str], list[Line]]:
 
 
 def _unit(figure: str, unit: str) -> str:
-    """Some figures stand beside those that the entry's unit belongs to."""
+    """Some figures stand next to those that the entry's unit belongs to."""
     return _UNITS.get(figure, unit)
 
 
@@ -97,7 +97,7 @@ def _target_cells(row: Document) -> Iterator[str]:
 
 
 def _judged(target: Document) -> str:
-    """Whether it was reached, and beside what is missed the floor under it."""
+    """Whether it was reached, and next to what is missed the floor under it."""
     if target["reached"]:
         return "reached"
     floor = target.get("floor")

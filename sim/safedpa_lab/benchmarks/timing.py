@@ -49,7 +49,7 @@ def in_turn(
 ) -> dict[str, dict[str, Any]]:
     """As ``timed`` of several calls, each with inputs of its own, one of each after the other: to be compared.
 
-    Each turn has an order of its own, drawn from a fixed seed: what a call leaves in the caches helps nobody for ever.
+    Each turn has an order of its own, drawn from a fixed seed: what a call leaves in the caches helps no one for ever.
     """
     order, shuffled = list(asked), random.Random(0)
     wall: dict[str, list[float]] = {name: [] for name in asked}

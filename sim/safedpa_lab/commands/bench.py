@@ -1,4 +1,4 @@
-"""``safedpa bench``: how fast, beside a reference measured in the same run."""
+"""``safedpa bench``: how fast, next to a reference measured in the same run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RATE = click.option("--rate", type=float, default=20.0, show_default=True, help
 @click.group(invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> None:
-    """Measure how fast this project is, beside its peers; by default the latency of one robot."""
+    """Measure how fast this project is, next to its peers; by default the latency of one robot."""
     if context.invoked_subcommand is None:
         context.invoke(latency)
 
@@ -29,7 +29,7 @@ def command(context: click.Context) -> None:
 @_JSON
 @needs("sim")
 def latency(seconds: float, rate: float, *, as_json: bool) -> None:
-    """Sense to act over Zenoh, every service its own process, beside a bare chain of relays."""
+    """Sense to act over Zenoh, every service its own process, next to a bare chain of relays."""
     from safedpa_lab.benchmarks.latency import latency_benchmark
 
     _check(seconds, rate)
@@ -105,7 +105,7 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
 def against(
     folder: Path, pairs: int, seconds: float, only: tuple[str, ...], most: float | None, *, as_json: bool
 ) -> None:
-    """This checkout beside another one, such as an older commit in a git worktree: ratios of sense to act and start.
+    """This checkout next to another one, such as an older commit in a git worktree: ratios of sense to act and start.
 
     Short drives of the two in turn, with this Python, so that what the machine does meanwhile happens to both. With
     --only, quick rows of `bench all` in turn: the medians of those that both checkouts have.
@@ -127,7 +127,7 @@ def against(
         widest = max(map(len, result["figures"]), default=0)
         for name, row in result["figures"].items():
             click.echo(
-                f"{name:{widest}} {row['ours']:9.4g} {row['unit']:2} beside {row['other']:9.4g} {row['unit']:2}   "
+                f"{name:{widest}} {row['ours']:9.4g} {row['unit']:2} next to {row['other']:9.4g} {row['unit']:2}   "
                 f"ratio {row['ratio']:.3f} (95 %: {row['interval'][0]:.3f} to {row['interval'][1]:.3f})"
             )
     over = [name for name, row in result["figures"].items() if most is not None and row["ratio"] > most]

@@ -18,7 +18,7 @@ def advantages(tables: Mapping[str, Mapping[str, Mapping[str, Any]]], directions
     """SafeDPA against every other method of each question, by outcome: safe, success, and both.
 
     ``tables`` by question and method. Episodes are paired by start, wind and draws. Episodes in one wind go well or
-    badly together, so the exact McNemar test over episodes stands beside one that exchanges whole directions; both by
+    badly together, so the exact McNemar test over episodes stands next to one that exchanges whole directions; both by
     Holm's method over all comparisons.
     """
     rows: list[dict[str, Any]] = []

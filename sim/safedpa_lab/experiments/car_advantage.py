@@ -29,7 +29,7 @@ def advantages(places: Mapping[str, Outcomes], measures: Sequence[str] = tuple(M
 
     ``places`` by name, such as a configuration or a value. Episodes are paired by scene: ``only_safedpa`` are those
     that went well with it alone, ``only_other`` those that did with the other alone, ``mcnemar`` the exact two-sided p
-    of their being as many, ``holm`` the same as it stands beside all rows.
+    of their being as many, ``holm`` the same as it stands next to all rows.
     """
     rows = [row for place, outcomes in places.items() for row in _rows(place, outcomes, measures)]
     for row, p in zip(rows, holm([row["mcnemar"] for row in rows]), strict=True):

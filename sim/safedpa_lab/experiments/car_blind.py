@@ -1,4 +1,4 @@
-"""A safety filter whose model knows no latent, beside an adaptation and a policy that do."""
+"""A safety filter whose model knows no latent, next to an adaptation and a policy that do."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ class Conditions:
 
 @final
 class NoisyRobot:
-    """A car whose state is measured with white noise; the same noise in the same tick of a seed, whoever drives."""
+    """A car whose state is measured with white noise; the same noise in the same tick of a seed, anyone who drives."""
 
     def __init__(self, robot: CarRobot, noise: float) -> None:
         self._robot = robot
@@ -151,7 +151,7 @@ class QuickerPolicyNode(ChangedNominal):
 class LoadOnTheWay:
     """Hitches the load, or lets it go, once a third of the way to the goal is behind the car.
 
-    It is hitched at the first tick from then on at which the car drives and there is room behind, beside and ahead.
+    It is hitched at the first tick from then on at which the car drives and there is room behind, next to and ahead.
     """
 
     def __init__(self, towing: str, robot: CarRobot) -> None:

@@ -1,6 +1,6 @@
 """The car experiment made harder one thing at a time: where does each method break?
 
-Nothing is trained, tuned or calibrated anew at a value: each filter keeps the margin of the experiment itself, and its
+Nothing is trained, tuned or calibrated again at a value: each filter keeps the margin of the experiment itself, and its
 online margin widens as it does on a robot.
 """
 
@@ -158,7 +158,7 @@ def _along(
 
 @final
 class _Count:
-    """How much is done, for whoever looks on."""
+    """How much is done, for anyone who looks on."""
 
     def __init__(self, size: int, report_progress: ReportProgress) -> None:
         self._size, self._report, self._done = size, report_progress, 0

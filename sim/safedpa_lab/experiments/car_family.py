@@ -61,7 +61,7 @@ class Family:
         table: Mapping[str, Any] = base.weights.description.trained_on.get("configuration", {})
         reported = sorted(path for path in table.get("environment", {}) if not path.startswith(_FORCE))
         if not table or reported:
-            return f"was trained with {', '.join(reported) or 'nobody knows what'} in its environment"
+            return f"was trained with {', '.join(reported) or 'no one knows what'} in its environment"
         practice = table.get("practice", {})
         wrong = [key for key, value in _PRACTICE.items() if practice.get(key) is not value]
         if wrong:

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 __all__ = ["curves_figure"]
 
 _COLUMNS: Final = 3
-"""Sweeps beside each other."""
+"""Sweeps next to each other."""
 _ROWS: Final = (("safe", "no contact"), ("both", "at the goal in time,\nwithout contact"))
 _APART: Final = 0.075
 """Of one curve and the next, in steps of the values, so that equal ones can be told apart."""
 _MARKERS: Final = {"safedpa": "o", "rma": "X", "rma_p": "D", "ppo": "d", "physics": "s"}
 _LEAST_ROOM: Final = 11.0
-"""% of the height between two names beside the curves."""
+"""% of the height between two names next to the curves."""
 
 
 def curves_figure(result: Mapping[str, Any], path: Path) -> None:
@@ -104,7 +104,7 @@ def _curve(sweep: Mapping[str, Any], name: str, measure: str) -> tuple[Any, Any,
 
 
 def _names(axes: Axes, sweep: Mapping[str, Any], measure: str) -> None:
-    """The methods' names beside the last panel, each as near to its curve's end as the others leave room."""
+    """The methods' names next to the last panel, each as near to its curve's end as the others leave room."""
     ends = {name: float(_curve(sweep, name, measure)[1][-1]) for name in _methods(sweep)}
     heights = _spread([ends[name] for name in ends], _LEAST_ROOM, 101.0)
     for name, height in zip(ends, heights, strict=True):

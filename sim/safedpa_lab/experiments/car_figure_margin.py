@@ -1,4 +1,4 @@
-"""The margin of every filter, conformal beside the theory's bound, and what they cover on fresh drives."""
+"""The margin of every filter, conformal next to the theory's bound, and what they cover on fresh drives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table as a picture: bars with 95 % intervals, the paper's values beside them."""
+"""The table as a picture: bars with 95 % intervals, the paper's values next to them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Margins of the filters of the car experiment: one rule for all models, and their coverage on fresh drives.
 
 The rule: epsilon of each kind of barrier is the split conformal quantile of the model's own one-step error of h, at
-99 %, on the same recorded drives for every model. A model that predicts worse pays with a wider margin. Beside it
+99 %, on the same recorded drives for every model. A model that predicts worse pays with a wider margin. Next to it
 stands the bound by norms that the theory allows on a robot (the docs page on theory): the same quantile of
 
     |p|_1 |v - v^|_sup >= |h(x + v) - h(x + v^)|,
@@ -174,5 +174,5 @@ class CoverageCount:
 def _barriers(scene: CarScene, message: StateMessage) -> Sequence[AbstractBarrier]:
     barriers = scene.of(message)
     if isinstance(barriers, str):
-        raise InputError(f"recorded drive, tick {message.tick}: {barriers}; record it anew")
+        raise InputError(f"recorded drive, tick {message.tick}: {barriers}; record it again")
     return barriers

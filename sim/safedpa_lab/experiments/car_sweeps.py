@@ -100,7 +100,7 @@ SWEEPS: Final[Mapping[str, Sweep]] = {
         Sweep("friction", "grip of the tyres, x 0.9", _FRICTIONS, _reported(_FRICTIONS), 1.0),
         Sweep("noise", "noise of x and y [cm]", _NOISES, _reported(_NOISES, 100.0), 0.0),
         Sweep("delay", "delay, filter told [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
-        Sweep("delay_untold", "delay, nobody told [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
+        Sweep("delay_untold", "delay, no one told [ms]", _DELAYS, _reported(_DELAYS, 1000.0), 0.0),
     )
 }
 """Each from easy to hard."""

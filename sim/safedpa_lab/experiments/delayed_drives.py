@@ -50,13 +50,13 @@ class Lateness:
     channel: str = "both"
     reported: str = "model"
     """``model``: an effect of the services' model; ``clock``: the robot measures it and says so with every state, as
-    the time until its action acts; ``no_one``."""
+    the time until its action acts; ``none``."""
 
     def __post_init__(self) -> None:
         if self.channel not in CHANNELS:
             raise InputError(f"channel: got {self.channel!r}, wanted one of {', '.join(CHANNELS)}")
-        if self.reported not in ("model", "clock", "no_one"):
-            raise InputError(f"told: got {self.reported!r}, wanted one of model, clock, nobody")
+        if self.reported not in ("model", "clock", "none"):
+            raise InputError(f"told: got {self.reported!r}, wanted one of model, clock, no one")
         if self.reported == "clock" and self.channel != "both":
             raise InputError(f"channel: got {self.channel!r}, wanted both: what the clock tells holds for all commands")
 

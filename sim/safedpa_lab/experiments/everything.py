@@ -310,7 +310,7 @@ def _of_today(found: Standing) -> bool:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """What is kept there; nothing where it is no such account: then all is made anew."""
+    """What is kept there; nothing where it is no such account: then all is made again."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A simulated fleet's diagnosis held against what was hidden in it: right groups, false ones, seconds, memory."""
+"""A simulated fleet's diagnosis compared with what was hidden in it: right groups, false ones, seconds, memory."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def fleet_screen(
     """Errors of healthy cars, and of cars with each effect; how many of these a limit would miss.
 
     In plain logs effects have a fifth of their ordinary strength, in ``hard`` ones all of it. Healthy cars come with a
-    speed servo and with a throttle, as many as there are; each is held against its own kind.
+    speed servo and with a throttle, as many as there are; each is compared with its own kind.
     """
     weak = [
         Case("screen", seed + 1000 + n, {name: _drawn(name, seed + n, hard)}, drive=CAR_EFFECTS[name].drive, hard=hard)

@@ -63,7 +63,7 @@ class _HiddenWorld(CarWorld):
         self._sent = deque([(0.0, 0.0)] * hidden.delay)
 
     def advance(self, target_speed: float, steer: float, seconds: float) -> None:
-        """Holds for ``seconds`` the command that was sent ``delay`` calls ago, the wheels ``offset`` beside it."""
+        """Holds for ``seconds`` the command that was sent ``delay`` calls ago, the wheels ``offset`` next to it."""
         self._sent.append((target_speed, steer))
         speed, angle = self._sent.popleft()
         super().advance(speed, angle + self._offset, seconds)

@@ -1,4 +1,4 @@
-"""Live diagnosis, measured: how soon a change is found, named and mended; and is anything found where nothing is?"""
+"""Live diagnosis, measured: how soon a change is found, named and corrected; and is anything found where nothing is?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One drive with the diagnosis beside it: something changes, is found, accepted by itself, and the error falls."""
+"""One drive with the diagnosis next to it: something changes, is found, accepted by itself, and the error falls."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Drives on which margins are calibrated and counted: each shipped robot and model behind the filter of the bus.
 
-A drive is one scene, one load or wind, one start: what is drawn anew from drive to drive, and what makes drives, not
+A drive is one scene, one load or wind, one start: what is redrawn from drive to drive, and what makes drives, not
 steps, exchangeable.
 """
 

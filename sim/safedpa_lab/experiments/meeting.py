@@ -1,7 +1,7 @@
 """Several cars on one field, each with a laser alone and a filter of its own: who touches whom, and what is reached.
 
 A contact of two cars counts once. It is one in which a car moves where either was at ``IS_STATIONARY`` or faster: among cars
-that all keep passive safety there is none, since whoever can be touched stands before.
+that all keep passive safety there is none, since anyone who can be touched stands before.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ __all__ = ["Misjudges", "placed"]
 class Misjudges:
     """Tells of each metre and m/s ``1 + stretch`` of it, and of each radian ``1 + turning`` of it.
 
-    Its frame is the true one at first. Goals are told in the frame that it believes in, as by somebody who points there
+    Its frame is the true one at first. Goals are told in the frame that it believes in, as by someone who points there
     from where it is. What its laser measures is true.
     """
 

@@ -50,7 +50,7 @@ def sign_flip_exact(one: BoolArray, other: BoolArray, groups: int) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Each p as it stands beside the others: what holds for all of them together at a level holds for each that is
+    """Each p as it stands next to the others: what holds for all of them together at a level holds for each that is
     below it. Source: Holm, Scandinavian Journal of Statistics 6 (1979) 65."""
     order = sorted(range(len(p)), key=lambda index: p[index])
     adjusted, least = [0.0] * len(p), 0.0

@@ -1,7 +1,7 @@
-"""A user's pendulum with a payload that nobody told: is it named, and how heavy is it?
+"""A user's pendulum with a payload that no one told: is it named, and how heavy is it?
 
 The system is identified from the logs of a real one (DFKI's torque-limited pendulum): its mass and the friction that
-diagnosis finds. The user's robot is a simulation of it, written anew (``PendulumWorld``), with more at its tip and
+diagnosis finds. The user's robot is a simulation of it, written again (``PendulumWorld``), with more at its tip and
 noisy sensors; its logs go to the diagnosis with the identified model, mass fixed.
 """
 

@@ -3,7 +3,7 @@
 A pendulum carries half a kilogram or rubs in its hinge, and no model knows. The filter keeps it within 45 degrees under
 torques at random, in winds that it has to find out about, with the shipped model, with the one that diagnosis made of
 it, and with an oracle. Each model has a margin of its own, calibrated on the same swings at the same coverage; the
-shipped model runs once more with the diagnosed one's margin, to show what the larger one is needed for.
+shipped model runs again with the diagnosed one's margin, to show what the larger one is needed for.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _prepared(
 
 
 def _forgetting(corrected: PhysicsModel, shipped: PhysicsModel) -> PhysicsModel:
-    """The mended model with the wind of the shipped one: tomorrow's is not that of the recording."""
+    """The corrected model with the wind of the shipped one: tomorrow's is not that of the recording."""
     unknown = {path: item for path, item in shipped.settings.items() if item.free}
     return corrected.with_settings({**corrected.settings, **unknown})
 

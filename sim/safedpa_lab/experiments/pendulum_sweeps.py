@@ -1,6 +1,6 @@
 """Both questions of the pendulum made harder step by step: where does each method break?
 
-Nothing is trained, tuned or calibrated anew: each filter keeps the margin of the experiment's own difficulty. Only
+Nothing is trained, tuned or calibrated again: each filter keeps the margin of the experiment's own difficulty. Only
 RMA-P's penalty is chosen for each difficulty by itself, on the development seed.
 """
 

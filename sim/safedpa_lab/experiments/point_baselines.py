@@ -1,4 +1,4 @@
-"""What the point robot's baselines learned: a table beside the published figures, learning curves as a picture."""
+"""What the point robot's baselines learned: a table next to the published figures, learning curves as a picture."""
 
 from __future__ import annotations
 

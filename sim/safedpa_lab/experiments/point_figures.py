@@ -89,7 +89,7 @@ def _circles(result: dict[str, Any], path: Path) -> None:
 
 
 def _success(result: dict[str, Any], path: Path) -> None:
-    """Episodes with an unsafe step against goals; a number at each point, names beside the picture."""
+    """Episodes with an unsafe step against goals; a number at each point, names next to the picture."""
     with figure(path, 5.4) as drawn:
         axes, names = drawn.subplots(1, 2, width_ratios=(2.3, 1.0))
         placed: list[tuple[float, float]] = []

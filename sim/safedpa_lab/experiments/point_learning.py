@@ -1,4 +1,4 @@
-"""A policy of the point robot goes on learning in winds while SafeDPA's filter holds; beside it the same without.
+"""A policy of the point robot goes on learning in winds while SafeDPA's filter holds; next to it the same without.
 
 Every step of the learning is counted. Both learn from the same seed in the same layouts, and meet the same winds.
 """

@@ -1,6 +1,6 @@
 """Diagnosis on recordings of real robots: a car, a pendulum, balls that fall.
 
-Nobody knows the whole truth about a real robot. So what counts is the error on data that was not used for fitting:
+No one knows the whole truth about a real robot. So what counts is the error on data that was not used for fitting:
 blocks of time inside the logs, and whole logs left out.
 """
 
@@ -175,7 +175,7 @@ def _ball(job: _Job) -> dict[str, Any]:
 @cache
 def _falling(ball: Path | None) -> Any:
     if ball is None or not ball.with_suffix(".toml").is_file():
-        raise InputError(f"{ball}: wanted a Python file with the falling ball, and its model file .toml beside it")
+        raise InputError(f"{ball}: wanted a Python file with the falling ball, and its model file .toml next to it")
     load_own(ball)
     return load_model(str(ball.with_suffix(".toml")))
 

@@ -1,4 +1,4 @@
-"""How much of a log lies where other logs hold hardly any data: what a model says there is not held against any."""
+"""How much of a log lies where other logs hold hardly any data: what a model says there is not compared with any."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The car is a process that imports the simulator alone and speaks by another implementation of the wire; router, gateway,
 adaptation and filter are processes too. Everything in real time. Sense to act is measured by the car: from sending an
-odometry to the arrival of the command that was made of it; beside it a bare chain of as many hops in the same run.
+odometry to the arrival of the command that was made of it; next to it a bare chain of as many hops in the same run.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TOGETHER = 3
 """Drives without a filter side by side: nothing of them is timed."""
 _CHAIN_EVERY, _CHAIN_SECONDS, _RATE = 5, 2.0, 20.0
 _MOST_TRIES = 3
-"""Of a drive during which the whole machine stood still."""
+"""Of a drive during which the whole machine was stationary."""
 _STALLED = 1.0
 
 
@@ -65,12 +65,12 @@ def ros_experiment(
 
 
 def _undisturbed(loop: Loop, folder: Path, seed: int, seconds: float) -> dict[str, Any]:
-    """A drive; once more where the machine was stopped meanwhile, as its own clock tells."""
+    """A drive; again where the machine was stopped meanwhile, as its own clock tells."""
     for _ in range(_MOST_TRIES):
         found = filtered_drive(loop, folder, seed, seconds)
         if found["stalled"] < _STALLED:
             return found
-    raise SafedpaError(f"seed {seed}: the machine stood still in {_MOST_TRIES} drives; run it on one that does not")
+    raise SafedpaError(f"seed {seed}: the machine was stationary in {_MOST_TRIES} drives; run it on one that does not")
 
 
 def filtered_drive(loop: Loop, folder: Path, seed: int, seconds: float) -> dict[str, Any]:

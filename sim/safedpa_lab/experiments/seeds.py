@@ -1,6 +1,6 @@
 """Seeds by what they are for: nothing that is chosen, fitted or calibrated sees what is evaluated.
 
-Whoever tries things out takes seeds of ``development``; margins are calibrated on ``calibration``; what a page quotes
+Anyone who tries things out takes seeds of ``development``; margins are calibrated on ``calibration``; what a page quotes
 is counted on ``evaluation``.
 """
 

@@ -1,4 +1,4 @@
-"""Drives with a laser alone, beside the same drives told everything: who touches whom, and what is reached.
+"""Drives with a laser alone, next to the same drives told everything: who touches whom, and what is reached.
 
 A collision counts as the car's where it moved (``IS_STATIONARY`` and faster); who walks into a standing car is counted apart.
 """
@@ -38,7 +38,7 @@ __all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "row_of", "run_driv
 GUARDS = ("safedpa", "reported", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
 """Who stands between policy and car: the filter with the laser alone; the filter that is told everything; told
 everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with
-more time; the F1TENTH course's brake; nobody. The last four hear the same scans."""
+more time; the F1TENTH course's brake; no one. The last four hear the same scans."""
 LOADS = ("none", *TOWED)
 POLICIES = ("way_seeker", "goal_seeker")
 """One that is told the surroundings as the filter is, and one that looks nowhere."""
@@ -53,7 +53,7 @@ class Drive:
     seed: int
     seconds: float
     coming: float
-    """Speed that perception reckons with for what nobody sees."""
+    """Speed that perception reckons with for what no one sees."""
     guard: str = GUARDS[0]
     load: str = LOADS[0]
     policy: str = POLICIES[1]

@@ -1,6 +1,6 @@
 """Drives with a laser among people, made harder one thing at a time.
 
-Their speed, what is reckoned with of whom nobody sees, the scans' noise, age and width.
+Their speed, what is reckoned with of whom no one sees, the scans' noise, age and width.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def curves_experiment(
 ) -> dict[str, Any]:
     """Every value of every curve with the same seeds; a row for each, in the order of the values.
 
-    Beside each stand the goals of the same drives with perfect knowledge, of people of the same speed.
+    Next to each stand the goals of the same drives with perfect knowledge, of people of the same speed.
     """
     plain = Drive(scene, 0, seconds, 1.5, policy="way_seeker")
     points = [(name, float(value)) for name, values in curves.items() for value in values]
@@ -73,7 +73,7 @@ def curves_page(result: Mapping[str, Any]) -> str:
         "# A laser among people, made harder",
         "",
         f"Scene {result['scene']}, seeds {seeds[0]} to {seeds[-1]}, {result['seconds']:g} s each, no load. One thing "
-        "at a time differs from people of 1.5 m/s, as much for whom nobody sees, 0.02 m, 0.05 s and 360 degrees. A "
+        "at a time differs from people of 1.5 m/s, as much for whom no one sees, 0.02 m, 0.05 s and 360 degrees. A "
         "collision is the car's where it was at 0.1 m/s or more. The share is of the goals of the same drives with "
         "perfect knowledge, with its 95 %.",
         "",

@@ -44,7 +44,7 @@ __all__ = ["SCENES", "SensedDrive", "margins_of_sensing", "order", "run_sensed"]
 
 
 SCENES: Final = ("people", "rooms", "steps-out")
-"""Six pillars among three people; two rooms with a door, boxes and up to six people; somebody behind a box."""
+"""Six pillars among three people; two rooms with a door, boxes and up to six people; someone behind a box."""
 ODOMETRY: Final = 0.02
 """Share of each metre, and of each turn, by which a drive's odometry is wrong at most; as perception's ``drift``."""
 _PERIOD: Final = 0.05

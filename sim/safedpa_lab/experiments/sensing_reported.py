@@ -25,7 +25,7 @@ _RADIUS = 0.01
 
 
 class Disc(Protocol):
-    """Somebody, or a part of something, that moves."""
+    """Someone, or a part of something, that moves."""
 
     @property
     def place(self) -> Point:
@@ -40,7 +40,7 @@ class Disc(Protocol):
 class ReportsEverything(AbstractNode):
     """Tells of each state the scene as it is and where everybody is; nothing is hidden.
 
-    Nobody's next step is known: whoever may move may do so at the speed that perception reckons with.
+    No one's next step is known: anyone who may move may do so at the speed that perception reckons with.
     """
 
     name = "perception"

@@ -19,7 +19,7 @@ from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box, clearance_a
 __all__ = ["SCENES", "scene_and_people"]
 
 SCENES = ("pillars", "people", "rooms", "steps-out")
-"""Six pillars; the same among three people; two rooms with a door, boxes and up to six people; somebody behind a
+"""Six pillars; the same among three people; two rooms with a door, boxes and up to six people; someone behind a
 box."""
 _PEOPLE = 3
 _MOST_PEOPLE = 6
@@ -60,7 +60,7 @@ def scene_and_people(kind: str, seed: int, load: str, walking: float = 1.5) -> t
 def _past_a_box(
     seed: int, load: Load | None, draw: np.random.Generator, walking: float
 ) -> tuple[Scene, tuple[Person, ...]]:
-    """Somebody steps out from behind a box into the car's way when the car is 0.8 to 2.2 m away."""
+    """Someone steps out from behind a box into the car's way when the car is 0.8 to 2.2 m away."""
     x, after = float(draw.uniform(-1.0, 1.0)), float(draw.uniform(0.5, 0.9))
     field = (-4.0 if load is None else -5.0, 4.0, -3.0, 3.0)
     cover = box(x, 1.0, 0.9, 0.6)

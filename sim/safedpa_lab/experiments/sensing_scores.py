@@ -16,10 +16,10 @@ whatever comes between: noise, age, lost rays, cells, who was seen too late, odo
   is told to move, as if it were at rest.
 - ``mover``: j are the people whom a ray of the scan that was looked at last hit, at their places p when it was
   measured, wider by their top speed w times its age a: wherever each may have gone since, h_j with R = r + w a. So e_k
-  counts the worst that anybody may do, and not what somebody did. i are told movers and hidden places.
+  counts the worst that anybody may do, and not what someone did. i are told movers and hidden places.
 - ``stood``: the same of people who have stood where they were first seen for as long as perception takes to believe
   it: they are told as at rest, and nothing is promised about them until they walk. No margin is made for them.
-- ``hidden``: the same of people whom no ray hit, h with what nobody sees behind the car, or towards whom it creeps.
+- ``hidden``: the same of people whom no ray hit, h with what no one sees behind the car, or towards whom it creeps.
   Who has to walk around something is as far away as his shortest way there is long (``WaysAround``).
 - ``model``: j are the told discs themselves: what of ``mover`` and ``hidden`` is the error of the model.
 
@@ -68,9 +68,9 @@ _FAR: Final = 1e3
 _APART: Final = 0.02
 """m between the places that stand for an edge: nothing gets nearer between two of them by more than 1 mm."""
 _HIT: Final = 0.1
-"""m that a ray's end lies off somebody's outline at most, five deviations of its noise."""
+"""m that a ray's end lies off someone's outline at most, five deviations of its noise."""
 _WALKS: Final = 0.1
-"""m from where somebody was first seen, beyond which he walks: a cell."""
+"""m from where someone was first seen, beyond which he walks: a cell."""
 _RETAINED: Final = 40
 """Ticks whose people are remembered: 2 s."""
 
@@ -90,7 +90,7 @@ class Score(NamedTuple):
     who: int
     """Number of the person with the least h; -1: of none."""
     seen_for: float
-    """s since somebody was seen first without a break; 0 of who is not seen."""
+    """s since someone was seen first without a break; 0 of who is not seen."""
     apart: tuple[float, float, float]
     """m from the place of what is there that faces the car to the discs told as points, movers and hidden places; below
     0 within one, 1000 where there is none. Of people the place where they were when they were measured."""
@@ -223,7 +223,7 @@ class Scores:
     def _around(
         self, bodies: _Bodies, person: FloatArray, place: FloatArray, values: tuple[float, ...], straight: float
     ) -> float:
-        """h of somebody who walks around what is at rest: his disc is smaller by as much as his way is longer."""
+        """h of someone who walks around what is at rest: his disc is smaller by as much as his way is longer."""
         assert self._ways is not None
         cells = self._robot.in_reported_frame(self._ways.places)
         there = np.column_stack([cells, np.full(len(cells), person[2]), np.zeros(len(cells))])
@@ -293,7 +293,7 @@ def _least(h: FloatArray) -> float:
 
 
 def _nearest(h: FloatArray, wanted: BoolArray) -> int | None:
-    """Who of those ``wanted`` (n,) has the least h (n,); None where nobody is."""
+    """Who of those ``wanted`` (n,) has the least h (n,); None where no one is."""
     return int(np.argmin(np.where(wanted, h, inf))) if wanted.any() else None
 
 
@@ -311,7 +311,7 @@ def _to(discs: FloatArray, place: FloatArray) -> float:
 
 
 def _hit(scan: ScanMessage, pose: Pose, state: StateMessage, disc: tuple[float, float, float]) -> bool:
-    """Whether a ray of a scan that was measured at ``pose`` ends on somebody, and not on what is the robot's own."""
+    """Whether a ray of a scan that was measured at ``pose`` ends on someone, and not on what is the robot's own."""
     x, y, yaw = pose
     ahead, aside, turned = scan.mount
     here = np.array((x, y)) + placed(np.array([[ahead, aside]]), yaw)[0]

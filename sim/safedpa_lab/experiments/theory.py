@@ -1,4 +1,4 @@
-"""The theory's bound with measured constants beside what measuring the error itself gives, both on fresh drives."""
+"""The theory's bound with measured constants next to what measuring the error itself gives, both on fresh drives."""
 
 from __future__ import annotations
 

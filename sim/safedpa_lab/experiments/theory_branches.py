@@ -1,6 +1,6 @@
 """Drives in the training simulator at whose ends the truth is known: what the theory's constants are measured on.
 
-Robots drive in environments e that stand still, under actions held for a while; the history encoder watches. At the end
+Robots drive in environments e that be stationary, under actions held for a while; the history encoder watches. At the end
 each is left with several actions from the same state.
 """
 
@@ -72,7 +72,7 @@ def _watched(networks: LearnedNetworks, states: FloatArray, actions: FloatArray,
 def _driven(
     model: Any, state: FloatArray, environment: FloatArray, ranges: FloatArray, steps: int, draw: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """States (n, steps + 1, states) and actions (n, steps, actions) under actions that are held and then drawn anew."""
+    """States (n, steps + 1, states) and actions (n, steps, actions) under actions that are held and then redrawn."""
     low, high = ranges[:, 0], ranges[:, 1]
     action = draw.uniform(low, high, (len(state), len(low)))
     states, actions = [state], []

@@ -41,8 +41,8 @@ ROWS: Final = {
     "paper_point": "L_TUNE, from the right point",
     "shipped": "ours, as shipped",
     "tuned_point": "ours, from the right point",
-    "physics": "mended physics alone, knowing of no load",
-    "residual": "residual networks on mended physics",
+    "physics": "corrected physics alone, knowing of no load",
+    "residual": "residual networks on corrected physics",
     "online_untuned": "untuned at the right point, tuned online",
     "online_shipped": "ours as shipped, tuned online",
     "online_tuned": "ours from the right point, tuned online",
@@ -108,7 +108,7 @@ class TunedModels:
 
     @cached_property
     def corrected(self) -> PhysicsModel:
-        """The training simulator, mended by a diagnosis of the circles."""
+        """The training simulator, corrected by a diagnosis of the circles."""
 
         def make() -> str:
             self.report_progress("diagnosis of the simulator")

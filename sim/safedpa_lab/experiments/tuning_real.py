@@ -226,7 +226,7 @@ def _configuration(experiment: RealTuning) -> Configuration:
 def _untuned(configuration: Configuration, retained: Retained, report_progress: Callable[[str], None]) -> Weights:
     def make() -> Weights:
         report_progress("real car: networks in its nominal simulator")
-        with TemporaryDirectory() as folder:  # of checkpoints, which nobody goes on from
+        with TemporaryDirectory() as folder:  # of checkpoints, which no one goes on from
             affine, _ = train_affine(configuration, Path(folder))
             return train_history_encoder(configuration, affine, Path(folder))[0]
 

@@ -1,4 +1,4 @@
-"""How far somebody has to walk around things at rest: ways on a grid, told no longer than they are."""
+"""How far someone has to walk around things at rest: ways on a grid, told no longer than they are."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _LONGER: Final = 1.0275
 
 @final
 class WaysAround:
-    """The places of a scene in which the middle of somebody of ``radius`` [m] can be, and the ways between them.
+    """The places of a scene in which the middle of someone of ``radius`` [m] can be, and the ways between them.
 
-    A cell is open if somebody thinner by a cell has room in it, so that no way is found closed that is not.
+    A cell is open if someone thinner by a cell has room in it, so that no way is found closed that is not.
     """
 
     def __init__(self, scene: Scene, radius: float) -> None:
@@ -56,7 +56,7 @@ class WaysAround:
         self._open = open_cells.ravel()
 
     def to(self, place: Point, wanted: BoolArray, longest: float) -> float:
-        """m that nobody's way from ``place`` to any of the ``wanted`` (cells,) falls short of; ``longest`` [m] where
+        """m that no one's way from ``place`` to any of the ``wanted`` (cells,) falls short of; ``longest`` [m] where
         there is none as short as that.
 
         A straight way between any two places is told shorter as well, by up to 3 % and 7 cm.

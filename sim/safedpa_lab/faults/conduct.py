@@ -21,7 +21,7 @@ class Conduct:
     bytes_per_second_in: float = 0.0
     """A reader that is no faster than this; 0: as fast as it comes."""
     pause_every: float = 0.0
-    """s; in each such time the link stands still for ``pause`` s, then hands on everything at once."""
+    """s; in each such time the link is stationary for ``pause`` s, then hands on everything at once."""
     pause: float = 0.0
     cut: bool = False
     """Every connection is closed and every new one refused."""
@@ -29,7 +29,7 @@ class Conduct:
 
 PASS = Conduct()
 STALLED = Conduct(stalled_out=True, stalled_in=True)
-"""The network is gone: no byte arrives, and nobody is told."""
+"""The network is gone: no byte arrives, and no one is told."""
 HALF_OPEN = Conduct(stalled_out=True)
 """What the process says is lost; it hears everything."""
 CUT = Conduct(cut=True)
@@ -51,5 +51,5 @@ def slow(bytes_per_second: float) -> Conduct:
 
 
 def bursts(pause: float, every: float) -> Conduct:
-    """Packet loss as TCP shows it: the stream stands still for ``pause`` s in each ``every`` s."""
+    """Packet loss as TCP shows it: the stream is stationary for ``pause`` s in each ``every`` s."""
     return Conduct(pause=pause, pause_every=every)

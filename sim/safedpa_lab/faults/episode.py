@@ -23,7 +23,7 @@ _HICCUP_PERIODS = 2
 
 @dataclass(frozen=True)
 class Episode:
-    """When a fault began, when it was mended, when the loop was left to itself again; monotonic, s."""
+    """When a fault began, when it was corrected, when the loop was left to itself again; monotonic, s."""
 
     struck: float
     corrected: float
@@ -54,7 +54,7 @@ class Evidence:
 
 
 def collisions_in(periods: Iterable[TracedPeriod]) -> int:
-    """New contacts during these periods; a robot that starts anew begins with none."""
+    """New contacts during these periods; a robot that restarts begins with none."""
     count, before = 0, dict[int, int]()
     for lived in periods:
         count += lived.collisions - before.get(lived.epoch, lived.collisions)

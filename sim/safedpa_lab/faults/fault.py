@@ -35,7 +35,7 @@ def no_more(world: World, episode: Episode) -> str:
 
 @dataclass(frozen=True)
 class Fault:
-    """One row of the table. Every fault is held against the same invariants, whatever else it names itself:
+    """One row of the table. Every fault is compared with the same invariants, whatever else it names itself:
 
     no collision; no action applied that is not the filter's answer to the state of that very period, or that is older
     than two periods; and the loop drives again within ``recovers_within`` after the recovery.
@@ -64,7 +64,7 @@ class Fault:
     recovers_within: float = 10.0
     """s."""
     diagnosis: Literal["real", "ready"] = "real"
-    """Which diagnosis must run beside the loop."""
+    """Which diagnosis must run alongside the loop."""
     small: bool = False
     """Whether the small version of the campaign holds it, too."""
 

@@ -40,7 +40,7 @@ class Member:
         return self._process is not None and self._process.poll() is None
 
     def start(self) -> None:
-        """Starts the process; a later call starts it anew."""
+        """Starts the process; a later call starts it again."""
         command = [sys.executable, "-m", "safedpa_lab.faults.sabotaged", self.module, *self.arguments]
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **self.environment}
         with self.log.open("ab") as log:

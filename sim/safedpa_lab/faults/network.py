@@ -1,4 +1,4 @@
-"""Links that lose, delay, stand still or break, bent in the proxy between a process and the router."""
+"""Links that lose, delay, be stationary or break, bent in the proxy between a process and the router."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _PAUSE = "0.3 s in every second, and then hands on what waited"
 
 
 def disconnected() -> list[Fault]:
-    """Every process without a network for three seconds; nobody is told, and what was sent meanwhile waits."""
+    """Every process without a network for three seconds; no one is told, and what was sent meanwhile waits."""
     faults = [
         _bend(f"disconnect {name}", f"{name} has no network", STALLED, _PARTITION_SECONDS, _meanwhile(name), name)
         for name in _LINKS
     ]
     faults[-1] = _small(faults[-1])
-    return [*faults, _bend("disconnect all", "nobody has a network", STALLED, _PARTITION_SECONDS)]
+    return [*faults, _bend("disconnect all", "no one has a network", STALLED, _PARTITION_SECONDS)]
 
 
 def cut() -> list[Fault]:

@@ -1,4 +1,4 @@
-"""Who hears everything on the bus from beside the proxy, and keeps what a fault is judged by."""
+"""Who hears everything on the bus from next to the proxy, and keeps what a fault is judged by."""
 
 from __future__ import annotations
 

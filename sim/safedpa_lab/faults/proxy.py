@@ -21,7 +21,7 @@ __all__ = ["Proxy"]
 _Result = TypeVar("_Result")
 _CHUNK_BYTES = 16 * 1024
 _WAITING_CHUNKS = 4
-"""On their way in one direction: a link that stands still makes its sender wait, as a full pipe does."""
+"""On their way in one direction: a link that is stationary makes its sender wait, as a full pipe does."""
 _SMALL_BUFFER = 4096
 """Of sockets: what a slow reader has not read waits at the sender, not in the kernel's megabytes."""
 _PATIENCE_SECONDS = 5.0

@@ -208,7 +208,7 @@ def _bind(threads: list[int], cores: set[int]) -> None:
 
 @final
 class _Flooded:
-    """Robots that nobody drives, in a process of their own."""
+    """Robots that no one drives, in a process of their own."""
 
     def __init__(self) -> None:
         self._flood: subprocess.Popen[bytes] | None = None

@@ -51,7 +51,7 @@ class _Saboteur:
         end = time.monotonic() + _LONGEST_HANG_SECONDS
         taken, free = list[threading.Lock](), _turns()
         while self._hanging and time.monotonic() < end:
-            # What this very thread held when the signal came stays as it is: nobody else turns then.
+            # What this very thread held when the signal came stays as it is: no one else turns then.
             taken += [lock for lock in free if lock not in taken and lock.acquire(blocking=False)]
             time.sleep(_LOOK_SECONDS)
         for lock in taken:

@@ -93,7 +93,7 @@ class World:
             self.proxy.set(name, conduct)
 
     def request(self, request: Request, timeout: float) -> Answer | None:
-        """Asks the diagnosis about the robot; None when nobody answers within ``timeout`` [s]."""
+        """Asks the diagnosis about the robot; None when no one answers within ``timeout`` [s]."""
         return self.observer.bus.request(ROBOT, request, timeout)
 
     def until(self, condition: Callable[[], bool], patience: float) -> bool:

@@ -104,8 +104,8 @@ def _gap(table: Table) -> Table:
 _DEGREES = 180.0 / np.pi
 
 BAD: Final[Mapping[str, Bad]] = {
-    "frozen_speed": Bad("frozen", "speed stands still", _changed(speed=_frozen)),
-    "frozen_yaw": Bad("frozen", "yaw stands still", _changed(yaw=_frozen)),
+    "frozen_speed": Bad("frozen", "speed is stationary", _changed(speed=_frozen)),
+    "frozen_yaw": Bad("frozen", "yaw is stationary", _changed(yaw=_frozen)),
     "dead_drive": Bad("dead_command", "its recording looks dead", _drive_changed(_dead)),
     "dead_steer": Bad("dead_command", "steer stays at 0", _changed(steer=_dead)),
     "drive_flipped": Bad("opposite_sign", "speed falls as", _drive_changed(lambda v: -v)),
@@ -127,7 +127,7 @@ BAD: Final[Mapping[str, Bad]] = {
     "teleport": Bad("jump", "jumps", _changed(x=_jumped)),
     "gap": Bad("gap", "gap", _gap),
 }
-"""By name. ``same_twice`` is to be given beside the log that it is a copy of; ``percent`` is of a throttle."""
+"""By name. ``same_twice`` is to be given next to the log that it is a copy of; ``percent`` is of a throttle."""
 
 
 _NEEDED = {"t", "x", "y", "yaw", "speed", "steer"}
@@ -143,7 +143,7 @@ def write_bad_files(log: Path, folder: Path, faults: Sequence[str] = tuple(BAD))
     names = lines[0].split(",") if lines else []
     if not set(names) >= _NEEDED:
         raise InputError(f"{log}: got the columns {', '.join(names)}; wanted the native ones of a car")
-    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export tells verdicts in words beside
+    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export tells verdicts in words next to
     try:
         values = np.array([[float(line.split(",")[index]) for index in native] for line in lines[1:]])
     except (ValueError, IndexError) as error:

@@ -1,4 +1,4 @@
-"""A car with anything hidden in it, written anew: 2 ms steps of Heun's method, Coulomb friction with true standstill.
+"""A car with anything hidden in it, written again: 2 ms steps of Heun's method, Coulomb friction with true standstill.
 
 Nothing here comes from the models that are fitted to its logs. Every lane has every effect; what is not hidden has
 its neutral value.

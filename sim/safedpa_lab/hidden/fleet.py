@@ -1,4 +1,4 @@
-"""A fleet of cars in which some lack something: recordings by robot, and the sealed truth beside them."""
+"""A fleet of cars in which some lack something: recordings by robot, and the sealed truth next to them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _AT_ONCE = 20
 
 @dataclass(frozen=True)
 class FleetLogs:
-    """Where a fleet lies. Whoever diagnoses may look into ``recordings`` and at ``model`` alone."""
+    """Where a fleet lies. Anyone who diagnoses may look into ``recordings`` and at ``model`` alone."""
 
     folder: Path
     truth: dict[str, Any]

@@ -16,12 +16,12 @@ _BORDERS = ("_above", "_below", "at_x", "at_y", "radius")
 _BORDER, _SHARE = 0.2, 0.2
 """How far a number of a law may be from the truth: borders in their unit, others as a share."""
 _NEAR = 0.03
-"""How far a number of what is present beside the hidden effects may be from what was measured, as a share."""
+"""How far a number of what is present next to the hidden effects may be from what was measured, as a share."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A fitted parameter beside the truth."""
+    """A fitted parameter next to the truth."""
 
     path: str
     value: float

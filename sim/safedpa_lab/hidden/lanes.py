@@ -25,7 +25,7 @@ class Lane:
     """1/s of the speed servo, m/s2 of the throttle; unused by a pendulum."""
     throttle: bool = False
     disturbance: FloatArray | None = None
-    """(rows, 2): acceleration [m/s2] and yaw rate [rad/s] (pendulum: rad/s2 and nothing) that nobody commanded."""
+    """(rows, 2): acceleration [m/s2] and yaw rate [rad/s] (pendulum: rad/s2 and nothing) that no one commanded."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A pendulum with anything hidden in it, written anew: 2 ms steps of Heun's method, friction with true standstill.
+"""A pendulum with anything hidden in it, written again: 2 ms steps of Heun's method, friction with true standstill.
 
 mass length^2 rate' = torque + mass gravity length sin(angle), angle 0 upright; nothing here comes from the models that
 are fitted to its logs.

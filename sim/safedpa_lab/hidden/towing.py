@@ -33,7 +33,7 @@ def turning_share(load: str, speed: float, steer: float, wheelbase: float = 0.32
     """The speed [m/s] of a steady curve at a nominal speed [m/s] and a steer [rad], and yaw rate * wheelbase / (speed *
     tan(steer)) there with the load, over the same without it at the same speed.
 
-    Without a load the share is 1 / (1 + K speed^2), whose K is measured beside it.
+    Without a load the share is 1 / (1 + K speed^2), whose K is measured next to it.
     """
     reached, turned = _steady(load, speed, steer, wheelbase)
     bare, own = _steady("none", reached, steer, wheelbase)

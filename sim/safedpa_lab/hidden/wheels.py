@@ -1,4 +1,4 @@
-"""A differential drive with anything hidden in it, written anew: 2 ms steps of Heun's method, a servo at each wheel.
+"""A differential drive with anything hidden in it, written again: 2 ms steps of Heun's method, a servo at each wheel.
 
 wheel' = clip(gain (target - wheel), +-limit) / (1 + payload), speed their mean, turn rate their difference over the
 track; nothing here comes from the models that are fitted to its logs.

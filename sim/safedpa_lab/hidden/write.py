@@ -1,4 +1,4 @@
-"""Cases on disk: ``given/`` with the model and the runs, and the truth in a file of its own beside it."""
+"""Cases on disk: ``given/`` with the model and the runs, and the truth in a file of its own next to it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _SIMULATES = {"car": simulate_cars, "pendulum": simulate_pendulums, "differentia
 
 @dataclass(frozen=True)
 class Log:
-    """Where a case lies. Whoever diagnoses may look into ``given`` alone."""
+    """Where a case lies. Anyone who diagnoses may look into ``given`` alone."""
 
     case: Case
     folder: Path
@@ -150,7 +150,7 @@ def _write(case: Case, folder: Path, runs: Sequence[tuple[FloatArray, FloatArray
 
 
 def _spoil(log: Log, fault: str) -> None:
-    """Puts the bad file in the place of the first run; beside it where it is a copy of it."""
+    """Puts the bad file in the place of the first run; next to it where it is a copy of it."""
     good = log.runs[0]
     with TemporaryDirectory() as folder:
         bad = write_bad_files(good, Path(folder), (fault,))[fault].read_text(encoding="utf-8")

@@ -50,7 +50,7 @@ class Difficulty:
 
     @property
     def long_way_round(self) -> tuple[float, float]:
-        """The edges [rad] of the second question: what is left of the circle beside the hazard."""
+        """The edges [rad] of the second question: what is left of the circle next to the hazard."""
         return HAZARD[1], self.hazard + 2.0 * pi
 
     def settings(self, epsilon: float) -> FilterSettings:

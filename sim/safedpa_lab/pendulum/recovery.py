@@ -21,7 +21,7 @@ _TICKS = 300
 _EVERY = 20
 """Ticks between two looks."""
 _HELD = 20
-"""Ticks for which a torque is held: drawn anew in each it would lead nowhere."""
+"""Ticks for which a torque is held: redrawn in each it would lead nowhere."""
 _ROUNDS = 12
 _STEP = 1e-3
 """m/s; for the slopes."""

@@ -39,7 +39,7 @@ _URGENCY: Final = 10.0
 
 @final
 class CostCritic:
-    """Expected discounted cost from an observation, learned beside the policy's own critic."""
+    """Expected discounted cost from an observation, learned next to the policy's own critic."""
 
     def __init__(self, observations: int, hidden: int, discount: float, trace: float, rate: float = 1e-3) -> None:
         layers = [torch.nn.Linear(observations, hidden), torch.nn.Tanh(), torch.nn.Linear(hidden, hidden)]

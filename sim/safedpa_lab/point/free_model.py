@@ -43,10 +43,10 @@ class FreeModel:
         wanted = (*_VECTORS, *_ENVIRONMENT, "mu.0.weight", "h.0.weight", "h.1.weight")
         missing = [name for name in wanted if name not in self.tensors]
         if missing:
-            raise InputError(f"free networks: no tensor '{missing[0]}'; train them anew")
+            raise InputError(f"free networks: no tensor '{missing[0]}'; train them again")
         for name, tensor in self.tensors.items():
             if not np.isfinite(tensor).all():
-                raise InputError(f"free networks: '{name}' holds numbers that are not finite; train them anew")
+                raise InputError(f"free networks: '{name}' holds numbers that are not finite; train them again")
         layers = layers_of(self.tensors, "h")
         inputs = len(self.tensors["feature_middle"]) + described.latents + len(described.actions)
         got = layers[0].weight.shape[1], len(layers[-1].bias)

@@ -54,7 +54,7 @@ def entries_of(kind: str) -> int:
 
 
 class Inputs(Protocol):
-    """In each period ``see`` once; ``reset`` the robots that begin anew."""
+    """In each period ``see`` once; ``reset`` the robots that begin again."""
 
     def see(self) -> Float32Array:
         """(robots, entries) of the robots as they are."""
@@ -88,7 +88,7 @@ class WayAhead:
 
 
 def inputs_of(kind: str, task: PointTask, folder: Path = Path(), way: WayAhead | None = None) -> Inputs:
-    """Of one of ``INPUTS``. With a ``way``, whoever keeps it renews it. Raises InputError for others."""
+    """Of one of ``INPUTS``. With a ``way``, anyone who keeps it renews it. Raises InputError for others."""
     entries_of(kind)
     if kind == "lidar":
         return _Sensors(task)

@@ -51,7 +51,7 @@ class Method:
     filter: str = ""
     baseline: str = ""
     reported: str = REPORTED["equal"]
-    """What the policy is told beside its own motion and the goal."""
+    """What the policy is told next to its own motion and the goal."""
 
 
 def _alone(name: str, inputs: str = "lidar", limit: float = COST_LIMIT) -> Method:

@@ -18,7 +18,7 @@ def point_model(
     """MJCF text: joints ``x``, ``y``, ``yaw``, motor ``thrust``, servo ``turn``, the four sensors of the benchmark.
 
     Hazards and goal touch nothing; the goal is a mocap body, so that it can be put elsewhere. ``implicitfast``: the
-    turning servo is stiff beside the small body, and with the explicit integrator it chatters.
+    turning servo is stiff next to the small body, and with the explicit integrator it chatters.
     """
     discs = "\n".join(
         f'    <geom name="hazard{index}" type="cylinder" size="{hazard_radius} 0.01" pos="{x} {y} 0.02" {_SEEN_ONLY} '

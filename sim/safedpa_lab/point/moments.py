@@ -24,7 +24,7 @@ __all__ = ["Moments", "drawn_moments"]
 
 
 _HELD: Final = 25
-"""Periods for which a nominal action is held: drawn anew in each period it would lead nowhere."""
+"""Periods for which a nominal action is held: redrawn in each period it would lead nowhere."""
 _NEAR: Final = 0.1
 """m of h below which a moment counts as near a hazard."""
 

@@ -8,7 +8,7 @@ With J what an episode costs of the policy as it is now, d the limit, after ever
                s <- 0.9 s + 0.1 (J - d)
 
 each cut at ``cap`` where there is one. Before anything is learned the cost is high for long: the integral winds up to
-many times what it would settle at, and the robots learn to stand still. Who waits does not learn the weight while there
+many times what it would settle at, and the robots learn to be stationary. Who waits does not learn the weight while there
 is nothing to weigh the cost against. Source: Ray, Achiam, Amodei, Benchmarking Safe Exploration in Deep Reinforcement
 Learning, 2019 (integral); Stooke, Achiam, Abbeel, Responsive Safety in Reinforcement Learning by PID Lagrangian
 Methods, ICML 2020.
@@ -29,7 +29,7 @@ from safedpa_lab.point.vector_environment import PointEnvironment
 __all__ = ["STANDING_STILL", "Multiplier"]
 
 STANDING_STILL: Final = 1.0
-"""Return of an episode: who stands still gains nothing; one goal is worth more than this."""
+"""Return of an episode: who is stationary gains nothing; one goal is worth more than this."""
 _RATE: Final = 0.002
 _SMOOTH: Final = 0.9
 _PROPORTIONAL, _DERIVATIVE = 0.02, 0.02

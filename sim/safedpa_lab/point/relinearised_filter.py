@@ -1,7 +1,7 @@
-"""The point robots' filter on a model that is not affine in the action: taken as affine about one action, or anew.
+"""The point robots' filter on a model that is not affine in the action: taken as affine about one action, or again.
 
 About the nominal action what passes is judged without an error of the linearisation; what is corrected is not. About the filter's
-own action: decide, take the model anew about what was decided, decide again; then the error goes where the action
+own action: decide, take the model again about what was decided, decide again; then the error goes where the action
 settles.
 """
 
@@ -29,7 +29,7 @@ _AGAIN: Final = 2
 _TOLERANCE: Final = 1e-6
 """m; of what is kept by the model itself."""
 _SETTLED: Final = 1e-3
-"""Of an action: one that moves less from where the model was taken as affine is not decided anew."""
+"""Of an action: one that moves less from where the model was taken as affine is not decided again."""
 
 
 @final

@@ -42,7 +42,7 @@ def sensed_weights(folder: Path = Path()) -> Weights:
     own = folder / _FILE
     weights = load_weights(own if own.exists() else SHIPPED / _FILE)
     if weights.description.states != SENSED_FRAME.feature_names:
-        raise InputError(f"{weights.source}: got weights of another state, wanted those of --phases 17; train anew")
+        raise InputError(f"{weights.source}: got weights of another state, wanted those of --phases 17; train again")
     return weights
 
 
@@ -80,7 +80,7 @@ class TwoHistories:
         self._sensed.acted(action)
 
     def reset(self, which: NDArray[np.intp]) -> None:
-        """Those robots begin anew."""
+        """Those robots begin again."""
         self._policy.reset(which)
         self._sensed.reset(which)
 

@@ -29,7 +29,7 @@ __all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Adaptation", "Shield", "sh
 
 
 EPSILON: Final = 0.005
-"""m; where nobody measured one: of a diagnosed model, and while moments are drawn behind the truth."""
+"""m; where no one measured one: of a diagnosed model, and while moments are drawn behind the truth."""
 FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
 METHODS: Final = (
     "safedpa",
@@ -58,7 +58,7 @@ class Adaptation(Protocol):
         """Actions (robots, 2) in N and rad/s act from now on."""
 
     def reset(self, which: NDArray[np.intp]) -> None:
-        """The robots of those indices begin anew."""
+        """The robots of those indices begin again."""
 
 
 @final

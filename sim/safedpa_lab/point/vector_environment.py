@@ -1,4 +1,4 @@
-"""Many point robots as one vectorised environment of stable-baselines3, with the cost beside the reward."""
+"""Many point robots as one vectorised environment of stable-baselines3, with the cost next to the reward."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ DIRECTIONS: Final = 24
 class WindyShield:
     """What is carried out is the shield's; at each beginning the wind has ``force`` [N] towards one of the directions.
 
-    Winds are drawn from ``seed`` in the order of the beginnings: whoever begins at the same steps meets the same.
+    Winds are drawn from ``seed`` in the order of the beginnings: anyone who begins at the same steps meets the same.
     """
 
     def __init__(self, task: PointTask, shield: Shield, force: float, seed: int) -> None:

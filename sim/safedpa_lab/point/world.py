@@ -1,4 +1,4 @@
-"""One point robot in MuJoCo: what the batched simulation is held against, and what the experiments drive in."""
+"""One point robot in MuJoCo: what the batched simulation is compared with, and what the experiments drive in."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ __all__ = ["Standing", "standings"]
 
 @dataclass(frozen=True)
 class Standing:
-    """A file of results, or a row of a benchmark's, beside the code of today."""
+    """A file of results, or a row of a benchmark's, next to the code of today."""
 
     name: str
     command: str | None
@@ -26,7 +26,7 @@ class Standing:
     changed: tuple[str, ...]
     """Rooms whose code, or data, is another one by now."""
     rooms: int
-    """Through which its code passes; 0 where nobody wrote that down."""
+    """Through which its code passes; 0 where no one wrote that down."""
 
     @property
     def reported(self) -> str:
@@ -47,7 +47,7 @@ def standings(folder: Path) -> Iterator[Standing]:
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
-            raise InputError(f"{path}: got no JSON ({error}); make it anew") from error
+            raise InputError(f"{path}: got no JSON ({error}); make it again") from error
         rows = _table(found).get("rows")
         if isinstance(rows, dict):  # of a benchmark: each was measured by itself
             yield from (_standing(f"{path.name}: {name}", row) for name, row in rows.items())

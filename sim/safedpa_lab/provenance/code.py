@@ -26,7 +26,7 @@ _CHANGES_NOTHING = ("safedpa_lab.provenance", "safedpa_services.command_line.gro
 _BY_NAME = ("safedpa.robots", "safedpa_sim.robots")
 """Packages whose modules are found at run time, by the name of a robot: everything in them counts."""
 DATA = {"shipped models": (("safedpa", "*.toml"), ("safedpa", "*.safetensors"), ("safedpa_sim", "*.safetensors"))}
-"""What is read beside code: models, settings with their margins, and weights, by package and pattern."""
+"""What is read next to code: models, settings with their margins, and weights, by package and pattern."""
 
 
 def digests(module: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What is written beside a figure: how to make it again, and what it was made with."""
+"""What is written next to a figure: how to make it again, and what it was made with."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ class Car:
         ]
 
     def listen(self) -> None:
-        """Lines from whoever started it."""
+        """Lines from anyone who started it."""
         for line in sys.stdin:
             self.obey(line.strip())
 

@@ -1,4 +1,4 @@
-"""A node that speaks on a topic of drive commands: a policy of its own process, or somebody who should not.
+"""A node that speaks on a topic of drive commands: a policy of its own process, or someone who should not.
 
 python -m safedpa_lab.ros.speaker PORT TOPIC [--without-token]
 """
@@ -22,7 +22,7 @@ _SPEED, _STEER = 1.5, 0.1
 
 
 def _quiet_sender(port: int, topic: str) -> Callable[[float], None]:
-    """Writes to the wire and shows no token: nobody can ask who it is."""
+    """Writes to the wire and shows no token: no one can ask who it is."""
     types = session(port).store
     settings = zenoh.Config()
     settings.insert_json5("mode", json.dumps("client"))
@@ -37,7 +37,7 @@ def _quiet_sender(port: int, topic: str) -> Callable[[float], None]:
         stamp = T["builtin_interfaces/msg/Time"](*divmod(int(at * 1e9), 10**9))
         drive = T["ackermann_msgs/msg/AckermannDrive"](_STEER, 0.0, _SPEED, 0.0, 0.0)
         message = T[DRIVE](T["std_msgs/msg/Header"](stamp, "odom"), drive)
-        alongside = struct.pack("<qqB16s", next(numbers), int(at * 1e9), 16, b"nobody knows him")
+        alongside = struct.pack("<qqB16s", next(numbers), int(at * 1e9), 16, b"no one knows him")
         joined.put(key, bytes(types.serialize_cdr(message, DRIVE)), attachment=alongside)
 
     return send

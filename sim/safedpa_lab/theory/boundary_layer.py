@@ -1,4 +1,4 @@
-"""What holds in the boundary layer 0 <= h < epsilon / eta, where standing does not keep the condition.
+"""What holds in the boundary layer 0 <= h < epsilon / eta, where standing does not satisfy the condition.
 
 With the rise that some action attains, r(x) = max over actions of h(x predicted) - h(x), and e the error of the step,
 

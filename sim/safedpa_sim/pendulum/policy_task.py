@@ -48,7 +48,7 @@ _EPSILON: Final = 0.018
 _FIRST: Final = 0.6
 """rad; largest angle at the start, at rest."""
 _DRAWN_AGAIN: Final = (1.0, 0.1, 0.03)
-"""Probability per period that a torque is drawn anew, for a third of the pendulums each."""
+"""Probability per period that a torque is redrawn, for a third of the pendulums each."""
 
 
 @final
@@ -173,7 +173,7 @@ _TURNS = 0.003
 _STRONGEST = 4.4
 """m/s; against stronger winds the motor does not lift the pendulum."""
 _TICK, _UPRIGHT = 0.005, 0.02
-"""Rewards, beside the way to upright in rad that was gained: for each tick, each tick upright. Who arrives early gets
+"""Rewards, next to the way to upright in rad that was gained: for each tick, each tick upright. Who arrives early gets
 more; nothing is said of the hazard, and effort costs nothing."""
 
 

@@ -112,7 +112,7 @@ def goal_seen(pose: FloatArray, goal: FloatArray) -> FloatArray:
 def hazard_lidar(pose: FloatArray, hazards: FloatArray) -> FloatArray:
     """(robots, 16): closeness 1 - distance / 3 m of the nearest hazard in each sixteenth of the circle, 0: none.
 
-    A hazard also shows in the bins beside its own, by how far it lies towards them, so the reading turns smoothly.
+    A hazard also shows in the bins next to its own, by how far it lies towards them, so the reading turns smoothly.
     """
     seen = _own_frame(hazards, pose)
     closeness = np.clip(1.0 - np.linalg.norm(seen, axis=2) / _LIDAR_REACH, 0.0, None)

@@ -37,7 +37,7 @@ class PointSimulation:
         self.force = np.zeros((2, count))
         """N, of the wind in the world."""
         self.extra_damping = np.zeros(count)
-        """N s/m on top of the slides': a drag that nobody told of."""
+        """N s/m on top of the slides': a drag that no one told of."""
         self.strength = np.ones(count)
         """Factor on the thrust: a motor that weakens."""
 

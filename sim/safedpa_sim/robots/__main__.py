@@ -69,7 +69,7 @@ def robot_parser() -> argparse.ArgumentParser:
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:
-    """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
+    """Drives until the time is over or ``stop``; 0, or 1 when in lockstep no one answered."""
     load_own_of_environment()
     options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
     robot = robot_of(options)

@@ -94,6 +94,6 @@ def _towards(arbiter: pymunk.Arbiter, body: pymunk.Body) -> float:
 
 
 def _stop(body: pymunk.Body | None) -> None:
-    """Somebody stops in the moment in which he touches: else a body that moves as it is told would shove the car."""
+    """Someone stops in the moment in which he touches: else a body that moves as it is told would shove the car."""
     if body is not None and body.body_type == pymunk.Body.KINEMATIC:
         body.velocity = (0.0, 0.0)

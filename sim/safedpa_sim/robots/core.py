@@ -175,20 +175,20 @@ class CarRobot(SimulatedRobot):
     def scans(self) -> list[ScanMessage]:  # noqa: D102
         if self._sensor_inputs is None:
             return []
-        self._sensor_inputs.sense(self.tick)  # at the very first moment nobody has asked for what is due then
+        self._sensor_inputs.sense(self.tick)  # at the very first moment no one has asked for what is due then
         return self._sensor_inputs.reported()
 
     def lives(self) -> Iterator[float]:
         """The period of ``advance``, a step of the physics at a time: before each one it tells the world's time [s].
 
-        For whoever moves what else is in the world meanwhile; to be gone through to its end.
+        For anyone who moves what else is in the world meanwhile; to be gone through to its end.
         """
         self._begin_period()
         yield from self._lived(SUBSTEP)
         self._end_period()
 
     def _take(self, load: Load | None) -> None:
-        """What it tows, and the room that it takes with it; of a new load nobody knows how it hangs."""
+        """What it tows, and the room that it takes with it; of a new load no one knows how it hangs."""
         self._taken = load, footprint(load, self.world.parameters), towed_reach(load)
         self._way = self._taken[2][1] if self._taken[2] else -1.0
         """m driven backwards, as a state tells it."""

@@ -63,12 +63,12 @@ def work(options: argparse.Namespace, stop: StopSignal) -> int:
         loop.run(stop, options.seconds)
         after = os.times()
         write_account({**loop.account(), "cpu_seconds": _spent(before, after)}, options.summary)
-        stop.wait()  # whoever started us still reads our memory
+        stop.wait()  # anyone who started us still reads our memory
     return 0
 
 
 def _alongside(options: argparse.Namespace) -> argparse.Namespace:
-    """The options of a second session of this process, which nobody else has to find."""
+    """The options of a second session of this process, which no one else has to find."""
     return argparse.Namespace(**{**vars(options), "listen": [], "connect": options.listen or options.connect})
 
 

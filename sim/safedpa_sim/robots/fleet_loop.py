@@ -173,7 +173,7 @@ class FleetLoop:
                 self._move(name, self._turning[name])
 
     def _next_moment(self) -> float:
-        """s; when a robot has to sense, or an action is late: nobody wakes up for one that came."""
+        """s; when a robot has to sense, or an action is late: no one wakes up for one that came."""
         events = self._events
         while not events[0][3] and self._turning[events[0][1]].robot.tick != events[0][2]:
             heapq.heappop(events)

@@ -37,7 +37,7 @@ _MOST_REPORTED_LATENCIES = 100
 
 
 class NoActionError(BusError):
-    """Nobody answered in lockstep."""
+    """No one answered in lockstep."""
 
 
 class RobotLoop:

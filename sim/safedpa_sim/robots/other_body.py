@@ -1,4 +1,4 @@
-"""A body of another car's world, as it stands in this car's: seen, driven into, and moved by nobody here."""
+"""A body of another car's world, as it stands in this car's: seen, driven into, and moved by no one here."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["OtherBody"]
 class OtherBody:
     """Has the outline of ``original``, a shape of another space, and follows its body.
 
-    It is kinematic: it has a velocity for those who touch it, and gives way to nobody. What a contact does to the
+    It is kinematic: it has a velocity for those who touch it, and gives way to no one. What a contact does to the
     other car is worked out in that one's own world.
     """
 

@@ -50,7 +50,7 @@ class Violation:
 class PendulumRobot(SimulatedRobot):
     """A pendulum in a wind.
 
-    Where a swing ends it is put to its next start; a period is left out of the ticks there, so that nobody takes the
+    Where a swing ends it is put to its next start; a period is left out of the ticks there, so that no one takes the
     two states for neighbours. Raises InputError for a period that is none, or a wind that is no wind.
     """
 
@@ -92,7 +92,7 @@ class PendulumRobot(SimulatedRobot):
 
     @property
     def at_rest(self) -> bool:
-        """Always: a pendulum that is let go does not come to rest within its corridor, so nobody waits for that."""
+        """Always: a pendulum that is let go does not come to rest within its corridor, so no one waits for that."""
         return True
 
     @property

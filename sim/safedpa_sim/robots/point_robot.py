@@ -79,7 +79,7 @@ class PointRobot(SimulatedRobot):
 
     @property
     def at_rest(self) -> bool:
-        """Always: in a wind it drifts without a filter, so nobody waits for that."""
+        """Always: in a wind it drifts without a filter, so no one waits for that."""
         return True
 
     @property

@@ -21,7 +21,7 @@ class SimulatedRobot(ABC):
     """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
 
     The action of tick k acts over the whole period that follows state k, in real time as in lockstep; of a body that
-    gets its commands late, ``until_action`` seconds later is what it tells. Whoever inherits
+    gets its commands late, ``until_action`` seconds later is what it tells. Anyone who inherits
     has a body before it calls this constructor, which takes up its first state.
     """
 
@@ -105,7 +105,7 @@ class SimulatedRobot(ABC):
 
     @abstractmethod
     def _watchdog_action(self) -> Numbers:
-        """(actions,) what the robot does by itself when nobody tells it anything."""
+        """(actions,) what the robot does by itself when no one tells it anything."""
 
     @abstractmethod
     def _live(self) -> None:

@@ -1,7 +1,7 @@
 """Several simulated cars on one field, each the others' obstacle.
 
 Every car keeps a world of its own, with the bodies of the others in it (``OtherBody``). They live in steps of the
-physics: whoever is furthest behind in time makes the next one, among the others where they are at that moment.
+physics: anyone who is furthest behind in time makes the next one, among the others where they are at that moment.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CarContact:
 class SharedField:
     """Two or more cars that have not yet lived, in one field among the same things. Raises InputError for others.
 
-    Nobody shoves anybody: who touches another car is stopped by it as by a wall, and one that stands stays where it is.
+    No one shoves anybody: who touches another car is stopped by it as by a wall, and one that stands stays where it is.
     """
 
     def __init__(self, robots: Sequence[CarRobot]) -> None:
@@ -118,7 +118,7 @@ def _check(robots: Sequence[CarRobot]) -> None:
         if robot.tick or robot.world.others:
             raise InputError("robots: got one that drove or shares a field already, wanted new ones")
         if robot.people:
-            raise InputError(f"people: got {len(robot.people)} around one car, wanted none: the others meet nobody")
+            raise InputError(f"people: got {len(robot.people)} around one car, wanted none: the others meet no one")
         if robot.period != first.period:
             raise InputError(f"period: got {first.period} and {robot.period} s, wanted the same for all robots")
         scene, other = robot.scene, first.scene

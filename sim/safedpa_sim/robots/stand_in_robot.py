@@ -71,7 +71,7 @@ class StandInRobot(SimulatedRobot):
 
     @property
     def at_rest(self) -> bool:
-        """Always: nobody waits for a robot that nobody knows."""
+        """Always: no one waits for a robot that no one knows."""
         return True
 
     @property

@@ -32,7 +32,7 @@ _EPOCH_BITS = 53
 
 
 def robot_of(options: argparse.Namespace) -> SimulatedRobot:
-    """The robot that the options of ``python -m safedpa_sim.robots`` describe, with an epoch drawn anew.
+    """The robot that the options of ``python -m safedpa_sim.robots`` describe, with an epoch redrawn.
 
     Raises InputError naming the option.
     """

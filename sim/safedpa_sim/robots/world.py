@@ -187,7 +187,7 @@ def _add_solid(space: pymunk.Space, contacts: ContactCounter, shape: pymunk.Shap
 
 _FEET = 0.45
 """The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
-would hold 10 % too little: an impulse there that stops a foot also turns the body, so that it points beside the motion
+would hold 10 % too little: an impulse there that stops a foot also turns the body, so that it points next to the motion
 when it is cut to the largest force."""
 _STIFF = 1e-9
 """Share of a joint's position error that is left after one second."""
@@ -197,7 +197,7 @@ class TowedBody:
     """A load in a pymunk space, hitched to the car until ``unhitch``.
 
     Ground friction: at each of four feet a joint to the floor that holds with at most mass deceleration / 4, whatever
-    the direction: Coulomb friction that sticks, slides and resists turning, solved together with the hitch. Beside it
+    the direction: Coulomb friction that sticks, slides and resists turning, solved together with the hitch. Next to it
     the runners resist slip across the load, like a tyre without drive.
     """
 

@@ -39,7 +39,7 @@ class LaserSettings:
     noise: float = 0.02
     """m; standard deviation of each range."""
     drop_outs: float = 0.05
-    """Share of the rays that measure nothing, drawn anew for each."""
+    """Share of the rays that measure nothing, redrawn for each."""
     latency: float = 0.05
     """s from the measurement until it is told."""
     nearest: float = 0.05

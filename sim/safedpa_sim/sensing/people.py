@@ -23,20 +23,20 @@ RADIUS = 0.2
 """m; of a person's legs and hips at a laser's height."""
 
 _RETAINED = 0.15
-"""m that somebody keeps to what is at rest beyond the own radius."""
+"""m that someone keeps to what is at rest beyond the own radius."""
 _LOOK_AHEAD = 0.6
 """s; who would be too near to something by then turns."""
 _TURNS = 8
 
 
 class Person(ABC):
-    """Somebody at ``place`` [m] who moves in steps."""
+    """Someone at ``place`` [m] who moves in steps."""
 
     def __init__(self, place: Point, radius: float = RADIUS) -> None:
         self.place, self.radius = place, radius
 
     def touched(self, time: float) -> None:
-        """Told while the robot, or what it tows, is touched: nobody shoves it away."""
+        """Told while the robot, or what it tows, is touched: no one shoves it away."""
         del time
 
     @abstractmethod
@@ -117,7 +117,7 @@ class StepsOut(Person):
 
 MOST_PEOPLE = 12
 _ROOM = 0.4
-"""m that somebody has around the middle at first."""
+"""m that someone has around the middle at first."""
 _AWAY = 2.0
 """m from the car at which people begin."""
 _TRIES = 2000

@@ -55,7 +55,7 @@ class SimulatedSensors:
         ]
 
     def moments(self, end: float) -> Iterator[float]:
-        """s; in order, up to and with ``end``, when somebody chooses a way or a scanner measures."""
+        """s; in order, up to and with ``end``, when someone chooses a way or a scanner measures."""
         while (moment := min([self._steps * _STEP, *(laser.next_scan for laser in self.lasers)])) <= end + 1e-9:
             yield moment
 
@@ -78,7 +78,7 @@ class SimulatedSensors:
                 laser.scan(self._world.state[:3], self._outline(), self._epoch, tick)
 
     def _to_robot(self, person: Person) -> tuple[float, Point]:
-        """m from somebody to the car's body or what it tows, 0 or less where they touch; and the way from it to him."""
+        """m from someone to the car's body or what it tows, 0 or less where they touch; and the way from it to him."""
         towed = self._world.towed
         shapes = [*self._world.body.shapes, *([] if towed is None else [towed.shape])]
         nearest = min((shape.point_query(person.place) for shape in shapes), key=lambda found: found.distance)

@@ -133,14 +133,14 @@ class Phase2:
 
 @dataclass(frozen=True)
 class Phase3:
-    """f, g and phi tuned on few data of the real robot, and on drives in the simulator that these data have mended."""
+    """f, g and phi tuned on few data of the real robot, and on drives in the simulator that these data have corrected."""
 
     pairs: int = limited(20_000, 200)
     """Transitions recorded on circles without load: 0.1 % of the simulated ones."""
     run_pairs: int = limited(1000, 100)
     """Transitions of each recorded run."""
     cars: int = limited(2000, 0)
-    """Drives in the mended simulator; 0: tuned on the recorded data alone, which forgets loads."""
+    """Drives in the corrected simulator; 0: tuned on the recorded data alone, which forgets loads."""
     steps: int = limited(240, 80)
     """Periods of each of them."""
     updates: int = limited(6000, 1)
@@ -149,7 +149,7 @@ class Phase3:
     recorded: float = limited(0.25, 0.0, 1.0)
     """Share of each batch that is recorded data."""
     rollouts: int = limited(64, 0)
-    """Short rollouts beside the single steps of a batch."""
+    """Short rollouts next to the single steps of a batch."""
     rollout_every: int = limited(5, 1)
     """One update in so many has them."""
     horizon: int = limited(10, 2, 50)
@@ -157,7 +157,7 @@ class Phase3:
     learning_rate: float = limited(2e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     anchor: float = limited(0.003, 0.0)
-    """Weight of |phi - mu(e)|^2 in the mended simulator: the policy goes on seeing the latent that it knows."""
+    """Weight of |phi - mu(e)|^2 in the corrected simulator: the policy goes on seeing the latent that it knows."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ class Configuration:
         return sha256(text.encode()).hexdigest()[:12]
 
     def as_table(self) -> dict[str, Any]:
-        """What the file says, defaults filled in: to be written beside what was trained."""
+        """What the file says, defaults filled in: to be written next to what was trained."""
         table = {item.name: getattr(self, item.name) for item in fields(self)}
         sections = {name: asdict(table[name]) for name in _SECTIONS}
         ranges = {name: {key: list(pair) for key, pair in table[name].items()} for name in _RANGES}

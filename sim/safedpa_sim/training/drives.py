@@ -1,6 +1,6 @@
 """Cars that drive in the simulator: at random, or to goals with the policy and phi's own latent.
 
-What a towed load does beside holding the car back: it swings behind the car and pulls at its rear to the side.
+What a towed load does next to holding the car back: it swings behind the car and pulls at its rear to the side.
 
 The library's ``towed_load`` is in line with the car. A real one follows on a drawbar; its angle theta to the car obeys,
 with the hitch h behind the tracked point and the load's centre l behind the hitch, rolling or sliding without slip,
@@ -12,7 +12,7 @@ the side, s = -pull sin(theta), is held by the tyres, which then slip: the car d
 
     sideways speed = slip s (|speed| + 0.3 m/s),   yaw rate -= lever slip s (|speed| + 0.3 m/s)
 
-Nobody has measured h, l, stop, slip and lever of a load that has yet to come: each car has its own, drawn from wide
+No one has measured h, l, stop, slip and lever of a load that has yet to come: each car has its own, drawn from wide
 ranges, so that the history encoder learns to see them. Source: the kinematic trailer, Rajamani, Vehicle Dynamics and
 Control, 2nd ed., and tyres of constant cornering stiffness; all ranges are assumed.
 """
@@ -110,7 +110,7 @@ _SPEED = 3
 
 @final
 class RandomDriver:
-    """Actions that glide, each car at a pace of its own, towards nominal actions that are drawn anew now and then.
+    """Actions that glide, each car at a pace of its own, towards nominal actions that are redrawn now and then.
 
     a[t+1] = a[t] + pace (nominal action - a[t]); each entry of the nominal action changes with probability ``change`` in a period. The pace
     is 1 (steps) for a third of the cars, and between 0.05 and 1, mostly slow, for the others.

@@ -1,9 +1,9 @@
-"""The training simulator, mended by what a few real drives say it lacks.
+"""The training simulator, corrected by what a few real drives say it lacks.
 
 Networks that are tuned on drives without load forget what loads do: nothing in those drives holds it in place. Physics
 does not forget. So the simulator's own physics is diagnosed by the same few drives (its parameters refitted, named
 effects added until nothing is missing), and what it then says of loads, which compose with the rest as they do in
-reality, is taught to the networks beside the real drives.
+reality, is taught to the networks next to the real drives.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ROWS = 6000
 @final
 @dataclass(frozen=True)
 class GroundedSimulator:
-    """The mended simulator, and the diagnosis that mended it."""
+    """The corrected simulator, and the diagnosis that corrected it."""
 
     model: PhysicsModel
     report: Report
@@ -70,7 +70,7 @@ def ground_simulator(
 
 
 def grounded_configuration(configuration: Configuration, grounded: GroundedSimulator) -> Configuration:
-    """The same training in the mended simulator."""
+    """The same training in the corrected simulator."""
     return replace(configuration, simulator=grounded.model)
 
 

@@ -31,7 +31,7 @@ class TransitionSequence(NamedTuple):
     last: Tensor
     """(n,): index of its last transition."""
     latents: Tensor
-    """(n, latents): what mu says of the environment at each; (n, 0) where nobody knows it."""
+    """(n, latents): what mu says of the environment at each; (n, 0) where no one knows it."""
 
     def draw(self, batch: int, generator: torch.Generator, *, before: int = 0, ahead: int = 1) -> Tensor:
         """Indices (batch,) of transitions with at least ``before`` others of their drive before them, and ``ahead``
@@ -73,7 +73,7 @@ def transition_sequence(
     networks: AffineNetworks, states: Tensor, actions: Tensor, environments: Tensor | None = None
 ) -> TransitionSequence:
     """Drives side by side as transitions: states (drives, steps + 1, states), actions (drives, steps, actions) and, if
-    somebody knows them, environments (drives, steps, entries)."""
+    someone knows them, environments (drives, steps, entries)."""
     drives, steps = actions.shape[:2]
     before, after = states[:, :-1], states[:, 1:]
     index = torch.arange(drives * steps, device=states.device)

@@ -1,6 +1,6 @@
 """Phase 3: f, g and phi tuned on few data of the real robot.
 
-Tuned on drives without load alone, networks forget what loads do. So the same data first mend the simulator
+Tuned on drives without load alone, networks forget what loads do. So the same data first correct the simulator
 (``grounded_simulator.py``); drives in it under the loads and winds of the configuration are mixed with the recorded
 ones. Loss, with z = phi(history), so that z also tells where motor and steering stand:
 
@@ -8,7 +8,7 @@ ones. Loss, with z = phi(history), so that z also tells where motor and steering
 
 A part of the recorded runs is never fitted to. The best state by its error there is kept, and nothing is returned that
 does not predict it better than the untuned networks. Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024, phase
-3; the mended simulator, rollouts and anchor are ours.
+3; the corrected simulator, rollouts and anchor are ours.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _CHANGE = 0.005
 _JUDGED = 10
 """How often the held-out error is taken."""
 _ROLLOUT_WEIGHT = 2.0
-"""Of rollouts beside single steps; they come in few updates, because they cost four times as much as all the rest."""
+"""Of rollouts next to single steps; they come in few updates, because they cost four times as much as all the rest."""
 _SAMPLES = 5000
 _STARTS = 256
 """Rollouts that it is taken over."""
@@ -184,14 +184,14 @@ class _Tuning:
         return self.untuned.description.history
 
     def add_simulated(self, report_progress: ReportProgress) -> dict[str, Any]:
-        """Mends the simulator and drives in it; returns what was mended, or why that was not possible."""
+        """Corrects the simulator and drives in it; returns what was corrected, or why that was not possible."""
         phase = self.configuration.phase_3
         if not phase.cars or not self.untuned.has("mu"):
             return {"none": "tuned on recorded data alone"}
         try:
             grounded = ground_simulator(self.configuration, self._runs(), report_progress)
         except InputError as error:
-            return {"none": str(error), "warning": f"loads may be forgotten: the simulator was not mended ({error})"}
+            return {"none": str(error), "warning": f"loads may be forgotten: the simulator was not corrected ({error})"}
         cars = BatchedCars(grounded_configuration(self.configuration, grounded), self.generator.device)
         self.simulated, judge = (
             random_drives(cars, self.networks, count, phase.steps, _CHANGE, self.generator, swinging=True)

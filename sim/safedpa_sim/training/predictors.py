@@ -70,7 +70,7 @@ class AbstractPredictor(ABC):
         """States (batch, states) one period later, the row (batch, row) of that transition, and the memory then."""
 
     def increment(self, state: Tensor, action: Tensor, rows: Tensor) -> Tensor:
-        """The own-frame increment (batch, states) in SI units beside the base, for histories (batch, history, row)."""
+        """The own-frame increment (batch, states) in SI units next to the base, for histories (batch, history, row)."""
         scaled: Tensor = self.networks(state, action, self.latent(rows))
         if self.recent is not None:
             newest = rows.flatten(-2)[..., -len(self.recent) :]

@@ -19,7 +19,7 @@ RECORD = "progress.json"
 
 
 def silent(phase: str, done: int, everything: int, note: str) -> None:
-    """Tells nobody."""
+    """Tells no one."""
     del phase, done, everything, note
 
 
@@ -34,9 +34,9 @@ def read_record(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); remove it to train anew") from error
+        raise InputError(f"{path}: cannot be read ({error}); remove it to train again") from error
     if not isinstance(record, dict):
-        raise InputError(f"{path}: got {type(record).__name__}, wanted a table of phases; remove it to train anew")
+        raise InputError(f"{path}: got {type(record).__name__}, wanted a table of phases; remove it to train again")
     return record
 
 

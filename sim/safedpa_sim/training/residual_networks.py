@@ -1,8 +1,8 @@
-"""Networks that learn only what mended physics leaves, from the same few drives without load.
+"""Networks that learn only what corrected physics leaves, from the same few drives without load.
 
 The base is the training simulator with the parameters and effects that a diagnosis of the recorded drives found
 (``grounded_simulator.py``), in an environment in which nothing acts. What it leaves of each increment, on the recorded
-drives and on drives in the mended simulator under loads that swing and winds, is learned by small networks F + G u of
+drives and on drives in the corrected simulator under loads that swing and winds, is learned by small networks F + G u of
 the features and of z = phi(what was left in the last k transitions). Loss, in units of the untuned networks' scale:
 
     one-step error + 2 x error of short predictions in open loop (in one update of five)
@@ -77,7 +77,7 @@ class ResidualTuning:
     latents: int = 8
     hidden: int = 128
     cars: int = 600
-    """Drives in the mended simulator."""
+    """Drives in the corrected simulator."""
     steps: int = 240
     updates: int = 1500
     batch: int = 1024

@@ -1,4 +1,4 @@
-"""What is trained for each kind of robot, in which order: the paper's phases, and the ablations beside them."""
+"""What is trained for each kind of robot, in which order: the paper's phases, and the ablations next to them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class TrainingStage:
     drops: tuple[str, ...] = ()
     """Beginnings of the names of tensors that it makes itself, or that were made from those: it must not see them."""
     modelled: bool = True
-    """Whether the weights are of the robot's own state, so that a model file stands beside them."""
+    """Whether the weights are of the robot's own state, so that a model file stands next to them."""
 
 
 def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[TrainingStage, ...]]:

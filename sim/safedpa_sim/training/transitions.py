@@ -1,4 +1,4 @@
-"""Single steps of the simulator, drawn anew whenever they are asked for, and the scales that make them comparable."""
+"""Single steps of the simulator, redrawn whenever they are asked for, and the scales that make them comparable."""
 
 from __future__ import annotations
 

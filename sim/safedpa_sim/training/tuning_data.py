@@ -1,7 +1,7 @@
 """What a learned model can be tuned on: recorded runs, or a clear word why not; and circles, recorded here.
 
 The few real data of the paper are "circles without load", and it says no more. Here a circle is a target speed and a
-steer that are held for 1 to 3 s; then both are drawn anew from the whole range of commands, on the pymunk car. So every
+steer that are held for 1 to 3 s; then both are redrawn from the whole range of commands, on the pymunk car. So every
 radius and speed comes, the lag of the steering and of the motor shows at each change, and so do reverse and braking.
 What is towed in the experiment never occurs here.
 """

@@ -19,7 +19,7 @@ __all__ = ["PracticeEnvironment"]
 class PracticeEnvironment(VecEnv):
     """Every robot is one environment; observations are (observation - middle) / scale, actions lie in [-1, 1].
 
-    An episode that ends begins anew at once, as the interface asks; ``terminal_observation`` holds what was seen last.
+    An episode that ends begins again at once, as the interface asks; ``terminal_observation`` holds what was seen last.
     """
 
     def __init__(self, practice: Practice, middle: NDArray[np.float32], scale: NDArray[np.float32]) -> None:

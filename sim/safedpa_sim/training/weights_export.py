@@ -1,4 +1,4 @@
-"""From networks in training to what the services load: a weights file beside its model file."""
+"""From networks in training to what the services load: a weights file next to its model file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def normalise_latent(networks: AffineNetworks, cars: BatchedCars, seed: int) -> 
 def export_weights(
     networks: AffineNetworks, cars: BatchedCars, configuration: Configuration, trained_on: Mapping[str, Any]
 ) -> Weights:
-    """The weights of mu, f and g with their description; ``trained_on`` is told beside configuration and date."""
+    """The weights of mu, f and g with their description; ``trained_on`` is told next to configuration and date."""
     system, latents = cars.model.system, networks.sizes.latents
     described = Description(
         robot=system.name,
@@ -72,7 +72,7 @@ def export_weights(
 
 
 def export_model(weights: Weights, simulator: PhysicsModel, path: Path) -> None:
-    """Writes the model file ``path`` and its weights beside it, under the same name with .safetensors.
+    """Writes the model file ``path`` and its weights next to it, under the same name with .safetensors.
 
     The physics keeps the simulator's numbers, for named effects on top; z is free, at rest where nothing acts.
     """

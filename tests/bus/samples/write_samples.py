@@ -154,7 +154,7 @@ SAMPLES: dict[str, Message] = {
 
 
 def main() -> None:
-    """Writes the files of this version beside this script."""
+    """Writes the files of this version next to this script."""
     for name, message in SAMPLES.items():
         path = Path(__file__).with_name(f"{name}.v{VERSION}.msgpack")
         if not path.exists():

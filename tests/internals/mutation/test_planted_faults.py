@@ -254,7 +254,7 @@ def test_a_fault_after_which_nothing_ends_is_noticed(
 
     source = (tree / "shared/safedpa/safety/margins/conformal.py").read_text(encoding="utf-8")
     copy, first = copied.Copy(tree, tmp_path), source.index("largest / 1000.0")
-    monkeypatch.setattr(copied, "_ROOM_SECONDS", 2.0)  # beside five times what a sound run takes
+    monkeypatch.setattr(copied, "_ROOM_SECONDS", 2.0)  # next to five times what a sound run takes
     after = "next(_ for _ in iter(int, 1) if _)"
     fault = Fault(
         "", "shared/safedpa/safety/margins/conformal.py", 0, "margin", "largest / 1000.0", after, first, first + 16

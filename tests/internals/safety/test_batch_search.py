@@ -1,4 +1,4 @@
-"""The search of many robots beside the search of one, which is watched: same answers, and certain of the same."""
+"""The search of many robots alongside the search of one, which is watched: same answers, and certain of the same."""
 
 from __future__ import annotations
 

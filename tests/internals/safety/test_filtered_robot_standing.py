@@ -151,7 +151,7 @@ def test_for_how_long_it_stood_counts_where_a_robot_is_quick(monkeypatch: pytest
 def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
     monkeypatch: pytest.MonkeyPatch, taken: bool
 ) -> None:
-    """Nobody can change what happens before the action acts: the car drives at the obstacle until then."""
+    """No one can change what happens before the action acts: the car drives at the obstacle until then."""
     memory = driven(CAR, ticks=3)
     state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=reported(memory), until_action=0.12)
     memory.observe_state(state)

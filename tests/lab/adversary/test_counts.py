@@ -45,12 +45,12 @@ def test_linear_problems_are_counted_by_fault() -> None:
         "passed or corrected, predicted h < 0": (6, 7), "h < 0 now, and not told (or told wrongly)": (4, 11),
         "no decision computed": (2, 11), "corrected further than needed": (2, 3),
         "largest excess, in ranges": (1.0, 3), "corrected, and the reference found nothing": (2, 5),
-        "not corrected, though an action keeps all": (2, 4), "within 1 % of the least unsafe": (0.0, 2),
+        "not corrected, though an action keeps all": (2, 4), "within 1 % of the least-violation": (0.0, 2),
         "largest shortfall, in scales": (0.5, 2), "h < 0 predicted, though h >= 0 attainable": (4, 4),
     }  # fmt: skip
     assert {case["fault"]: case["count"] for case in found.worst} == {
         "condition broken": 2, "predicted h < 0": 6, "h < 0 now not told": 4, "no decision": 4, "too far": 2,
-        "missed": 2, "not the least unsafe": 2, "h < 0 though h >= 0 attainable": 4,
+        "missed": 2, "not the least-violation": 2, "h < 0 though h >= 0 attainable": 4,
     }  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def test_answers_to_bent_problems_are_counted_by_shape() -> None:
         "raised, or no decision": (2, 12), "largest break of a condition, in scales": (0.25, 5),
         "passed or corrected, predicted h < 0": (2, 5), "not corrected, though the grid keeps all": (4, 7),
         "corrected 0.1 of a range beyond the grid": (50.0, 4), "h < 0 predicted, grid keeps h >= 0": (3, 7),
-        "1 % of scale below the grid's least unsafe": (4, 7),
+        "1 % of scale below the grid's least-violation": (4, 7),
     }  # fmt: skip
     assert {row.what: row.measured for row in rows if row.what.startswith("answers ")} == {
         "answers corrected": 4, "answers fallback": 1, "answers passed": 1, "answers raised ValueError": 1,
@@ -287,7 +287,7 @@ def test_late_drives_are_grouped_by_who_knows_the_delay():
     found = [attack.work(piece) for piece in pieces]
     rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held
-    assert rows["150 ms, known to nobody: relaxed and worse beyond corrected"].held is None
+    assert rows["150 ms, known to no one: relaxed and worse beyond corrected"].held is None
     found[0].collided, found[0].statuses["relaxed"] = 1, 1000
     rows = {row.what.split(" (")[0]: row for row in attack.reported(found).rows}
     assert rows["200 ms, known to the model: drives with a collision"].held is False

@@ -160,7 +160,7 @@ def tallied(
     ],
 )  # fmt: skip
 def test_an_answer_in_a_closed_loop_is_counted_once(status, action, counts, monkeypatch) -> None:
-    """Actions from -0.25 to 0.25 keep both conditions; h changes by 2 over the actions and is 0.5 now."""
+    """Actions from -0.25 to 0.25 satisfy both conditions; h changes by 2 over the actions and is 0.5 now."""
     found = tallied(monkeypatch, status, action)
     assert (found.kept, found.below, found.unkept, found.missed, found.needless) == counts
     assert (found.statuses, found.episodes) == ({status: 1}, 1)

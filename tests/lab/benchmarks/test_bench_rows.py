@@ -327,7 +327,7 @@ def test_a_watched_loop_needs_every_watching_service(monkeypatch: pytest.MonkeyP
 
 
 class _Site(BaseHTTPRequestHandler):
-    """``/page`` is a page, ``/door`` lets in whoever comes back with its cookie, nothing else is there."""
+    """``/page`` is a page, ``/door`` lets in anyone who comes back with its cookie, nothing else is there."""
 
     def do_GET(self) -> None:
         let_in = self.path == "/page" or "key=1" in (self.headers.get("Cookie") or "")

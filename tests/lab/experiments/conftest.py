@@ -64,7 +64,7 @@ def _policy(latents: int) -> dict[str, Any]:
 
 
 def save_crude(folder: Path, name: str, weights: Weights) -> None:
-    """The model file ``name``.toml with its weights beside it."""
+    """The model file ``name``.toml with its weights next to it."""
     nominal = load_model("car")
     settings = {path: setting for path, setting in nominal.settings.items() if path.startswith("base.")}
     save_model(PhysicsModel(LearnedBase(nominal.base, weights), (), settings), folder / f"{name}.toml")

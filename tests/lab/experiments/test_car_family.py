@@ -86,7 +86,7 @@ def test_no_shipped_model_replaces_a_missing_one(tmp_path: Path) -> None:
         (weights_of(2, shelter=True), "was trained with practice.shelter = true"),
         (weights_of(2, loads=True), "was trained with practice.loads = true"),
         (weights_of(2, footprint=True), "was trained with practice.footprint = true"),
-        (crude_weights(2), "was trained with nobody knows what in its environment"),
+        (crude_weights(2), "was trained with no one knows what in its environment"),
     ],
 )
 def test_a_model_of_another_world_is_refused(weights: Weights, reported: str, tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a small experiment writes; nobody changes it here."""
+    """What a small experiment writes; no one changes it here."""
     out = tmp_path_factory.mktemp("written") / "theory.json"
     assert (
         safedpa.run(["experiment", "theory", "car_learned", "--states", "2000", "--seed", "4", "--out", str(out)]) == 0
@@ -222,7 +222,7 @@ def test_no_results_and_no_json_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="name the folder"):
         list(standings(tmp_path))
     (tmp_path / "torn.json").write_text("{")
-    with pytest.raises(InputError, match="make it anew"):
+    with pytest.raises(InputError, match="make it again"):
         list(standings(tmp_path))
 
 

@@ -221,7 +221,7 @@ def test_drives_by_ros_are_counted_with_and_without_the_filter(count: int, monke
 
 def test_a_drive_by_ros_is_repeated_twice_if_the_machine_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:
     assert by_ros(monkeypatch, 2, stalls=2)[0]["with_filter"]["drives"] == 2
-    with pytest.raises(SafedpaError, match="seed 10: the machine stood still in 3 drives"):
+    with pytest.raises(SafedpaError, match="seed 10: the machine was stationary in 3 drives"):
         by_ros(monkeypatch, 2, stalls=3)
 
 

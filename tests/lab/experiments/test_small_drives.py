@@ -88,7 +88,7 @@ def test_a_channel_that_is_late_alone(channel: str) -> None:
 def test_a_delay_that_the_robot_measures_is_driven_with(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         DelayEstimator, "observe", lambda *_: None
-    )  # else what nobody tells is found, and looked past too
+    )  # else what no one tells is found, and looked past too
     reported = delayed_drives(Lateness(0.13, reported="clock"), 4, 31_000, 8.0)
     assert reported.collided == 0
     assert reported.goals > 0
@@ -111,7 +111,7 @@ def test_drives_repeat_exactly() -> None:
 def test_invalid_delays_are_refused() -> None:
     with pytest.raises(InputError, match="channel: got 'wheel', wanted one of both, drive, steer"):
         Lateness(0.1, "wheel")
-    with pytest.raises(InputError, match="told: got 'all', wanted one of model, clock, nobody"):
+    with pytest.raises(InputError, match="told: got 'all', wanted one of model, clock, no one"):
         Lateness(0.1, reported="all")
     with pytest.raises(InputError, match="channel: got 'drive', wanted both"):
         Lateness(0.1, "drive", reported="clock")

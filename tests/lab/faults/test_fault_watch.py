@@ -81,7 +81,7 @@ def test_it_drives_after_enough_ticks_in_a_row_and_not_on_what_was_heard_before(
     for tick in range(6):
         fleet.tick(tick)
     assert fleet.observer.drives(5)
-    assert not fleet.observer.drives(6), "the first tick was driven by nobody"
+    assert not fleet.observer.drives(6), "the first tick was driven by no one"
     assert not fleet.observer.drives(3, since=fleet.observer.heard[5, 4])
     fleet.tick(6, status="fallback")
     fleet.tick(7)
@@ -110,7 +110,7 @@ def test_models_are_mixed_only_where_the_filter_decided_by_another_one_than_the_
         fleet.tick(tick, model="old")
     fleet.tick(3, model="old", by="new", status="fallback")
     fleet.tick(4, model="new")
-    fleet.tick(1, epoch=2, model="new")  # the robot starts anew, with an epoch that is no larger
+    fleet.tick(1, epoch=2, model="new")  # the robot restarts, with an epoch that is no larger
     assert mixed_in(fleet.observer) == []
     fleet.tick(5, model="old", by="new")  # with the latent of tick 4
     assert mixed_in(fleet.observer) == []

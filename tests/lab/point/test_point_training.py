@@ -237,7 +237,7 @@ def test_what_is_gained_along_the_way_adds_up_to_its_length() -> None:
 
 @pytest.mark.long
 def test_in_training_the_filter_takes_over_when_it_is_time() -> None:
-    """Reckless robots that start beside hazards pay without it, and nothing with it."""
+    """Reckless robots that start next to hazards pay without it, and nothing with it."""
     paid = {}
     for filtered in (False, True):
         environment = PointEnvironment(PointTask(4, 4), 4, "latent")

@@ -1,7 +1,7 @@
-"""Records the golden runs anew: ``python tests/replay/golden/record.py --why "..." [NAME ...]``; about a minute.
+"""Records the golden runs again: ``python tests/replay/golden/record.py --why "..." [NAME ...]``; about a minute.
 
 To be done on purpose only: when services shall decide otherwise than before. Each one's former recording is replayed by
-the program as it is now, and what differs, field by field, is written with the reason into ``changes.json`` beside it;
+the program as it is now, and what differs, field by field, is written with the reason into ``changes.json`` next to it;
 a recording whose sum does not stand there as the newest fails its test.
 """
 
@@ -47,7 +47,7 @@ CHANGES = HERE / "changes.json"
 
 def main(arguments: list[str]) -> None:
     """Records the runs named, or all."""
-    parser = argparse.ArgumentParser(description="Records golden runs anew.")
+    parser = argparse.ArgumentParser(description="Records golden runs again.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(RUNS)}; default: all")
     parser.add_argument("--why", required=True, help="why the services shall decide otherwise than before")
     given = parser.parse_args(arguments)
@@ -77,7 +77,7 @@ def differing_fields(path: Path) -> list[dict[str, Any]]:
 
 
 def retained(changes: Path, name: str, why: str, differing: list[dict[str, Any]], path: Path) -> None:
-    """Writes down that a run was recorded anew."""
+    """Writes down that a run was recorded again."""
     known: dict[str, list[dict[str, Any]]] = json.loads(changes.read_text("utf-8")) if changes.exists() else {}
     entry = {"date": datetime.date.today().isoformat(), "why": why, "differing": differing, "sha256": sum_of(path)}
     known.setdefault(name, []).append(entry)

@@ -1,6 +1,6 @@
-"""The key once more, beside each message: what comes under another one than it was sent under is no message.
+"""The key again, next to each message: what comes under another one than it was sent under is no message.
 
-Zenoh names keys on a link by numbers that both ends agree on anew whenever the link is made anew, and reads what waited
+Zenoh names keys on a link by numbers that both ends agree on again whenever the link is made again, and reads what waited
 meanwhile by the new numbers: after a lost link messages were handed on under other keys of the session
 (``deploy/zenoh_mixed_keys.py``, of version 1.10.2). A state of one robot would be taken for another's.
 """
@@ -13,12 +13,12 @@ from hashlib import blake2b
 __all__ = ["STAMP_BYTES", "is_misrouted", "key_stamp"]
 
 STAMP_BYTES = 8
-"""Enough that no two keys of a fleet share a stamp by chance, and as little as goes beside every message."""
+"""Enough that no two keys of a fleet share a stamp by chance, and as little as goes next to every message."""
 
 
 @lru_cache(maxsize=16_384)
 def key_stamp(key: str) -> bytes:
-    """What goes beside a message under ``key``: BLAKE2b of the key in UTF-8, 8 bytes."""
+    """What goes next to a message under ``key``: BLAKE2b of the key in UTF-8, 8 bytes."""
     return blake2b(key.encode(), digest_size=STAMP_BYTES).digest()
 
 

@@ -49,7 +49,7 @@ class Message:
 
     version: Count = 2
     epoch: Count
-    """Drawn anew by the robot at each of its starts, carried along by everything computed from its states."""
+    """Redrawn by the robot at each of its starts, carried along by everything computed from its states."""
     tick: Count
     """Counts the robot's periods from 0; the tick of the state from which this message was computed."""
     robot_time: Number
@@ -100,7 +100,7 @@ class StateMessage(Message):
     lockstep, or not told."""
     distance_reversed: Number = -1.0
     """m that a robot with something ``towed`` was driven backwards, net of forwards, by its own odometry. -1: not told;
-    then the filter counts itself, and one that was started anew has to take what is towed for folded up."""
+    then the filter counts itself, and one that was restarted has to take what is towed for folded up."""
     sources: tuple[str, ...] = ()
     """Names of the sensors that see its surroundings: each sends scans, ``obstacles`` is empty, and neither policy nor
     filter looks at ``field`` as something solid. Empty: ``obstacles`` and ``field`` are what there is."""
@@ -169,7 +169,7 @@ class SurroundingsMessage(ComputedMessage):
     """(movers, 6): x, y, radius in m, velocity along x and y in m/s, and the speed in m/s that it may have in any
     direction from now on; nearest first."""
     hidden: Rows
-    """(places, 4): x, y, radius in m of places that nobody sees, where something may stand that moves, and the speed in
+    """(places, 4): x, y, radius in m of places that no one sees, where something may stand that moves, and the speed in
     m/s that it may have."""
     ages: Vector
     """(sources,) s since each of the state's sources measured what was heard of it last; -1: nothing was heard. Of one
@@ -358,7 +358,7 @@ class SetupMessage(Message):
 
     service: str
     instance: str
-    """Drawn anew at each start of the process."""
+    """Redrawn at each start of the process."""
     pid: Count
     software: str
     """Versions of safedpa and of what its numbers depend on, as JSON text."""

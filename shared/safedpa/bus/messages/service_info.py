@@ -24,13 +24,13 @@ __all__ = [
 ]
 
 SETUP_SECONDS = 5.0
-"""Between two tellings of the setup: whoever joins late knows it soon."""
+"""Between two tellings of the setup: anyone who joins late knows it soon."""
 _DECIDING = ("safedpa", "numpy", "piqp", "pymunk")
 """Packages on whose versions the numbers depend."""
 
 
 def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
-    """The setup of this process, with an instance drawn anew; ``options`` are the command line's (None: not given)
+    """The setup of this process, with an instance redrawn; ``options`` are the command line's (None: not given)
 
     The fields about model, settings, margin and controller are empty; ``dataclasses.replace`` fills them.
     """

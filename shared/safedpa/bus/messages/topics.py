@@ -151,8 +151,8 @@ def _check_name(name: str) -> None:
 def topic_of(key: str) -> tuple[str, str, Topic]:
     """(fleet, robot, topic) of a key under which a message was sent.
 
-    Raises InputError when the key is not one of this project's, or names more than one robot: whoever sends under a
-    wildcard speaks for nobody, and what comes under a bundle's key and is none, neither.
+    Raises InputError when the key is not one of this project's, or names more than one robot: anyone who sends under a
+    wildcard speaks for no one, and what comes under a bundle's key and is none, neither.
     """
     parts = key.split("/")
     if len(parts) not in (4, 5) or parts[0] != "safedpa":

@@ -1,4 +1,4 @@
-"""What a listener on the bus knows of a fleet, for people and for metrics: it commands nothing, nobody waits for it."""
+"""What a listener on the bus knows of a fleet, for people and for metrics: it commands nothing, no one waits for it."""
 
 from safedpa.bus.monitor.alerts import Alert, fleet_alerts, robot_alerts
 from safedpa.bus.monitor.fleet_state import FleetOverview, RobotOverview, ServiceOverview, SlidingCounter

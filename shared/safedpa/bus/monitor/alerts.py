@@ -53,7 +53,7 @@ def fleet_alerts(fleet: FleetOverview) -> list[Alert]:
     if fleet.robot not in ("*", *fleet.robots):
         found.append(Alert("trouble", "is not heard", fleet.robot))
     if not any(service.name == "recorder" for service in fleet.services.values()):
-        found.append(Alert("attention", "nobody records", service="recorder"))
+        found.append(Alert("attention", "no one records", service="recorder"))
     versions = sorted({known.health.software for known in fleet.services.values() if known.health.software})
     if len(versions) > 1:
         found.append(Alert("attention", f"processes of different versions: {', '.join(versions)}"))
@@ -70,7 +70,7 @@ def _about_driving(robot: RobotOverview, now: float) -> Iterator[Alert]:
     if state is None or now - robot.state_at > patience:
         yield Alert("trouble", "alive, but it tells no state", name)
     if verdict is None or now - robot.verdict_at > patience:
-        yield Alert("trouble", "no verdict: nobody filters", name, "safety_filter")
+        yield Alert("trouble", "no verdict: no one filters", name, "safety_filter")
     else:
         yield from _about_verdict(robot, now)
     late = robot.recent_ticks.share("watchdog", now)

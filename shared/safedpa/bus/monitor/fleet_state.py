@@ -112,7 +112,7 @@ class RobotOverview:
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_RETAINED_LATENCIES))
     """s from publishing a state to accepting its action, as the robot measured it, newest last."""
     new_latencies: list[float] = field(default_factory=list)
-    """The same since somebody emptied the list; for histograms."""
+    """The same since someone emptied the list; for histograms."""
 
     def heard_at(self) -> float:
         """s; when anything came last that the robot itself said."""
@@ -205,7 +205,7 @@ class ServiceOverview:
 
     @property
     def refused(self) -> int:
-        """Refused messages: the most that it tells of one robot, those of nobody included; at least so many."""
+        """Refused messages: the most that it tells of one robot, those of no one included; at least so many."""
         return max((message.refused for message, _ in self.retained.values()), default=0)
 
     @property
@@ -229,7 +229,7 @@ class ServiceOverview:
         if before is not None and message.publish_time < before[0].publish_time:
             return
         if before is not None and (message.steps < before[0].steps or message.stale < before[0].stale):
-            self._remember(before[0])  # the robot began anew, and with it the counts
+            self._remember(before[0])  # the robot began again, and with it the counts
         elif before is not None:
             self._seen_steps += message.steps - before[0].steps
         self.retained[robot] = (message, at)
@@ -288,7 +288,7 @@ class FleetOverview:
         self.since = self.clock()
 
     @property
-    def no_one(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether nothing at all was heard so far."""
         return not self.robots and not self.services
 

@@ -1,8 +1,8 @@
 """Who may do what on the bus: one table of roles, and from it and the table of topics the router's access control.
 
 A role is the common name of a certificate. Who may put under a topic is that topic's writer, under the names of the
-fleet's own robots and nobody else's; health and takeover are put under the own service name only. What no line
-allows is denied, in both directions: whoever may not read a topic is sent nothing of it.
+fleet's own robots and no one else's; health and takeover are put under the own service name only. What no line
+allows is denied, in both directions: anyone who may not read a topic is sent nothing of it.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _MOST_BEATS = 100.0
 _IN, _OUT = "ingress", "egress"
 _CARRIED = ("put", "query", "reply", "liveliness_token")
 _WANTED = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
-"""Together all but delete, which nobody may."""
+"""Together all but delete, which no one may."""
 _EVERYTHING = tuple(TOPICS.values())
 
 
@@ -250,7 +250,7 @@ def _alive(fleet: str, robot: str, service: str) -> str:
 
 
 def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_AccessRule]:
-    """Another router of the same fleet has judged its own clients; nobody deletes, not even it.
+    """Another router of the same fleet has judged its own clients; no one deletes, not even it.
 
     Where it may bring messages of some robots only, it may still tell what its clients want to read and ask.
     """
@@ -284,7 +284,7 @@ def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
 def size_limits(fleet: str) -> list[dict[str, Any]]:
     """Zenoh's ``low_pass_filter``: what is larger than its topic allows goes no further than the router.
 
-    Zenoh counts what goes beside a message, too.
+    Zenoh counts what goes next to a message, too.
     """
     by_size: dict[int, list[str]] = {}
     for topic in TOPICS.values():

@@ -108,7 +108,7 @@ class Authority:
         fleet = _fleet_of(certificate)
         if fleet != self.fleet:
             raise InputError(
-                f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': whoever belongs to one fleet "
+                f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': anyone who belongs to one fleet "
                 "would belong to the other; choose another folder"
             )
         return key, certificate

@@ -105,12 +105,12 @@ class PemCredentials:
             with os.fdopen(descriptor, "rb") as pipe:
                 notice = pipe.read(_LONGEST_CARD)
         except OSError as error:
-            raise BusError(f"--card {descriptor}: {error.strerror}; whoever starts this process sets it") from error
+            raise BusError(f"--card {descriptor}: {error.strerror}; anyone who starts this process sets it") from error
         parts = notice.split(b"\0")
         if len(parts) != _PARTS or not all(part.startswith(b"-----BEGIN ") for part in parts):
             raise BusError(
                 f"--card {descriptor}: got {len(notice)} bytes that are no authority, certificate and key in PEM; only "
-                "whoever starts this process sets it"
+                "anyone who starts this process sets it"
             )
         return cls(role, *parts)
 

@@ -35,7 +35,7 @@ _MOST_WAITING = 65_535
 _PATIENCE_SECONDS = 3.0
 _HURRIED_SECONDS = 0.4
 _MANY = 32
-"""Connections on their way in, beyond which nobody has as long."""
+"""Connections on their way in, beyond which no one has as long."""
 _SHORT_SECONDS = 0.1
 """Where no descriptor is left."""
 _RETAINED_BACK = 160
@@ -227,7 +227,7 @@ def _question(numbers: range) -> select.poll:
 
 @contextlib.contextmanager
 def _borrowed(descriptor: int) -> Iterator[socket.socket]:
-    """The socket of a descriptor that is somebody else's, and is not closed. Raises OSError where it is none now."""
+    """The socket of a descriptor that is someone else's, and is not closed. Raises OSError where it is none now."""
     found = socket.socket(fileno=descriptor)
     try:
         yield found

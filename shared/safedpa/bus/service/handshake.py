@@ -1,7 +1,7 @@
 """Before a service serves a robot that it has not met, it asks which model that robot's services agreed on.
 
 A service that was restarted would otherwise begin with the model of its own options while the others have moved on.
-Nobody waits long: without an answer the service begins with its own model, and the diagnosis offers the right one
+No one waits long: without an answer the service begins with its own model, and the diagnosis offers the right one
 again. While no diagnosis answers, the other services tell what they agreed on.
 """
 

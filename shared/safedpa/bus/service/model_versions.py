@@ -1,7 +1,7 @@
 """Which model a service uses for each robot while models change: offered, prepared, taken at a tick, or dropped.
 
 A change has two phases, so that all services of a robot use the new model from the same tick on, or none does. An
-offer is prepared beside the model in force in the pause behind a tick; it is used only after a ``take``, from the first
+offer is prepared next to the model in force in the pause behind a tick; it is used only after a ``take``, from the first
 state of the named tick on, and forgotten with a ``drop``. The service answers every step. Once it has answered that it
 is ready it does not refuse any more: the others may be using the new model already.
 """
@@ -35,7 +35,7 @@ class _Version(Generic[Held]):
     margin: str = ""
     change: int = 0
     document: str = ""
-    """Empty of the model of the process's own options, of which nobody told."""
+    """Empty of the model of the process's own options, of which no one told."""
 
 
 @dataclass
@@ -155,7 +155,7 @@ class ModelVersions(Generic[Held]):
             return False
         take = known.take
         if state.epoch == take.epoch and state.tick < take.from_tick:
-            return False  # a robot that started anew begins with the new model
+            return False  # a robot that restarted begins with the new model
         before, known.version, known.prepared, known.take = known.version, known.prepared, None, None
         known.answers.append((take, "taken", ""))
         return before.held is not known.version.held

@@ -53,7 +53,7 @@ class AbstractNode(ABC):
     share: ClassVar[float]
     listens: ClassVar[tuple[Topic, ...]] = ()
     slack: ClassVar[Mapping[Topic, int]] = {}
-    """By topic, the age in ticks up to which, in real time, an input is as good as that of the tick: nobody waits for a
+    """By topic, the age in ticks up to which, in real time, an input is as good as that of the tick: no one waits for a
     newer one, which is taken all the same where it is there. Topics that are not named are waited for."""
     lingers: ClassVar[bool] = True
     """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
@@ -74,7 +74,7 @@ class AbstractNode(ABC):
         del robot, state
 
     def afterwards(self, robot: str) -> Outputs:
-        """Outputs of the same tick for which nobody waits; called when those of ``step`` are on their way."""
+        """Outputs of the same tick for which no one waits; called when those of ``step`` are on their way."""
         del robot
         return {}
 
@@ -94,7 +94,7 @@ class AbstractNode(ABC):
     def welcome(self, robot: str, status: Answer | None) -> None:
         """Told before the first step for a robot that this process has not met, when MODEL is among ``listens``.
 
-        ``status`` is what the diagnosis says of the robot's model; None when nobody answered.
+        ``status`` is what the diagnosis says of the robot's model; None when no one answered.
         """
         del robot, status
 
@@ -129,7 +129,7 @@ class AbstractNode(ABC):
         return {}
 
     def forget(self, robot: str) -> None:
-        """Drops what is remembered of a robot's drive: it started anew, or left."""
+        """Drops what is remembered of a robot's drive: it restarted, or left."""
         del robot
 
     def leave(self, robot: str) -> None:

@@ -49,7 +49,7 @@ __all__ = [
 GROWTH: Final = 50_000
 """Containers by which what is held has to grow until the collector looks for cycles. A batch of a hundred robots holds
 more than Python's 700 at once, and windows of measurements that turn over leave it all they hold to look at each time:
-a fifteenth of a fleet's processor time, in stalls of up to 17 ms, for cycles that nobody makes. If somebody does, they
+a fifteenth of a fleet's processor time, in stalls of up to 17 ms, for cycles that no one makes. If someone does, they
 are found, but containers are counted and not what they hold."""
 _OLDER: Final = 1
 """Looks at what is young, then at what is older, between two looks at what is older still. Python's 10 would leave
@@ -67,7 +67,7 @@ def freeze_garbage_collector() -> None:
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
 EXIT_NOT_LET_IN = 75
-"""Nobody let it join the bus; whoever started it goes on trying."""
+"""No one let it join the bus; anyone who started it goes on trying."""
 EXIT_INTERRUPTED = 130
 """A second signal: it ended at once, whatever was not finished."""
 
@@ -96,7 +96,7 @@ class StopSignal:
         self._word = threading.Event()
         self.reason = ""
         self.hurried = False
-        """Whether a second signal came: whoever ends in order stops doing so."""
+        """Whether a second signal came: anyone who ends in order stops doing so."""
         self._signalled = False
 
     def __call__(self) -> bool:
@@ -112,7 +112,7 @@ class StopSignal:
         self._word.wait()
 
     def begin(self) -> None:
-        """The supervisor's word: whoever awaits it goes on."""
+        """The supervisor's word: anyone who awaits it goes on."""
         self._word.set()
 
     def listen_to_signals(self, at_once: Callable[[], None] = lambda: None) -> None:
@@ -161,7 +161,7 @@ def bus_from_options(options: argparse.Namespace) -> Bus:
 
 
 def identity_from_options(options: argparse.Namespace) -> PemCredentials | Certificates | None:
-    """Who the options say that this process is; None: nobody, in plain text.
+    """Who the options say that this process is; None: no one, in plain text.
 
     A card is read once and not kept here, since options are told and handed on; from before that on no other process
     of this user looks into this one. Raises BusError.

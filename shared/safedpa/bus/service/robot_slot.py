@@ -39,7 +39,7 @@ class ComputationTrace(NamedTuple):
     def on(self, outputs: Outputs) -> Outputs:
         """The outputs, with the trace written into those that carry one.
 
-        In place: the node made these messages for this step, and nobody has them yet. A copy of each would cost more
+        In place: the node made these messages for this step, and no one has them yet. A copy of each would cost more
         than everything else that the loop does between the step and its sending.
         """
         for message in outputs.values():
@@ -178,7 +178,7 @@ NO_ROBOT = "-"
 
 
 def heartbeat(service: str, slot: RobotSlot | None, strangers: HeartbeatCounts, model: str) -> HealthMessage:
-    """What ``service`` tells of one robot: its own steps, stale inputs and refusals, and those of nobody it serves."""
+    """What ``service`` tells of one robot: its own steps, stale inputs and refusals, and those of no one it serves."""
     counts = strangers if slot is None else slot.counts
     refused = counts.refused if slot is None else counts.refused + strangers.refused
     return HealthMessage(

@@ -2,7 +2,7 @@
 
 The process is started bare and early, while this one is small and has no links; it imports what it needs when the
 first work comes, behind everybody else on the machine. Each work runs in a fork of it that the kernel ends at its
-limits of processor time and memory. What comes back is JSON, and small: whoever sent the work in cannot choose more.
+limits of processor time and memory. What comes back is JSON, and small: anyone who sent the work in cannot choose more.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class AbstractJobHandle(ABC):
 
     @abstractmethod
     def outcome(self, *, wait: bool = False) -> dict[str, Any] | None:
-        """What came of it; None while it is under way, unless somebody waits.
+        """What came of it; None while it is under way, unless someone waits.
 
         ``{"problem": "..."}`` where there is nothing else, also because it took too long.
         """
@@ -129,9 +129,9 @@ class JobProcess:
         return self._found.pop(number, None)
 
     def give_up(self) -> None:
-        """Ends the process and whatever it does; the next work starts it anew.
+        """Ends the process and whatever it does; the next work starts it again.
 
-        Nobody waits for it to die: at the lowest priority that may take longer than the loop has. Whose work it had is
+        No one waits for it to die: at the lowest priority that may take longer than the loop has. Whose work it had is
         told at once, so that each of them does not end the next process in turn.
         """
         process, self._process, self._came = self._process, None, b""
@@ -158,7 +158,7 @@ class JobProcess:
         self._dying = [process for process in self._dying if process.poll() is None]
 
     def _start(self) -> None:
-        import subprocess  # whoever only takes tickets does without
+        import subprocess  # anyone who only takes tickets does without
 
         self.give_up()
         if len(self._dying) >= _MOST_DYING:
@@ -182,7 +182,7 @@ class JobProcess:
             fcntl.fcntl(self._process.stdin.fileno(), fcntl.F_SETPIPE_SZ, _WAITING_BYTES)
 
     def _write(self, content: bytes) -> None:
-        """At once or not at all: who does not read in time is ended, since nobody in the loop may wait for it."""
+        """At once or not at all: who does not read in time is ended, since no one in the loop may wait for it."""
         assert self._process is not None
         assert self._process.stdin is not None
         written, until = 0, self.clock() + 0.002

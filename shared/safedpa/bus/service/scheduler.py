@@ -8,7 +8,7 @@ latency that may take 0.9 of the period.
 
 Loops are turned by the thread that brings a message, or, for what no message brings, by the main thread. A message that
 has to wake another thread first is on its way for 100 to 150 us longer, at each of the hops from sense to act. So the
-network's thread itself turns the loop when nobody else does; it never waits for the loop. With many robots, whose
+network's thread itself turns the loop when no one else does; it never waits for the loop. With many robots, whose
 messages are gathered without any thread of Python, the main thread turns alone, some hundred times a second.
 """
 
@@ -65,7 +65,7 @@ class TimerQueue:
     def next(self, awaited: Callable[[str], bool] | None = None) -> float:
         """The earliest moment; infinite where there is none.
 
-        A moment at whose coming no robot is ``awaited`` any more is taken back: nobody has to wake up for it.
+        A moment at whose coming no robot is ``awaited`` any more is taken back: no one has to wake up for it.
         """
         moments = self._moments
         while awaited is not None and moments and not any(map(awaited, self._robots[moments[0]])):
@@ -90,7 +90,7 @@ MAX_HOLD_SECONDS = 0.005
 def batch_interval(periods: Sequence[float], *, coalescing: bool) -> float:
     """s from one batch to the next, for robots with such periods [s], 0 for one in lockstep; 0: no batches.
 
-    A robot in lockstep stands while it waits, so nobody waits then. ``coalescing``: whether batches are made now.
+    A robot in lockstep stands while it waits, so no one waits then. ``coalescing``: whether batches are made now.
     """
     if len(periods) < (_FEW if coalescing else _MANY):
         return 0.0
@@ -133,7 +133,7 @@ class Scheduler:
 
     def _turn(self, longest_wait: float) -> None:
         """On the main thread: waits, then does what is due."""
-        with self._turns:  # whoever turns changes what is due
+        with self._turns:  # anyone who turns changes what is due
             wait = min(loop.patience(longest_wait) for loop in self._loops)
         if not self._gathers:
             if not self._waiting:

@@ -63,7 +63,7 @@ class ServiceLog:
         self._event(kind, reason, robot, tick, level="warning")
 
     def failed(self, reason: str, error: Exception, robot: str = "", tick: int = -1) -> None:
-        """Something went wrong about one robot that nobody foresaw; the line names where."""
+        """Something went wrong about one robot that no one foresaw; the line names where."""
         trace = error.__traceback__
         while trace is not None and trace.tb_next is not None:
             trace = trace.tb_next

@@ -2,7 +2,7 @@
 
 In lockstep a node steps when every input of the state's tick is there, however long it takes; the robot repeats its
 state meanwhile and a repeated tick is answered with the same output again. In real time it steps at the latest when its
-share of the period is over, with the missing inputs named as stale. A robot that starts anew has a new epoch; messages
+share of the period is over, with the missing inputs named as stale. A robot that restarts has a new epoch; messages
 of a second robot under a name in use are refused.
 
 Any number of robots is served, each for itself. In one turn every robot gets at most one step and a few messages are
@@ -31,24 +31,24 @@ __all__ = ["NO_ROBOT", "ServiceLoop"]
 
 _HEARTBEAT_SECONDS = 0.25
 _SILENCE_SECONDS = 0.3
-"""A robot that was silent for so long may start anew under its name; one that speaks is not replaced."""
+"""A robot that was silent for so long may restart under its name; one that speaks is not replaced."""
 
 _FINISH_SHARE = 0.1
-"""Of the period: the pause after a step before what nobody waits for; the tick is usually over by then."""
+"""Of the period: the pause after a step before what no one waits for; the tick is usually over by then."""
 _LATEST_FINISH_SHARE = 0.5
 """Of the period: until then it also gives way to whatever waits in the inbox."""
 
 _FORGET_SECONDS = 30.0
 """A robot that was silent for so long has left."""
 _MOST_ROBOTS = 1000
-"""Names of robots that are served at once; further ones are refused, whoever makes them up."""
+"""Names of robots that are served at once; further ones are refused, anyone who makes them up."""
 _MOST_PER_KEY = 4
 """Messages of one topic of one robot that are taken in one turn."""
 _SPREAD = 0.618
 """Golden ratio: so many heartbeats spread over their period best, however many robots there are."""
 _NO_INPUTS: Inputs = {}
 _NOT_A_ROBOTS = (BusError, MemoryError)
-"""Errors of the process itself: it ends, and whoever watches it starts it anew."""
+"""Errors of the process itself: it ends, and anyone who watches it starts it again."""
 
 
 class ServiceLoop:
@@ -78,7 +78,7 @@ class ServiceLoop:
         self._touched: dict[str, None] = {}
         """Robots of which something came since the last look, in that order."""
         self._strangers = HeartbeatCounts()
-        """What came from nobody who is served."""
+        """What came from no one who is served."""
         self._next_heartbeat = clock()
         self.quantum = 0.0
         """s from one batch to the next; 0: each message as it comes."""
@@ -108,7 +108,7 @@ class ServiceLoop:
         self._keep_house()
 
     def serve(self, longest_wait: float) -> None:
-        """Takes what arrived, steps what is due, and does what nobody waits for when its moment has come."""
+        """Takes what arrived, steps what is due, and does what no one waits for when its moment has come."""
         wait = self.patience(longest_wait) if longest_wait > 0.0 else 0.0
         for item in self.inbox.take(wait, _MOST_PER_KEY):
             if isinstance(item, RejectedMessage):
@@ -151,7 +151,7 @@ class ServiceLoop:
         return slot is not None and (slot.outputs is None or slot.unfinished_since is not None)
 
     def _serve(self, touched: list[tuple[str, RobotSlot]]) -> None:
-        """Steps first, of robots that do not wait for us before those that do; then what nobody waits for."""
+        """Steps first, of robots that do not wait for us before those that do; then what no one waits for."""
         self._step_all(touched)
         self._hold_for(touched)
         now = self.clock()
@@ -209,7 +209,7 @@ class ServiceLoop:
         robot, topic, node = item.robot, item.topic, self._node
         known = robot in self._slots  # then it was greeted, too
         if not known and not self._has_room_for(robot):
-            self._refuse(f"got robot '{robot}' beside {_MOST_ROBOTS} others; start another service for some")
+            self._refuse(f"got robot '{robot}' next to {_MOST_ROBOTS} others; start another service for some")
             return
         if topic in node.listens:
             self._hear(item)
@@ -258,14 +258,14 @@ class ServiceLoop:
                 self._publish(item.robot, slot.outputs)
 
     def _begin(self, item: ReceivedMessage, state: StateMessage, *, again: bool) -> None:
-        """A robot that is new, or started anew."""
+        """A robot that is new, or restarted."""
         robot, at = item.robot, item.at
         self._node.forget(robot)
         self._slots[robot] = slot = RobotSlot(state, at, at, self.clock(), item.bundled)
         slot.keeps_pace(state, at)
         self._spoken_of.pop(robot, None)
         self._service_log.met(robot, state.tick, again=again)
-        self._next_setup = self.clock()  # whoever records the robot shall know the setup from the first seconds on
+        self._next_setup = self.clock()  # anyone who records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
 
     def _take_tick(self, item: ReceivedMessage, slot: RobotSlot, state: StateMessage) -> None:
@@ -351,7 +351,7 @@ class ServiceLoop:
             self._failed(robot, again, slot.state.tick)
 
     def _finish(self, robot: str, slot: RobotSlot) -> None:
-        """What nobody waits for; in real time a little later, when the processor is not needed by those on the way."""
+        """What no one waits for; in real time a little later, when the processor is not needed by those on the way."""
         slot.unfinished_since = None
         try:
             further = self._node.afterwards(robot)
@@ -388,7 +388,7 @@ class ServiceLoop:
         self._bus.forget(robot)
 
     def _refuse(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
-        """Counts what was not taken: for its robot, or for nobody where that one is not served."""
+        """Counts what was not taken: for its robot, or for no one where that one is not served."""
         self._service_log.refused(reason, robot, tick, second=second)
         slot = self._slots.get(robot)
         counts = self._strangers if slot is None else slot.counts

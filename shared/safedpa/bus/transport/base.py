@@ -47,7 +47,7 @@ class AbstractTransport(ABC):
         """
 
     def release(self, beginning: str) -> None:
-        """Gives back what sending under keys that begin so holds; sending again takes it anew."""
+        """Gives back what sending under keys that begin so holds; sending again takes it again."""
         del beginning
 
     @abstractmethod
@@ -68,7 +68,7 @@ class AbstractTransport(ABC):
 
     @abstractmethod
     def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:
-        """The first answer to a question, or None: nobody answers such keys, or not within ``timeout`` [s].
+        """The first answer to a question, or None: no one answers such keys, or not within ``timeout`` [s].
 
         Raises BusError after ``close``.
         """

@@ -3,7 +3,7 @@
 A message that travels alone costs a wake-up, a packet and a call at each end, several times what reading it costs. A
 bundle travels under a key of its own, ``safedpa/{fleet}/+/{topic}``, with ``+`` in the place of the robot: only who may
 speak for the whole fleet has the right to it, and a robot, which may read what is said of itself alone, is never sent
-one. Each message in it is then treated as if it had come alone, under the name that stands beside it.
+one. Each message in it is then treated as if it had come alone, under the name that stands next to it.
 """
 
 from __future__ import annotations

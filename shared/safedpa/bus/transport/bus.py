@@ -114,7 +114,7 @@ class Bus:
         return InboxReceiver(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
-        """Asks about one robot; None when nobody answers within ``timeout`` [s].
+        """Asks about one robot; None when no one answers within ``timeout`` [s].
 
         Of the default kind the diagnosis is asked, of ``ORDER`` the safety filter. Raises MessageError when the answer
         is none.

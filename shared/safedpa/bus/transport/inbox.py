@@ -1,4 +1,4 @@
-"""What arrived and waits to be read: bounded, whoever sends, and fair to those who send little.
+"""What arrived and waits to be read: bounded, anyone who sends, and fair to those who send little.
 
 From the transport into an inbox: what is asked for of one topic, alone or out of a bundle.
 """
@@ -71,7 +71,7 @@ class RejectedMessage:
 
 @dataclass(frozen=True, slots=True)
 class RequestOutcome:
-    """What came of a question about a robot; None when nobody answered in time."""
+    """What came of a question about a robot; None when no one answered in time."""
 
     robot: str
     answer: Answer | None
@@ -95,7 +95,7 @@ class SharedPayload:
     def __init__(self, key: str, payload: bytes, *, bundled: bool = False) -> None:
         self.key, self.payload, self.bundled = key, payload, bundled
         self.content: ReceivedMessage | RejectedMessage | None = None
-        """What was read; None until somebody did."""
+        """What was read; None until someone did."""
 
 
 _Waiting = tuple[str, bytes, float, SharedPayload]
@@ -106,7 +106,7 @@ class Inbox:
     """What arrived and was not read yet; filled by network threads, emptied by one loop.
 
     Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order. Memory
-    is bounded whoever sends: ``longest_queue`` messages and 256 MiB wait at most, and beyond either the key that has
+    is bounded anyone who sends: ``longest_queue`` messages and 256 MiB wait at most, and beyond either the key that has
     most waiting loses its oldest, so that a sender of floods loses its own; so many different keys, and of each message
     so many bytes, that a larger one is seen to be too large.
     """
@@ -176,7 +176,7 @@ class Inbox:
         self.announce()
 
     def add_parcels(self, parcels: Sequence[SharedPayload], *, all_of_them: bool) -> None:
-        """The same, but whoever leads is not told yet; ``announce`` follows once others have it, too."""
+        """The same, but anyone who leads is not told yet; ``announce`` follows once others have it, too."""
         with self._filled:
             now = self._clock()
             if all_of_them:
@@ -188,7 +188,7 @@ class Inbox:
             self._filled.notify()
 
     def announce(self) -> None:
-        """Tells whoever leads that something came."""
+        """Tells anyone who leads that something came."""
         if self._came is not None:
             self._came()
 
@@ -291,7 +291,7 @@ def _cut(payload: bytes, largest: int) -> bytes:
 
 
 def _check_speaker(key: str, message: Message) -> None:
-    """The router vouches for the key's last part, so nobody speaks as another service in the message either."""
+    """The router vouches for the key's last part, so no one speaks as another service in the message either."""
     service = key.rsplit("/", 1)[1]
     notice = getattr(message, "service", service)
     if notice != service:

@@ -2,7 +2,7 @@
 
 The bus in memory is for tests and for experiments faster than real time; delivery is immediate. Of several services in
 one process over one session, what they say to each other does not leave the process to reach them, and all of it goes
-out as well, for whoever looks on.
+out as well, for anyone who looks on.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class JointTransport(AbstractTransport):
 
     def _to_all(self, hearers: list[OnSample]) -> OnSample:
         def heard(key: str, payload: bytes) -> None:
-            _spread(hearers[::-1], key, payload)  # whoever computes first hears it last: then all have it
+            _spread(hearers[::-1], key, payload)  # anyone who computes first hears it last: then all have it
 
         return heard
 

@@ -23,7 +23,7 @@ _RANGE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 
 
 def free_port(preferred: Iterable[int] = ()) -> int:
-    """A TCP port of the loopback interface that nobody listens on now: the first free one preferred, else any.
+    """A TCP port of the loopback interface that no one listens on now: the first free one preferred, else any.
 
     No connection that goes out takes it before it is listened on, for the system gives those its ephemeral ports, and
     this process does not get it twice. Raises InputError when there is none.

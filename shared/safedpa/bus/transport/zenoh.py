@@ -6,7 +6,7 @@ would speak past the router that enforces who may say what. What the settings be
 a lease of 0.5 s instead of 10 s, so that a partition is noticed and no burst of old commands arrives after it; direct
 callbacks that only append to a queue; no shared memory; sends that drop rather than wait.
 
-Zenoh sessions, opened and closed so that one that stands still takes no other with it.
+Zenoh sessions, opened and closed so that one that is stationary takes no other with it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = [
 
 _NET_THREADS = 4
 """Threads with which Zenoh opens and closes links, for all sessions of a process. By default it is one; where peers
-come and go it waited for a lock whose holder waited for it, and every session of the process stood still for good.
+come and go it waited for a lock whose holder waited for it, and every session of the process was stationary for good.
 https://github.com/eclipse-zenoh/zenoh/issues/2581; ``deploy/zenoh_churn.py`` brings it about."""
 _UNCLOSED: list[Any] = []
 """Sessions that did not close: letting go of one would close it again, for as long, and abort the thread."""
@@ -90,14 +90,14 @@ Mode = Literal["peer", "client", "router"]
 _LEASE_MILLISECONDS = 500
 _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 """No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
-and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
+and more, and a link between peers that found each other is not made again. A process that dies is seen at once anyway.
 """
 _LOCAL_SOCKET = "unixsock-stream/"
-"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, nobody else."""
+"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, no one else."""
 _ACCEPT_MILLISECONDS = 1000
 """For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
 _MOST_ON_THEIR_WAY = 2000
-"""Connections whose handshake goes on; by default 100, and then nobody else gets in."""
+"""Connections whose handshake goes on; by default 100, and then no one else gets in."""
 _ONE_OF_TWO = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
 """Of two peers that hear of each other one connects; if both do, one link must go again, and where peers come and go
 a session takes 2 s to close instead of 0.4 s (``deploy/zenoh_churn.py``)."""
@@ -113,7 +113,7 @@ class ZenohSettings:
 
     Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
     finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
-    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access``,
+    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and no one is found who was not named. ``access``,
     ``limits`` and ``rates`` are a router's: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
 
     Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
@@ -197,7 +197,7 @@ def _tls(certificates: Certificates | PemCredentials) -> dict[str, Any]:
 
 
 def _own_door(connect: tuple[str, ...]) -> str:
-    """Where a peer listens that was not told: beside the socket of those it joins, or on the loopback interface."""
+    """Where a peer listens that was not told: next to the socket of those it joins, or on the loopback interface."""
     alongside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
     if not alongside:
         return "tcp/127.0.0.1:0"
@@ -205,7 +205,7 @@ def _own_door(connect: tuple[str, ...]) -> str:
 
 
 def _in_haste(endpoint: str) -> str:
-    """An endpoint to listen on where nobody has longer for the handshake of TLS."""
+    """An endpoint to listen on where no one has longer for the handshake of TLS."""
     plain = not endpoint.startswith("tls/") or "#" in endpoint
     return endpoint if plain else f"{endpoint}#tls_handshake_timeout_ms={_ACCEPT_MILLISECONDS}"
 
@@ -337,7 +337,7 @@ class ZenohTransport(AbstractTransport):
         def ask() -> None:
             try:
                 answer = self.ask(key, payload, timeout)
-            except BusError:  # closed meanwhile: as if nobody answered
+            except BusError:  # closed meanwhile: as if no one answered
                 answer = None
             on_answer(answer)
 
@@ -443,7 +443,7 @@ def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
     if endpoints:
         log_event(
             "bus.plain_text",
-            f"the bus is plain text on {', '.join(endpoints)}: whoever reaches that network reads and commands every "
+            f"the bus is plain text on {', '.join(endpoints)}: anyone who reaches that network reads and commands every "
             "robot; make certificates with 'safedpa certificates' and name them by --certificates",
             level="warning",
         )

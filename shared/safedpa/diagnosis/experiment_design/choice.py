@@ -54,7 +54,7 @@ def _pendulum(t: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
     still = np.zeros_like(t)
     found = {
         "release it from 90 degrees and let it swing out": (np.pi / 2, still),
-        "release it from 20 degrees beside hanging and let it swing out": (np.pi - 0.35, still),
+        "release it from 20 degrees next to hanging and let it swing out": (np.pi - 0.35, still),
         "steps of torque, both ways": (np.pi, 1.0 * np.sign(np.sin(4 * t))),
         "hold a steady torque": (np.pi, 1.0 + still),
         "sweep the torque slowly up and down": (np.pi, 1.5 * np.sin(t)),

@@ -1,4 +1,4 @@
-"""Over how many seconds a model is held against data to decide what it lacks: by the data, never by who asks.
+"""Over how many seconds a model is compared with data to decide what it lacks: by the data, never by who asks.
 
 The longest of a ladder of horizons in which an error of the start stays an error of the start, and of which the
 recordings hold enough. What is long lets an effect grow above the noise; what is too long is ruled by the start (a

@@ -1,12 +1,12 @@
 """Kalman filters along recordings, many pieces side by side: a linear model about a reference track.
 
-state entries z = (deviation from the reference track, disturbances of the rates), and one column a parameter beside:
+state entries z = (deviation from the reference track, disturbances of the rates), and one column a parameter next to:
 
 z[k+1] = T[k] z[k] + (model(reference[k]) - reference[k+1], 0) + G[k] shift
 measured - reference = first part of z + noise
 
 The disturbances are first-order Markov processes. So what a lasting push makes of the speed is not mistaken for what
-the model's parameters would make of it: in windows that start anew, the start knows the push before it.
+the model's parameters would make of it: in windows that restart, the start knows the push before it.
 
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, ch. 7; Ljung, System Identification, 2nd ed., 1999,
 section 7.2 (prediction errors).

@@ -1,7 +1,7 @@
 """Parameters of named effects by weighted nonlinear least squares on short rollouts, and how well they hold elsewhere.
 
 minimise sum over the states s of size_s log(sum of squares of the reduced residual of s): each state's noise is unknown
-and is estimated beside the parameters. Gauss-Newton steps with bounds; derivatives by differences.
+and is estimated next to the parameters. Gauss-Newton steps with bounds; derivatives by differences.
 
 Source: Seber and Wild, Nonlinear Regression, Wiley 1989, ch. 11; Efron and Tibshirani, An Introduction to the
 Bootstrap, 1993, ch. 11 (jackknife).
@@ -44,7 +44,7 @@ _HARDLY = 0.1
 _BEGUN, _NEARLY = 3, 2e-3
 """Steps with slopes that are known, and the fall below which they have done what they can."""
 _FALLING = 0.02
-"""Fall in the last of them, from which nobody knows yet where the fit ends."""
+"""Fall in the last of them, from which no one knows yet where the fit ends."""
 _BEHIND = 4.0
 """Times the fall of a step: steps that shrink by a fifth each take no more than that from there on."""
 
@@ -178,7 +178,7 @@ def fit(
     ``known`` (windows, compared, states, some): slopes of the first paths, taken as they are; a rough fit saves half
     of its rollouts so. With a bound ``enough`` of the objective a fit begins with them and goes on with its own only
     where it is below that, or still falls fast and has a bound to come to: a slope of a number that hardly moves
-    changes little, and most fits are of no use to whoever asks.
+    changes little, and most fits are of no use to anyone who asks.
     """
     names = tuple(paths)
     best = _linearised(model, names, shooting, scale, known)

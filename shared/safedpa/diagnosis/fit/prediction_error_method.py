@@ -1,7 +1,7 @@
 """Final numbers: the parameters that make the innovations of a Kalman filter along whole recordings smallest.
 
 minimise sum over the rows of e' S^-1 e + log det S, e the innovations, S their covariance; the noise of the
-measurement and lasting disturbances of the rates are estimated beside the parameters. Windows with starts of their own,
+measurement and lasting disturbances of the rates are estimated next to the parameters. Windows with starts of their own,
 on which the search works, mistake part of a lasting disturbance for a parameter: a window's start already shows it.
 
 Source: Ljung, System Identification, 2nd ed., 1999, sections 7.4 and 9.4 (covariance of prediction-error estimates);

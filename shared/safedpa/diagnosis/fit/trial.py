@@ -105,7 +105,7 @@ def fit_trials(
 ) -> list[EffectTrial]:
     """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
 
-    ``before`` holds trials of an earlier stage by effect: their numbers are starts beside a thinned grid.
+    ``before`` holds trials of an earlier stage by effect: their numbers are starts next to a thinned grid.
     """
     found = []
     for number, item in enumerate(items):
@@ -147,7 +147,7 @@ def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: FloatArra
 
 
 def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: EffectTrial | None) -> EffectTrial:
-    """A fit with its held-out squares and what it explains beside the null."""
+    """A fit with its held-out squares and what it explains next to the null."""
     heldout = found.heldout_squares(shooting)
     mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
     loss = float((shooting.size * np.log(mean)).sum() / (2.0 * shooting.size.sum()))

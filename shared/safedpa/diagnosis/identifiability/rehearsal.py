@@ -1,6 +1,6 @@
 """A diagnosis rehearsed: effects hidden in one's own drives, simulated with the noise of one's logs, and looked for.
 
-The logs of the rehearsal have the rows, commands and starts of the given ones. The model drives them open loop, anew
+The logs of the rehearsal have the rows, commands and starts of the given ones. The model drives them open loop, again
 from the measured state every few seconds, so that what holds a real robot upright does not have to.
 """
 
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 _PIECE = 10.0
-"""s; after so long the simulation begins anew where the robot was."""
+"""s; after so long the simulation begins again where the robot was."""
 _FARTHEST = 1e3
 """Times its usual range a simulated state may reach before its piece ends."""
 

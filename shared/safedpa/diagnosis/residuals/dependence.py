@@ -83,7 +83,7 @@ def dependences_of(trial: EffectTrial, shooting: Shooting) -> Dependences:
 def profile_of(
     dependences: Dependences, variable: str, state: str, formula: Sequence[float] | None, shooting: Shooting
 ) -> Profile:
-    """The function of one variable that a state's rate lacks, beside what the formula gives at its knots."""
+    """The function of one variable that a state's rate lacks, next to what the formula gives at its knots."""
     values, errors = dependences.values(variable, state)
     system = shooting.windows.system
     return Profile(

@@ -1,4 +1,4 @@
-"""The named before the anonymous: a formula is held against every candidate, refused ones too.
+"""The named before the anonymous: a formula is compared with every candidate, refused ones too.
 
 A candidate that unseen blocks cannot tell from the formula with certainty says the same in the words of physics. It is
 named then ("likely, not proven"), and the formula is not shown.

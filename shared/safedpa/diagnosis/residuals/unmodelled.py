@@ -172,7 +172,7 @@ def _formula(trial: EffectTrial, shooting: Shooting, most: int = 4) -> tuple[Sel
 
 
 def _fitted(selected: SelectedTerms, trial: EffectTrial, shooting: Shooting) -> EffectTrial:
-    """The formula's coefficients refined in the nonlinear rollouts, beside everything that is fitted."""
+    """The formula's coefficients refined in the nonlinear rollouts, next to everything that is fitted."""
     item = Formula(selected.terms, selected.coefficients.tolist(), shooting.windows.system.name, "")
     start = {p.name: float(value) for p, value in zip(item.parameters, selected.coefficients, strict=True)}
     paths = [*trial.fit.paths, *(f"{item.name}.{name}" for name in start)]

@@ -2,7 +2,7 @@
 
 Sparse regression in weak form: the short formula whose integrals explain the residuals of short rollouts.
 
-To first order a rate c phi(x, a) beside a model adds
+To first order a rate c phi(x, a) next to a model adds
 
     delta(t) = c T(t) integral from 0 to t of T(s)^-1 e phi(s) ds,
 
@@ -241,7 +241,7 @@ class Regression:
         return np.asarray((left**2).sum(axis=1))
 
     def falls(self, chosen: Sequence[int]) -> FloatArray:
-        """How much each column takes off the squares beside the chosen ones, to order them by."""
+        """How much each column takes off the squares next to the chosen ones, to order them by."""
         gram, index = self.whole, self._index(chosen)
         part = np.linalg.pinv(gram[np.ix_(index, index)], rcond=1e-10, hermitian=True) @ gram[index]
         left = gram - gram[index].T @ part
@@ -264,7 +264,7 @@ class Regression:
 def selected_terms(
     trial: EffectTrial, shooting: Shooting, states: Sequence[str], most: int = _MOST
 ) -> SelectedTerms | None:
-    """The terms that unseen blocks confirm beside a fitted model, at most ``most``; None where none is."""
+    """The terms that unseen blocks confirm next to a fitted model, at most ``most``; None where none is."""
     system = shooting.windows.system
     terms = terms_of(system, _sizes(shooting))
     pairs = [(state, term) for state in states for term in terms]

@@ -2,14 +2,14 @@
 
 A second opinion on a trial that unseen blocks favour, from the filter along whole recordings.
 
-Windows start anew, so a lasting push is unknown to them. A driver who watches the robot answers such a push: the
+Windows restart, so a lasting push is unknown to them. A driver who watches the robot answers such a push: the
 command that goes against it is then mistaken for a command that does too little (feedback makes input and disturbance
 depend on each other). The gain on unseen blocks does not show that, for every block has the same driver. The filter
 knows lasting pushes, so its numbers do not follow the driver: where the two ways differ widely, the windows' numbers
 come from the feedback and not from the effect.
 
 Source: Ljung, System Identification, 2nd ed., 1999, sections 13.4 and 13.5 (feedback in the data); Hausman,
-Econometrica 46, 1978 (an efficient estimate held against a consistent one); Holm, Scandinavian Journal of Statistics 6,
+Econometrica 46, 1978 (an efficient estimate compared with a consistent one); Holm, Scandinavian Journal of Statistics 6,
 1979 (many tests at once).
 """
 
@@ -59,9 +59,9 @@ __all__ = [
 ]
 
 CLEAR_GAIN = 8.0
-"""Standard errors of gain on unseen blocks from which nobody else is asked: feedback was not seen to give half."""
+"""Standard errors of gain on unseen blocks from which no one else is asked: feedback was not seen to give half."""
 CLEAR_FALL = 0.15
-"""Share off the held-out rollout error from which nobody else is asked: in ten hard logs feedback gave 0.01 to 0.09."""
+"""Share off the held-out rollout error from which no one else is asked: in ten hard logs feedback gave 0.01 to 0.09."""
 MUCH = 0.25
 """Held-out rollout error from which the filter has no say: while that much is missing, it takes friction and drag
 themselves for lasting pushes. Hard logs in which nothing is hidden have 0.05 to 0.11."""
@@ -257,7 +257,7 @@ def fewest_parameters(trial: EffectTrial, trials: Sequence[EffectTrial], search:
     """Of all trials that explain the very same as one, itself or the one with the fewest numbers.
 
     A free gain of the base makes a towed load's mass one with its own size: what is left is a rolling resistance. What
-    blocks say of the two is rounding, and beside a number that nothing shows no other one's size is told.
+    blocks say of the two is rounding, and next to a number that nothing shows no other one's size is told.
     """
     fewer = [other for other in trials if len(other.fit.paths) < len(trial.fit.paths) and within_bounds(other, search)]
     same = [other for other in fewer if other.loss < search.current.loss and _one(trial, other)]
@@ -317,7 +317,7 @@ def _decision(
 
 
 def with_reason(item: JudgedTrial, decision: str, reason: str) -> JudgedTrial:
-    """The same trial, decided anew."""
+    """The same trial, decided again."""
     return replace(item, decision=decision, reason=f"{item.reason}; {reason}")
 
 

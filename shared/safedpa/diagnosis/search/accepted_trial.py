@@ -20,7 +20,7 @@ def accept_trial(search: SearchState, best: EffectTrial, heldout: Heldout) -> No
 
 
 def relinearized_trial(trial: EffectTrial, shooting: Shooting) -> tuple[Shooting, Fit]:
-    """A trial fitted anew in windows whose starts and weights are those of its own model.
+    """A trial fitted again in windows whose starts and weights are those of its own model.
 
     The weights of the model before take what it lacks for hands that push, where that is much: a car that a load holds
     where the model drives on.

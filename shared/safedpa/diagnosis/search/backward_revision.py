@@ -95,7 +95,7 @@ def _refitted(search: SearchState, items: Sequence[AbstractEffect], enough: floa
 
 
 def exchange_effects(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
+    """Each accepted effect gives way to a rival that predicts unseen blocks better next to the others."""
     by_name = known_effects(search, library)
     if len(search.added) < 2:
         return
@@ -117,7 +117,7 @@ def exchange_effects(search: SearchState, library: Sequence[AbstractEffect], hel
 def _uses_its_numbers(trial: EffectTrial, search: SearchState) -> bool:
     """Whether a trial with more numbers than the present model fits better by a unit of log likelihood for each.
 
-    What fits the same rows no better predicts others no better: a towed load beside a free gain is a rolling resistance
+    What fits the same rows no better predicts others no better: a towed load next to a free gain is a rolling resistance
     with its numbers anywhere on a line, and what blocks say of the two is rounding.
 
     Source: Akaike, IEEE Transactions on Automatic Control 19, 1974.
@@ -307,7 +307,7 @@ def _groups(search: SearchState) -> list[tuple[str, ...]]:
 
 
 def withdraw_candidates(
-    search: SearchState, group: Sequence[str], why: str = "no longer needed beside the others"
+    search: SearchState, group: Sequence[str], why: str = "no longer needed next to the others"
 ) -> None:
     """Candidates that were accepted are said to be gone."""
     for index, item in enumerate(search.candidates):
@@ -338,7 +338,7 @@ def exchange_for_fewer_parameters(search: SearchState, library: Sequence[Abstrac
 
 
 def split_effect(search: SearchState, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """An accepted effect gives way to two of its rivals that pass beside the others in its place: a delay of all
+    """An accepted effect gives way to two of its rivals that pass next to the others in its place: a delay of all
     actuators stood for a lag of each. What then stands at a bound made up for the mistake, and goes with it."""
     by_name = known_effects(search, library)
     for name in list(search.added):
@@ -380,7 +380,7 @@ def _best_instead(
     instead: Sequence[tuple[str, ...]],
     by_name: Mapping[str, AbstractEffect],
 ) -> tuple[EffectTrial, tuple[str, ...]] | None:
-    """Which of some effects fits best in the place of others, beside the rest; None where none comes near."""
+    """Which of some effects fits best in the place of others, next to the rest; None where none comes near."""
     rest = [by_name[name] for name in search.added if name not in group]
     enough = search.current.fit.value + _HOPELESS
     tried = [(refit_effects(search, [*rest, *map(by_name.__getitem__, names)], enough), names) for names in instead]

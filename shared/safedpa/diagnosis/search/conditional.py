@@ -127,7 +127,7 @@ def _fitted_so_far(
     search: SearchState, proposal: ConditionalCandidate, without: tuple[str, ...]
 ) -> Iterator[EffectTrial]:
     """An effect under a law, fitted; and without the accepted effects for which it leaves nothing to do: they stand at
-    a bound beside it."""
+    a bound next to it."""
     trial = _fitted(search, proposal, without)
     if trial is None:
         return
@@ -417,7 +417,7 @@ def _accept(search: SearchState, best: EffectTrial, heldout: Heldout, stage: int
 def region_effect(patch: RegionFit, search: SearchState, library: Sequence[AbstractEffect]) -> EffectTrial | None:
     """A place on the floor as rolling resistance that acts there alone; None where it is no such thing.
 
-    A strip of which one border lies where nobody drove is all that lies beyond the other: of the shapes that unseen
+    A strip of which one border lies where no one drove is all that lies beyond the other: of the shapes that unseen
     blocks cannot tell apart the one with the fewest numbers.
     """
     item = next((own for own in library if own.name == _FLOOR), None)

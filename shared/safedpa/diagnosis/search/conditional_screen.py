@@ -1,7 +1,7 @@
-"""Where, when and how fast a number may differ: thousands of laws held against unseen windows, to first order.
+"""Where, when and how fast a number may differ: thousands of laws compared with unseen windows, to first order.
 
 A law gives each window w of a fit a weight g_w: the share of its rows in a region, or the mean of a variable. The
-column c of a number p then has g_w c_w beside it, and the change of unseen squares follows from sums over windows:
+column c of a number p then has g_w c_w next to it, and the change of unseen squares follows from sums over windows:
 
     theta = -N^-1 b without the window's fold,   N = sum [C, g c]'[C, g c],   b = sum [C, g c]'r
 
@@ -146,7 +146,7 @@ def _columns(search: SearchState, library: Sequence[AbstractEffect], most: int |
     last = max((item.stage for item in search.candidates), default=0)
     singles = [item.trial for item in search.candidates if item.stage == last and len(item.trial.effects) == 1]
     ratios, last_tried = len(search.shooting.rows), {trial.effects[0] for trial in singles}
-    # what was in the model once, and was not tried beside it
+    # what was in the model once, and was not tried next to it
     gone = [by_name[name] for name in search.rivals if name in by_name and name not in last_tried | have]
     again = [fit_trial(null, [item], search.shooting, steps=1) for item in gone if may_have_law(item, system)]
     for trial in [*sorted(singles, key=lambda trial: trial.loss)[:most], *again]:

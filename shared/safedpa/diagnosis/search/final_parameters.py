@@ -71,7 +71,7 @@ def with_final_values(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple
 
 def _counted_otherwise(found: Fit, shooting: Shooting) -> Fit:
     """The fit with half of what its numbers move by where glitches are told rate by rate as further uncertainty: where
-    recordings have unlike rates, nobody knows which rows are odd."""
+    recordings have unlike rates, no one knows which rows are odd."""
     other = shooting.counted_by_rate(found.model)
     if other is None:
         return found

@@ -67,7 +67,7 @@ _SETTLED = 4
 """Trials of one stage that are fitted about their own model while MUCH is missing."""
 
 ReportProgress = Callable[[int, int, str], None]
-"""(done, of how many, what is looked for and the best that is known so far): of this stage, for nobody knows how many
+"""(done, of how many, what is looked for and the best that is known so far): of this stage, for no one knows how many
 will follow."""
 Alongside = Callable[[], Iterable[HorizonData]]
 """Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
@@ -275,7 +275,7 @@ def _agreed(
 
 
 def _place_instead(null: EffectTrial, best: EffectTrial, shooting: Shooting) -> RegionFit | None:
-    """A patch of the plane that explains the residual better than the effect, and goes on explaining beside it."""
+    """A patch of the plane that explains the residual better than the effect, and goes on explaining next to it."""
     patch = best_region(null, shooting)
     if patch is None or not patch.beats(best, shooting):
         return None

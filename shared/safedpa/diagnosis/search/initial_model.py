@@ -1,6 +1,6 @@
 """With which model a search begins: the given one, its own free numbers refitted.
 
-Fits that start far off get stuck, and nobody is told: so other starts are tried beside the given one.
+Fits that start far off get stuck, and no one is told: so other starts are tried next to the given one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Where much is missing, a free number that stands for all of it is a little bette
 """
 
 _DRAWN = 24
-"""Starts beside the given one."""
+"""Starts next to the given one."""
 _TRIED = 2
 """Of them that are fitted."""
 _FACTOR = 8.0
@@ -71,7 +71,7 @@ def _begun_at(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Sear
 
 
 def _far(before: FloatArray, after: FloatArray) -> bool:
-    """Whether weights anew moved a number by more than _FAR: what counts less then is no hand that pushes, but most of
+    """Whether weights again moved a number by more than _FAR: what counts less then is no hand that pushes, but most of
     what the model lacks, and a number fitted to the rest would leave effects nothing to act on."""
     return bool((np.abs(after - before) > _FAR * np.abs(before)).any())
 
@@ -81,7 +81,7 @@ def _best_start(model: PhysicsModel, free: Sequence[str], shooting: Shooting) ->
 
     Others are fitted to the first part of each window: nearly a regression of measured rates, which is almost linear
     in most numbers. Over whole windows angles go round and starts far off find another valley; and weights about a
-    model that is far off count least what would mend it.
+    model that is far off count least what would correct it.
     """
     if not free:
         return model

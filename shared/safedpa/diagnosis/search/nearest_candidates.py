@@ -60,7 +60,7 @@ def doubtful_effects(search: SearchState) -> list[JudgedTrial]:
     for name in unsure:
         own = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
         trial = replace(search.current, effects=(name,))
-        why = "its size is within one deviation of nothing: beside the others these data do not tell it"
+        why = "its size is within one deviation of nothing: next to the others these data do not tell it"
         found += [replace(item, trial=trial, decision="suspected", reason=why) for item in own[-1:]]
     return found
 

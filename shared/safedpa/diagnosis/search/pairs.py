@@ -214,9 +214,9 @@ def look_one_step_ahead(search: SearchState, heldout: Heldout) -> SearchState | 
 
 
 def _likely(item: JudgedTrial, search: SearchState) -> bool:
-    """Whether unseen blocks favour a trial beside the present model, and it takes something off the error."""
+    """Whether unseen blocks favour a trial next to the present model, and it takes something off the error."""
     if item.before != search.error.value:
-        return False  # tried beside a model that went on since: it lacks what was added
+        return False  # tried next to a model that went on since: it lacks what was added
     if item.decision == "accepted" or item.error is None or not within_bounds(item.trial, search):
         return False
     row = float(np.median(search.shooting.windows.period))

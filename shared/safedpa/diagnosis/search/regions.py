@@ -44,7 +44,7 @@ _SIDE = 18
 _TURNS = 8
 """Directions of strips."""
 _LINES = 24
-"""Strips beside each other in each direction."""
+"""Strips next to each other in each direction."""
 
 _DECELERATION = Parameter("deceleration", "m/s2", -10.0, 10.0, 1.0)
 

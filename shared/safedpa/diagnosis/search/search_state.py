@@ -27,7 +27,7 @@ class JudgedTrial:
     reason: str
     equals: tuple[str, ...]
     before: float = float("nan")
-    """Held-out error of the model that it was tried beside."""
+    """Held-out error of the model that it was tried next to."""
 
     @property
     def fall(self) -> float | None:

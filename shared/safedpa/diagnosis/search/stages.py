@@ -35,7 +35,7 @@ def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageRep
     """The given model refitted, then one stage per accepted effect that helps some run, refitted on the same windows.
 
     ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
-    in the order in which they were accepted. Where one helps only beside a later one, they are put in the order in
+    in the order in which they were accepted. Where one helps only next to a later one, they are put in the order in
     which the error falls most, and ``search.added`` with them.
     """
     first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
@@ -57,7 +57,7 @@ def stages_of(search: SearchState, heldout: Heldout, shown: Heldout) -> StageRep
 
 
 def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
-    """The stages that predict some run better than the one before, the first and the last: what helps only beside a
+    """The stages that predict some run better than the one before, the first and the last: what helps only next to a
     later effect is one stage with it."""
     retained = [0]
     for number in range(1, len(errors)):

@@ -141,7 +141,7 @@ def _of_topic(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...],
     for other in ("from", "join"):
         if other in table:
             raise ColumnMapError(
-                f"{key}.{other}: got it beside a topic; write 'from' = \"{topic}:FIELD\", or leave it out"
+                f"{key}.{other}: got it next to a topic; write 'from' = \"{topic}:FIELD\", or leave it out"
             )
     clock = table.get("clock")
     if ("field" in table) == (clock is not None):

@@ -1,6 +1,6 @@
-"""Channels that break: they jump by more than their own motion explains, or stand still while the robot moves.
+"""Channels that break: they jump by more than their own motion explains, or be stationary while the robot moves.
 
-Standing still are a frozen sensor, and commands that are no longer recorded.
+Being stationary are a frozen sensor, and commands that are no longer recorded.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _WINDOW = 0.3
 
 
 def frozen_rows(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> Found:
-    """Rows in which a measured state stands still to the last digit while other states, or commands, change."""
+    """Rows in which a measured state is stationary to the last digit while other states, or commands, change."""
     bad = np.zeros(len(rows.t), dtype=bool)
     found = []
     for index, variable in enumerate(system.state):
@@ -55,11 +55,11 @@ def frozen_rows(rows: Rows, stretches: list[Stretch], system: System, measured: 
             bad[span] = True
         seconds = sum(float(rows.t[span.stop - 1] - rows.t[span.start]) for span in spans)
         text = (
-            f"{variable.name} stands still at {values[spans[0].start]:.4g} {variable.unit} to the last digit for "
+            f"{variable.name} is stationary at {values[spans[0].start]:.4g} {variable.unit} to the last digit for "
             f"{seconds:.3g} s while the rest moves: its sensor looks frozen"
         )
         count = sum(span.stop - span.start for span in spans)
-        done = 'cut out; if it did stand still, say keep = ["frozen"] in a column map'
+        done = 'cut out; if it did be stationary, say keep = ["frozen"] in a column map'
         found.append(finding("frozen", text, count, rows.t[spans[0].start], done))
     return bad, found
 

@@ -1,7 +1,7 @@
 """Do the columns agree with each other, in size, in sign and in time?
 
 Speed with the change of position, heading with the direction of motion, what is driven with the command that drives it;
-and whether a channel comes late beside what it should be the rate of.
+and whether a channel comes late next to what it should be the rate of.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list
             continue
         value = _partial(rows, stretches, rows.actions[:, index], system, driven)
         if value < -_AGAINST:
-            text = f"{driven} falls as {variable.name} rises (correlation {value:.2f} beside what else drives it)"
+            text = f"{driven} falls as {variable.name} rises (correlation {value:.2f} next to what else drives it)"
             done = f"flip {variable.name} in a column map"
             found.append(finding("opposite_sign", text, done=done))
     return found
@@ -156,7 +156,7 @@ def _partial(rows: Rows, stretches: list[Stretch], action: FloatArray, system: S
 
 
 def _alongside(slopes: FloatArray, action: FloatArray, alongside: NDArray[np.float64], shift: int) -> float:
-    """Partial correlation of slopes[k + shift] with action[k] beside some columns (rows, columns) at k + shift."""
+    """Partial correlation of slopes[k + shift] with action[k] next to some columns (rows, columns) at k + shift."""
     count = len(slopes) - shift
     if count < _FEWEST:
         return 0.0

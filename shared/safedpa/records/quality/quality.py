@@ -183,7 +183,7 @@ def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, find
 
 
 def _compact(rows: Rows, stretches: list[Stretch]) -> tuple[Rows, list[Stretch]]:
-    """Only the rows within stretches, so that nobody meets the others by accident."""
+    """Only the rows within stretches, so that no one meets the others by accident."""
     lengths = [len(stretch) for stretch in stretches]
     ends = np.cumsum(lengths, dtype=np.intp)
     index = np.concatenate([np.arange(part.start, part.stop) for part in stretches] or [np.empty(0, dtype=np.intp)])

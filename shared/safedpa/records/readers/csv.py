@@ -131,7 +131,7 @@ def _commented(line: str) -> bool:
 
 
 def _decimal_mark(rows: Sequence[str], header: Sequence[str], delimiter: str, wanted: Sequence[str]) -> str:
-    """A comma where cells of the wanted columns look like 1,5 and none like 1.5; beside them may stand a date."""
+    """A comma where cells of the wanted columns look like 1,5 and none like 1.5; next to them may stand a date."""
     used = [place for place, name in enumerate(header) if name in wanted]
     cells = [row.split(delimiter) for row in rows]
     text = " ".join(row[place] for row in cells for place in used if place < len(row))

@@ -28,7 +28,7 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 """Channel, number, when it was logged, when it was published."""
 _FOOTER = struct.Struct("<BQQQI8s")
-"""Opcode 2, length 20, where the summary begins, where its offsets begin, checksum; then the magic once more."""
+"""Opcode 2, length 20, where the summary begins, where its offsets begin, checksum; then the magic again."""
 
 
 class DamageError(Exception):
@@ -104,7 +104,7 @@ def _records_in(file: IO[bytes], budget: _SizeBudget, *, validate: bool) -> Iter
             raise ValueError(f"a record of {length} bytes")
         passed_over += length < _SHORTEST or opcode >= _FIRST_PRIVATE
         if opcode == 0 or passed_over > _MOST_PASSED_OVER:
-            raise ValueError("records that nobody knows")
+            raise ValueError("records that no one knows")
         end = stream.count + length
         if opcode == Opcode.FOOTER:
             return
@@ -174,7 +174,7 @@ def _opened(chunk: Chunk, budget: _SizeBudget, *, validate: bool) -> Iterator[An
         else:
             passed_over += 1
             if passed_over > _MOST_PASSED_OVER:
-                raise ValueError("a chunk of records that nobody knows")
+                raise ValueError("a chunk of records that no one knows")
 
 
 def _data(chunk: Chunk, budget: _SizeBudget) -> bytes:
@@ -201,7 +201,7 @@ def _data(chunk: Chunk, budget: _SizeBudget) -> bytes:
 
 @final
 class _BoundedReader(io.BufferedReader):
-    """A file of which nobody reads more at once than a record may have: lengths within a record can be damaged, too."""
+    """A file of which no one reads more at once than a record may have: lengths within a record can be damaged, too."""
 
     def __init__(self, path: Path) -> None:
         raw: IO[bytes] = io.FileIO(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC))  # a pipe would wait
@@ -209,5 +209,5 @@ class _BoundedReader(io.BufferedReader):
         self._most = limit("mcap_record_bytes")
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """At most ``size`` bytes; fewer than asked for is an end of the file to whoever reads a record."""
+        """At most ``size`` bytes; fewer than asked for is an end of the file to anyone who reads a record."""
         return super().read(size if size is None else min(size, self._most))

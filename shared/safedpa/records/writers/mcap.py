@@ -136,7 +136,7 @@ class McapRecorder:
         except OSError as error:
             self._failure = (
                 f"{self.path}: the recording stopped after {self._file.whole} bytes ({error.strerror}); what was "
-                "written before is readable; free space or choose another place, then record anew"
+                "written before is readable; free space or choose another place, then record again"
             )
             self._file.cut_back()
             self._file.close()

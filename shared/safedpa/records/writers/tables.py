@@ -37,7 +37,7 @@ __all__ = [
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path``; renamed to it at the end, removed when the block raises.
+    """A temporary path next to ``path``; renamed to it at the end, removed when the block raises.
 
     Raises RecordingError when it cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Writes ``written_barriers.py`` beside it: ``python -m safedpa.robots.car.generate_barriers``.
+"""Writes ``written_barriers.py`` next to it: ``python -m safedpa.robots.car.generate_barriers``.
 
 ``--check`` only compares.
 

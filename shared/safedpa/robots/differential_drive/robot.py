@@ -27,7 +27,7 @@ __all__ = ["ROBOT", "DifferentialDrive"]
 
 _STAND_IN = "safedpa_sim.differential_drive.stand_in"
 _RADIUS = 0.17
-"""m, where nobody tells the footprint."""
+"""m, where no one tells the footprint."""
 _WHEEL = 0.05
 """m; half of what is drawn of a wheel."""
 _BARRIER_SETTINGS: Final = (

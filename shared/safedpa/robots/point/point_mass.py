@@ -17,7 +17,7 @@ __all__ = ["PointMass"]
 class PointMass(AbstractBase):
     """mass d(vx, vy)/dt = thrust (cos(yaw), sin(yaw)), d(x, y)/dt = (vx, vy), d(yaw)/dt = turn.
 
-    Source: Newton's second law. Valid while the turn servo is quick beside the motion and thrust does not saturate.
+    Source: Newton's second law. Valid while the turn servo is quick next to the motion and thrust does not saturate.
     """
 
     kind = "point_mass"

@@ -103,7 +103,7 @@ class BackupRollout:
     def sensitivities(self, path: list[FloatArray]) -> list[FloatArray] | None:
         """d(path[k])/d(path[0]) (states, states) for every k, exact: by the recorded equations of the model.
 
-        None where it has none, and for a backup that is a function, whose own slopes nobody knows.
+        None where it has none, and for a backup that is a function, whose own slopes no one knows.
         """
         if not self.constant:
             return None
@@ -125,7 +125,7 @@ class BackupRollout:
 
 
 def fixed(state: FloatArray) -> FloatArray:
-    """A copy that nobody can write into."""
+    """A copy that no one can write into."""
     copied = np.array(state, dtype=np.float64)
     copied.flags.writeable = False
     return copied

@@ -196,8 +196,8 @@ class Barriers(AbstractBarrierSet):
 class CachingBarrierSet(AbstractBarrierSet):
     """Another stack, with h at the last few states remembered: within one tick the same states come up again.
 
-    A prediction is judged when the action is decided, and again beside the measured state when the margin is watched.
-    The lists that it hands out are shared: nobody may write into them.
+    A prediction is judged when the action is decided, and again next to the measured state when the margin is watched.
+    The lists that it hands out are shared: no one may write into them.
     """
 
     def __init__(self, stack: AbstractBarrierSet) -> None:

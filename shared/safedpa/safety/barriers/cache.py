@@ -15,7 +15,7 @@ _STATES: Final = 8
 class BarrierValueCache:
     """Barriers over plain numbers (``heights``, ``slopes``, ``along``, ``steepest`` of ``AbstractStack``), remembered.
 
-    The lists that it hands out are shared: nobody may write into them.
+    The lists that it hands out are shared: no one may write into them.
     """
 
     def __init__(self, barriers: Any) -> None:

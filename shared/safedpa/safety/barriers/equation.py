@@ -93,7 +93,7 @@ class AbstractEquationBarrier(AbstractBarrier):
 
 
 def pattern_of(parts: Sequence[AbstractEquationBarrier]) -> Pattern:
-    """What the recorded rows of these parts depend on, beside numbers."""
+    """What the recorded rows of these parts depend on, next to numbers."""
     known: dict[tuple[float, ...], int] = {}
     found = []
     for number, part in enumerate(parts):

@@ -35,7 +35,7 @@ _NARROWEST: Final = 1.0 / 16.0
 _FIRST: Final = (0.29, 0.62)
 """Places on a chord that are looked at first: not symmetrical, since what lies in the middle would look level."""
 _ALONGSIDE: Final = 1e-5
-"""Share of an interval, beside an end of a chord that is lower than its samples, at which h is looked at once more."""
+"""Share of an interval, next to an end of a chord that is lower than its samples, at which h is looked at again."""
 _FEW: Final = 4
 """Chords of a path so short tell too little of how steep h is: all of them are looked at."""
 _POLISHED: Final = 1e-9

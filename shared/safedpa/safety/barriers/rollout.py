@@ -9,7 +9,7 @@ all i at once. Hence wherever all H_i >= epsilon_i / eta the filter's conditions
     H_i(x+) >= (1 - eta) H_i(x) + epsilon_i
 
 can be kept together, whatever the relative degree of h, and by the backup: give it to the filter as well. The end of
-the horizon is nobody's promise but the backup's; ``check_filter`` drives on from there and tells when h still falls.
+the horizon is no one's promise but the backup's; ``check_filter`` drives on from there and tells when h still falls.
 Source: Gurriet, Mote, Singletary, Nilsson, Feron, Ames, A Scalable Safety Critical Control Framework for Nonlinear
 Systems, IEEE Access 8, 2020.
 """

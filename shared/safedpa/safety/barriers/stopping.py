@@ -8,7 +8,7 @@ The manoeuvre (thrust and turn are all that it has): with the acceleration that 
 
 it turns its nose, or its tail, to where it has to push, pushes as well as it already can, and ends at rest with the
 wind held. h_i = least distance to hazard i along the manoeuvre, less its radius; of nose and tail first, the one that
-leaves more room to the nearest hazard. Whoever takes the manoeuvre's own action keeps every h_i from falling, for all
+leaves more room to the nearest hazard. Anyone who takes the manoeuvre's own action keeps every h_i from falling, for all
 hazards at once: the conditions can always be met together.
 Source: the backup control barrier function of Gurriet, Mote, Singletary, Feron, Ames, A Scalable Safety Critical
 Control Framework for Nonlinear Systems, IEEE Access 2020.

@@ -82,7 +82,7 @@ class BatchConstraints:
         return np.asarray(share**2 @ (weights / weights.max()))
 
     def kept(self, found: BatchCandidates) -> BoolArray:
-        """(robots,) whether every condition holds, and every h is 0 or more, of what was foretold in finite numbers."""
+        """(robots,) whether every condition holds, and every h is 0 or more, of what was predicted in finite numbers."""
         rows = (found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0) & np.isfinite(found.h_next)
         return np.asarray(rows.all(axis=1) & np.isfinite(found.next_state).all(axis=1))
 
@@ -169,7 +169,7 @@ def _nominal_candidate(
     before: BatchCandidates,
     index: int,
 ) -> BoolArray:
-    """(robots,) where ``search`` takes a solution that keeps all conditions without looking any further."""
+    """(robots,) where ``search`` takes a solution that satisfies all conditions without looking any further."""
     far = FAR * FAR
     doubtful = ((tightest > DOUBTFUL) | conditions.saturated) & (conditions.distance(found.action, nominal) > far)
     moved = (conditions.distance(found.action, before.action) > far) & (index > 0)
@@ -233,6 +233,6 @@ def _build_constraints(
 
 
 def _in_the_plane(numbers: FloatArray) -> FloatArray:
-    """(..., 2) of numbers of two actions, or of one beside a second one that nothing depends on."""
+    """(..., 2) of numbers of two actions, or of one next to a second one that nothing depends on."""
     missing = 2 - numbers.shape[-1]
     return numbers if not missing else np.concatenate([numbers, np.zeros_like(numbers)], axis=-1)

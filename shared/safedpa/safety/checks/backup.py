@@ -1,4 +1,4 @@
-"""Checks of the backup: within its bounds, the barrier's own, keeping every condition, at rest at the horizon's end."""
+"""Checks of the backup: within its bounds, the barrier's own, satisfying every condition, at rest at the horizon's end."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Checks of the barriers themselves: margin, unit, gradient, and what lies between two ticks.
 
-Checks of what the actions can do about h: conditions that nobody can keep, and why.
+Checks of what the actions can do about h: conditions that no one can keep, and why.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def scale_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIs
         elif tick[row] < epsilon:
             notice = (
                 f"got actions that change h by {tick[row]:.3g} in one tick at most, wanted more than epsilon = "
-                f"{epsilon:.3g}, or they cannot keep a condition that asks for it; a wrong unit, or h is of a higher "
+                f"{epsilon:.3g}, or they cannot satisfy a condition that asks for it; a wrong unit, or h is of a higher "
                 "relative degree (RolloutBarrier, HigherOrderBarrier, PendingActions)"
             )
         else:
@@ -196,7 +196,7 @@ _MOST_JUDGED: Final = 24
 
 
 def condition_issues(checked: FilterUnderTest, probes: list[Probe]) -> list[FilterIssue]:
-    """Barriers that the action does not move within one tick, and states at which no action keeps every condition."""
+    """Barriers that the action does not move within one tick, and states at which no action satisfies every condition."""
     names = checked.barriers.names
     stuck = [probe for probe in probes if probe.inside and not probe.kept]
     higher: dict[int, tuple[float, str]] = {}

@@ -50,7 +50,7 @@ def check_filter(
     filter is driven for ``ticks`` ticks, twelve times, by extreme nominal actions from ``seed``. Looked for:
 
     - a margin of zero; an epsilon that is no match for h (another unit, or actions that reach less than it);
-    - states inside h >= epsilon / eta at which no action keeps every condition, and whether that is because the
+    - states inside h >= epsilon / eta at which no action satisfies every condition, and whether that is because the
       action moves h only after more than one tick (relative degree above one, a delay);
     - a backup out of bounds, not the one of a ``RolloutBarrier``, or under which a condition breaks; a horizon that
       ends before the backup has come to rest;

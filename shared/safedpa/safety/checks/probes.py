@@ -105,14 +105,14 @@ class Probe:
     inside: bool
     """Whether every h_i >= epsilon_i / eta."""
     kept: bool
-    """Whether the filter found an action that keeps every condition, or misses it slightly; true where not asked."""
+    """Whether the filter found an action that satisfies every condition, or misses it slightly; true where not asked."""
 
 
 def probed(checked: FilterUnderTest, states: Sequence[FloatArray], ticks: int, seed: int) -> list[Probe]:
     """The states given, and states to which the filter lets itself be pushed from there by extreme nominal actions.
 
     Each nominal action is an extreme action, held for some ticks, in the first drives to their end; a drive ends where the filter
-    finds no action that keeps every condition. Raises whatever barriers and model raise.
+    finds no action that satisfies every condition. Raises whatever barriers and model raise.
     """
     random = np.random.default_rng(seed)
     found = [_probe(checked, state, kept=True) for state in states[:_MOST_STATES]]
@@ -128,7 +128,7 @@ def probed(checked: FilterUnderTest, states: Sequence[FloatArray], ticks: int, s
 def _driven(
     checked: FilterUnderTest, state: FloatArray, ticks: int, random: np.random.Generator, pushed: FloatArray | None
 ) -> list[tuple[FloatArray, bool]]:
-    """Some states of one drive, and whether the filter kept every condition there; the last one always."""
+    """Some states of one drive, and whether the filter satisfied every condition there; the last one always."""
     corners, nominal, held = checked.corners()[:-1], np.zeros(0), 0
     scene: Sequence[AbstractBarrier] = checked.barriers
     visited: list[tuple[FloatArray, bool]] = []

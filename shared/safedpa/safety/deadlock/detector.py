@@ -5,7 +5,7 @@ No robot is known here: what should move is what the model moves. Over a stand, 
     promised = sum over ticks of |x(t+1 predicted under the nominal action) - x(t)|,   moved = |x(t) - x0|,
 
 both over the places of the state: its positions in m, else the entries that are no rates. The robot stands while moved
-stays below a tenth of what was promised. Beside it the same sum for the action that went out: where that is large, the
+stays below a tenth of what was promised. Next to it the same sum for the action that went out: where that is large, the
 model says that the robot is driven, and it is not: the action lies in a dead band.
 """
 
@@ -65,7 +65,7 @@ _CURES: Final = {
     "dead band": "Free it if something blocks it, or give the model what holds it, such as a dead zone of its drive.",
     "no decision": "An input of the filter is missing or refused, or it was ordered to stop: it drives on when all is "
     "back, or after 'safedpa go'.",
-    "margin": "Give it another goal or more room, roll back to a model with a narrower margin, or calibrate anew.",
+    "margin": "Give it another goal or more room, roll back to a model with a narrower margin, or calibrate again.",
     "boxed in": "Give it another goal or more room, or drive it out by hand.",
 }
 """By what a reason begins with."""

@@ -1,8 +1,8 @@
-"""The way out of the margin's boundary layer, where no action of one tick keeps every condition.
+"""The way out of the margin's boundary layer, where no action of one tick satisfies every condition.
 
-Between 0 and epsilon_i / eta no single step may reach what the condition asks for, above all from rest; whoever takes
+Between 0 and epsilon_i / eta no single step may reach what the condition asks for, above all from rest; anyone who takes
 the safest action of each tick then stands there for ever. Two things are taken in its place. The nominal action, where it raises
-every h that is short of its margin, from the upper half of the layer, and keeps the other conditions. And of a robot
+every h that is short of its margin, from the upper half of the layer, and satisfies the other conditions. And of a robot
 that stands all the same a manoeuvre: one action, held for up to 1.5 s. With
 
     share(x) = min_i h_i(x) eta / epsilon_i
@@ -12,8 +12,8 @@ it is taken where the model predicts for every tick k that it is held for, and e
     h_i(x[k+1]) >= (1 - eta) h_i(x[k]) + epsilon_i                                    if h_i(x[0]) >= epsilon_i / eta,
     h_i(x[k+1]) >= max(0, min(h_i(x[0]) - epsilon_i / (100 eta), epsilon_i / (2 eta)))   otherwise: in its layer,
 
-and share(x[n]) >= min(1, share(x[0]) + 1/50) at its end. All of it is judged anew in every tick, from the state that is
-measured, over what is left of the manoeuvre: whatever fails ends it, and the least unsafe action is back in its place.
+and share(x[n]) >= min(1, share(x[0]) + 1/50) at its end. All of it is judged again in every tick, from the state that is
+measured, over what is left of the manoeuvre: whatever fails ends it, and the least-violation action is back in its place.
 Since h holds the room that the backup needs to stop (braking straight lowers no h), the backup can end it at any tick.
 """
 
@@ -82,7 +82,7 @@ class _ActiveManoeuvre:
     tick: int
     """When it was judged last."""
     floors: tuple[float, ...]
-    """(m,) below it no h may be predicted; -infinity for those that are to keep their conditions."""
+    """(m,) below it no h may be predicted; -infinity for those that are to satisfy their conditions."""
     goal: float
     """Share at its end."""
 
@@ -135,7 +135,7 @@ class DeadlockEscape:
         return replace(verdict, action=action, reason=notice, slack=slack, h_next=min(then))
 
     def _nominal_action(self, verdict: Verdict, here: TickContext) -> Verdict | None:
-        """The nominal action in place of the least unsafe action, if it raises every h that is short."""
+        """The nominal action in place of the least-violation action, if it raises every h that is short."""
         action = np.clip(np.asarray(verdict.nominal), self._settings.low, self._settings.high)
         then = next(here.ahead(action.tolist()), None)
         if then is None:
@@ -145,7 +145,7 @@ class DeadlockEscape:
             if not short <= 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
                 return None
         action.flags.writeable = False
-        notice = "The nominal action is taken: it raises every h that is short of its margin, and keeps the other conditions."
+        notice = "The nominal action is taken: it raises every h that is short of its margin, and satisfies the other conditions."
         return replace(verdict, action=action, reason=notice, slack=max([0.0, *missing]), h_next=min(then))
 
     def _missing(self, here: TickContext, heights: list[float], then: list[float]) -> list[float]:
@@ -154,7 +154,7 @@ class DeadlockEscape:
         return [share * heights[row] + here.margins[row] - then[row] for row in range(len(then))]
 
     def _followed(self, here: TickContext) -> _ActiveManoeuvre | None:
-        """What is under way, judged anew; None where its predictions hold no longer, or it is done."""
+        """What is under way, judged again; None where its predictions hold no longer, or it is done."""
         held, self._held = self._held, None
         if held is None or held.tick + 1 != here.tick or held.left <= 1:
             return None

@@ -1,6 +1,6 @@
 """Up to which h an error of h matters: farther from the boundary than that, no margin has to cover it.
 
-With a ceiling H >= epsilon / eta the function c(h) = min(h, H) has the same safe set as h, and whoever keeps the
+With a ceiling H >= epsilon / eta the function c(h) = min(h, H) has the same safe set as h, and anyone who keeps the
 condition of h keeps that of c(h):
 
     h(x+) >= (1 - eta) h(x) + epsilon   implies   c(h(x+)) >= (1 - eta) c(h(x)) + epsilon,

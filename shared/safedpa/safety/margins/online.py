@@ -32,7 +32,7 @@ _LONGER = (
 
 @final
 class OnlineMarginMonitor:
-    """epsilon by kind of barrier. After each period the prediction of h is held against the measurement:
+    """epsilon by kind of barrier. After each period the prediction of h is compared with the measurement:
 
     error = min(h', H) - min(h, H),   h' = the least h of the kind at x predicted, h = the least at x measured,
 

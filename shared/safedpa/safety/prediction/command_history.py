@@ -1,7 +1,7 @@
 """The last states of one robot, with what its actuators remembered and what was sent.
 
 Two things need them. A state may be older than the moment at which its action is put in force: then commands of the
-last ticks are in force meanwhile. And a prediction past a dead time can only be held against the measurement when that
+last ticks are in force meanwhile. And a prediction past a dead time can only be compared with the measurement when that
 time is over, along the commands that were in force by then.
 
 Clock: the action of tick i is in force from ``until_action`` seconds after the moment of the state's values, for one
@@ -60,7 +60,7 @@ class CommandHistory:
         self._entries: deque[_DatedTransition] = deque(maxlen=LONGEST + ceil(LONGEST_AGE / model.period) + 2)
 
     def add(self, tick: int, values: Plain, applied: Plain, memory: Any) -> None:
-        """The state of a tick, the action in force before it, and the actuators' memory; begins anew after a gap."""
+        """The state of a tick, the action in force before it, and the actuators' memory; begins again after a gap."""
         if self._entries and self._entries[-1].tick != tick - 1:
             self._entries.clear()
         before = self._entries[-1].memory if self._entries else memory

@@ -1,7 +1,7 @@
 """What is on its way to the actuators: where the robot will be when an action that is chosen now begins to act.
 
 An action that is sent now is felt late: what was sent before arrives first, actuators follow slowly, and the state
-itself is older than the moment at which the action is put in force. Until then nobody can change what happens. So a
+itself is older than the moment at which the action is put in force. Until then no one can change what happens. So a
 barrier condition is judged at the state where this action begins to act,
 
     h(x[n+1]) >= (1 - eta) h(x[n]) + epsilon,     x[n] = state after n periods if the last command stays,
@@ -83,7 +83,7 @@ class EffectStart(NamedTuple):
     """(rows * states,) what is judged if the last command stays: after each period in which the quicker channels act
     alone, and last where the slowest begins to act."""
     path: tuple[Plain, ...]
-    """States between the measured one and the first that the action changes, which nobody can change any more."""
+    """States between the measured one and the first that the action changes, which no one can change any more."""
     near: Plain
     """(states,) the last of them: from here on the action is felt."""
     memory: Any

@@ -108,7 +108,7 @@ class Prediction:
         return prediction
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy is made anew: what is compiled cannot be made without its arguments."""
+        """A copy is made again: what is compiled cannot be made without its arguments."""
         if self._model is not None:
             return Prediction.of_model, (self._model,)
         return Prediction, (self._affine, self._step)

@@ -162,7 +162,7 @@ class SoftQP2D(QP2D):
     def __init__(self, nominal_x: float, nominal_y: float, weight_x: float, weight_y: float) -> None:
         super().__init__(nominal_x, nominal_y, weight_x, weight_y)
         self._short: list[bool] = [False] * _BOUNDS
-        """Which conditions are not kept; a line that is held is neither short nor kept."""
+        """Which conditions are not satisfied; a line that is held is neither short nor kept."""
         self._one, self._other = -1, -1
         """Lines held, ``_one`` before ``_other``; -1: none."""
         self.x, self.y = 0.0, 0.0

@@ -1,9 +1,9 @@
 """Actions spread over the whole of their range: where else to look when the way from the nominal action leads nowhere.
 
-The last whole search for the least unsafe action, which a short period has no time for in every tick.
+The last whole search for the least-violation action, which a short period has no time for in every tick.
 
-Where no action keeps every condition some seventy are looked at, and a robot that stands in its margin's boundary layer
-is in that place for seconds on end. At 20 ticks a second each tick looks anew. A robot of a shorter period looks as
+Where no action satisfies every condition some seventy are looked at, and a robot that stands in its margin's boundary layer
+is in that place for seconds on end. At 20 ticks a second each tick looks again. A robot of a shorter period looks as
 often, or more, and in the ticks between holds what was found, as long as that breaks no other condition than it did,
 and none of them more.
 """
@@ -98,7 +98,7 @@ class HeldSolution:
 
         Due: the action would be in force for longer than ``LASTS`` by the next tick, or the clock was set back. Worse:
         it breaks a condition that it did not, misses one by a hundredth more, or leads to an h of such a one that is
-        lower by a hundredth, or to any h below 0. Each condition is held against itself: what one barrier is short of
+        lower by a hundredth, or to any h below 0. Each condition is compared with itself: what one barrier is short of
         says nothing of another.
         """
         found, since, step = self._found, seconds - self._seconds, seconds - self._asked

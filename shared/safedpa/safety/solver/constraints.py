@@ -1,6 +1,6 @@
 """The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers.
 
-Nothing in here has a scale of its own. What is small beside what is told by each barrier's
+Nothing in here has a scale of its own. What is small next to what is told by each barrier's
 
     scale_i = max(|h_i(x)|, epsilon_i, what the actions can change in h_i(x+))
 

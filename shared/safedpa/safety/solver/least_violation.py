@@ -1,11 +1,11 @@
-"""What to do where no action keeps every condition, or some h is below 0 already: the least unsafe action.
+"""What to do where no action satisfies every condition, or some h is below 0 already: the least-violation action.
 
     first    the largest attainable least h_i(x+) / scale_i,
     then     of the rows that this leaves free, the next least one, until all their conditions hold,
     last     the least change of the nominal action,
 
 each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs
-are linear, tangent at the best action known, and are posed anew about their solution; what counts is the model's own
+are linear, tangent at the best action known, and are posed again about their solution; what counts is the model's own
 prediction for it.
 """
 
@@ -62,7 +62,7 @@ def least_violation(
     backup: ActionCandidate,
     known: Sequence[ActionCandidate],
 ) -> tuple[ActionCandidate, tuple[str, ...]]:
-    """The least unsafe outcome found, and the barriers in question that no action moves within one step.
+    """The least-violation outcome found, and the barriers in question that no action moves within one step.
 
     ``known`` are some that were computed already, those of actions all over their range among them: what the actions
     can change in h is taken from them, since a tangent would say too much where an actuator saturates. Where a barrier
@@ -165,7 +165,7 @@ class _Lift:
         return stuck
 
     def run(self, known: list[ActionCandidate]) -> ActionCandidate:
-        """The least unsafe of what is known and found.
+        """The least-violation of what is known and found.
 
         Where another barrier is the least whatever is done, the others need no more than their conditions; but where
         these cannot all be kept either, the least of them is raised as if there were no other.
@@ -205,7 +205,7 @@ class _Lift:
         return self._best([best, *seen])
 
     def _climbed(self, best: _CandidateLog) -> tuple[_CandidateLog, bool]:
-        """The best that tangents lead to from there, and whether the last one foretold it."""
+        """The best that tangents lead to from there, and whether the last one predicted it."""
         exact = False
         for _ in range(_ROUNDS):
             if self._enough(best):
@@ -247,7 +247,7 @@ class _Lift:
         return next(one for one in high if one.missing <= fewest + _TRUE)
 
     def _improved(self, about: _CandidateLog) -> tuple[_CandidateLog, bool]:
-        """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
+        """A better outcome than ``about`` (or itself), and whether the tangent there predicted it."""
         best, as_predicted, outcome = about, True, about.outcome
         try:
             tangent = self._conditions.linearised(outcome)
@@ -266,7 +266,7 @@ class _Lift:
         return best, as_predicted and len(proposals) > 0
 
     def _furthest_from(self, heights: list[float], found: ActionCandidate) -> float:
-        """By how much a height is another than foretold, at the most."""
+        """By how much a height is another than predicted, at the most."""
         most = 0.0
         for place in range(len(heights)):
             error = abs(found.h_next[self._rows[place]] / self._scales[place] - heights[place])

@@ -17,7 +17,7 @@ _ROUNDING: Final = 1e-9
 
 MARK: Final = 1e-10
 """Share of a row's reach by which a solution shall exceed its condition: more than the rounding errors of the program's
-solution, so that it keeps the condition, not almost."""
+solution, so that it satisfies the condition, not almost."""
 
 
 @final

@@ -1,4 +1,4 @@
-"""The linear program behind the least unsafe action: of several heights, the least one as high as it can be.
+"""The linear program behind the least-violation action: of several heights, the least one as high as it can be.
 
     max over u, t of t   subject to   slopes_i u + height_i >= t for every free row, >= level_i for the others,
                                       0 <= u_j <= 1

@@ -125,7 +125,7 @@ def _fill(problem: QP2D, rows: Sequence[ScaledRow]) -> None:
 
 
 def _wanted(nominal: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> tuple[float, float, float]:
-    """The nominal action in the unit square, and the second one's weight; a single action stands beside one that is nothing."""
+    """The nominal action in the unit square, and the second one's weight; a single action stands next to one that is nothing."""
     low, _, width = sides[0]
     x: float = (nominal[0] - low) / width
     if len(sides) == 1:

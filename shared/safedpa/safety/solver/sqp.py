@@ -1,6 +1,6 @@
-"""The search for an action that keeps all conditions: the quadratic program, posed anew about its solution.
+"""The search for an action that satisfies all conditions: the quadratic program, posed again about its solution.
 
-An action that keeps all conditions, brought back towards the nominal action one entry at a time.
+An action that satisfies all conditions, brought back towards the nominal action one entry at a time.
 
 Tangents say how far an action has to go, and where an actuator saturates or h bends they say too much: the action found
 keeps all, and one of its entries stands somewhere on a plateau on which it changes nothing. An action that is the
@@ -36,7 +36,7 @@ SAME: Final = 1e-8
 
 
 SERVED_WELL: Final = 0.1
-"""Slopes that brought what is missing below this share of the last are used once more."""
+"""Slopes that brought what is missing below this share of the last are used again."""
 
 
 MOST_LEFT: Final = 0.75
@@ -44,11 +44,11 @@ MOST_LEFT: Final = 0.75
 
 
 NEEDLESS: Final = 0.05
-"""A solution whose every condition is kept by more than this share of its scale was led astray by its slopes."""
+"""A solution whose every condition is satisfied by more than this share of its scale was led astray by its slopes."""
 
 
 OVERSHOOT: Final = 0.25
-"""Share of what the last solution misses that the next program asks for on top; each one after it once more as much."""
+"""Share of what the last solution misses that the next program asks for on top; each one after it again as much."""
 
 
 TRIES: Final = 4
@@ -127,12 +127,12 @@ def search(
 ) -> tuple[ActionCandidate, str]:
     """The best outcome found and the solver's word.
 
-    Best: keeps all conditions, and nearest to the nominal action; if none does, the least broken one. Begins with the tangent at
-    ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the true residual
-    there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are kept and
+    Best: satisfies all conditions, and nearest to the nominal action; if none does, the least broken one. Begins with the tangent at
+    ``start`` and poses the program at most ``rounds`` times, again about its last solution: with the true residual
+    there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are satisfied and
     none of them needlessly far, when slopes drawn at a solution lead to it again, as they always would, or when the
     solver gives up. Where all are still kept needlessly far, the way from there to the nominal action is gone as far as they
-    allow, and the program posed once more: the nearest action has a condition that binds.
+    allow, and the program posed again: the nearest action has a condition that binds.
     """
     best, before, status = _posed(conditions, program, nominal, start, rounds)
     if not best.kept:
@@ -156,7 +156,7 @@ def search(
 def line_search(conditions: _SearchConstraints, last: ActionCandidate, kept: ActionCandidate) -> ActionCandidate:
     """The furthest action found on the way from a kept one to the ``last`` that is still kept.
 
-    Each residual is taken to change along a straight line, anew between the last action kept and the last not kept.
+    Each residual is taken to change along a straight line, again between the last action kept and the last not kept.
     """
     if last.kept:
         return last
@@ -205,7 +205,7 @@ def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float
 def _posed(
     conditions: _SearchConstraints, program: _Program, nominal: Plain, start: ActionCandidate, rounds: int
 ) -> tuple[ActionCandidate, ActionCandidate, str]:
-    """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
+    """The program, posed again about its solution: the best one, the one before the last, and the solver's word."""
     best, before, about, status = start, start, start, "not run"
     tangent = _tangent(conditions, start)
     fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
@@ -306,7 +306,7 @@ class _Predicted(Protocol):
 def backtrack_towards(
     conditions: _Predicted, sides: tuple[Side, ...], nominal: Plain, kept: ActionCandidate
 ) -> ActionCandidate:
-    """``retained``, or what keeps all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
+    """``retained``, or what satisfies all conditions with entries nearer to the ``nominal`` (actions,), the furthest first."""
     wanted = within(nominal, sides)
     for entry in _far_entries(sides, wanted, kept.action):
         kept = _entry_back(conditions, entry, wanted[entry], sides[entry][2], kept)

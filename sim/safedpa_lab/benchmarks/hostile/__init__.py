@@ -1,1 +1,1 @@
-"""Whole loops of processes under attack, beside the same loops in peace, measured in the same run."""
+"""Whole loops of processes under attack, next to the same loops in peace, measured in the same run."""

@@ -21,7 +21,7 @@ __all__ = ["work"]
 
 _AT_A_TIME = 50
 _PAUSE_SECONDS = 0.0005
-"""After so many, for whoever shares the processor with it."""
+"""After so many, for anyone who shares the processor with it."""
 
 
 def work(options: argparse.Namespace, stop: StopSignal) -> int:

@@ -1,4 +1,4 @@
-"""A robot of ``safedpa up --secure`` while somebody with a stolen key floods the bus: how long it brakes, and when not.
+"""A robot of ``safedpa up --secure`` while someone with a stolen key floods the bus: how long it brakes, and when not.
 
 One drive in real time, with rests between the floods; the robot writes down on its own disk what it did in each period.
 """
@@ -54,7 +54,7 @@ FLOODS = (
     Flood("metrics", "health", 100),
     Flood("metrics", "health", 60_000),
 )
-"""The first three are there already, and cut off as copies; nobody of the last one's name is."""
+"""The first three are there already, and cut off as copies; no one of the last one's name is."""
 
 
 @dataclass

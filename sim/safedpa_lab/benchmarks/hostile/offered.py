@@ -18,7 +18,7 @@ _STRETCH_SECONDS = 5.0
 def offers_benchmark(
     seconds: float = 60.0, report_progress: Callable[[int, int], None] = lambda _done, _all: None, robots: int = _ROBOTS
 ) -> dict[str, Any]:
-    """It holds when the offer that froze a machine is refused within 10 ms, beside what half of all ticks take from
+    """It holds when the offer that froze a machine is refused within 10 ms, next to what half of all ticks take from
     state to action in peace, and no more ticks are late than in peace, or than a fleet may have; those left out in
     whose period the machine did not run even a loop that only keeps time.
 

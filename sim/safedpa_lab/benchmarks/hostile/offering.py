@@ -104,7 +104,7 @@ class _Seen:
 def _offer(change: int, document: str, fingerprint: str) -> ModelMessage:
     return ModelMessage(
         epoch=1, tick=0, robot_time=0.0, publish_time=time.time(), step="offer", change=change,
-        fingerprint=fingerprint, replaces="", document=document, who="somebody with a stolen key",
+        fingerprint=fingerprint, replaces="", document=document, who="someone with a stolen key",
     )  # fmt: skip
 
 

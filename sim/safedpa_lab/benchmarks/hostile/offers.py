@@ -1,4 +1,4 @@
-"""A fleet in real time to which somebody offers models that take long: late ticks beside those of the times between."""
+"""A fleet in real time to which someone offers models that take long: late ticks next to those of the times between."""
 
 from __future__ import annotations
 

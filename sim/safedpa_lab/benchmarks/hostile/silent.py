@@ -32,7 +32,7 @@ DESCRIPTORS = 1024
 MOST_JOIN_SECONDS = 1.0
 _PATIENCE_SECONDS = 60.0
 _OWN_DESCRIPTORS = 256
-"""Of this process, beside those of the attack."""
+"""Of this process, next to those of the attack."""
 
 
 def silent_benchmark(

@@ -1,4 +1,4 @@
-"""pysindy, in its weak form or on the steps themselves: which terms it finds beside the known ones."""
+"""pysindy, in its weak form or on the steps themselves: which terms it finds next to the known ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""IPOPT through casadi as the authors of SafeDPA's code had it: built anew every step, nearest obstacle, no status."""
+"""IPOPT through casadi as the authors of SafeDPA's code had it: built again every step, nearest obstacle, no status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One step of the learned adaptation, beside the same networks in other programs."""
+"""One step of the learned adaptation, next to the same networks in other programs."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class _OneByOne:
 
 @final
 class _Together:
-    """All robots in one pass: histories, policy and filter over arrays with the robots first; nobody backs off."""
+    """All robots in one pass: histories, policy and filter over arrays with the robots first; no one backs off."""
 
     def __init__(self, count: int) -> None:
         model = load_model(_MODEL)

@@ -1,4 +1,4 @@
-"""Simulated car steps for training, beside one car at a time."""
+"""Simulated car steps for training, next to one car at a time."""
 
 from __future__ import annotations
 

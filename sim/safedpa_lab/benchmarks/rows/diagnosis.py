@@ -1,4 +1,4 @@
-"""Diagnosis of six runs of forty seconds, beside programs that look for terms of equations."""
+"""Diagnosis of six runs of forty seconds, next to programs that look for terms of equations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One decision of the safety filter, beside programs that solve the same quadratic program."""
+"""One decision of the safety filter, next to programs that solve the same quadratic program."""
 
 from __future__ import annotations
 
@@ -23,9 +23,15 @@ _PEERS: Final = (
     ("cbfpy, elastiqp", "cbfpy", "elastiqp", "filter_cbfpy", "compiled by jax; never reads whether it converged"),
     ("cbfpy, qpax", "cbfpy", "qpax", "filter_cbfpy", "its default; compiled by jax; never reads whether it converged"),
     ("run-time-assurance", "run_time_assurance", "", "filter_rta", "ASIF; all actions weigh alike; no slack"),
-    ("cvxpy, OSQP", "cvxpy", "OSQP", "filter_cvxpy", "stated once, parameters set anew"),
-    ("cvxpy, Clarabel", "cvxpy", "CLARABEL", "filter_cvxpy", "stated once, parameters set anew"),
-    ("IPOPT (casadi)", "casadi", "", "filter_casadi", "as the authors had it: nearest obstacle, built anew every step"),
+    ("cvxpy, OSQP", "cvxpy", "OSQP", "filter_cvxpy", "stated once, parameters set again"),
+    ("cvxpy, Clarabel", "cvxpy", "CLARABEL", "filter_cvxpy", "stated once, parameters set again"),
+    (
+        "IPOPT (casadi)",
+        "casadi",
+        "",
+        "filter_casadi",
+        "as the authors had it: nearest obstacle, built again every step",
+    ),
 )
 """Name, package, its option, script and what it does or does not do."""
 _CBFKIT = "no release in the package index; 715 us (p50) and 1100 us (p99) where it was measured from its sources"
@@ -54,7 +60,7 @@ def measure(effort: Effort) -> Row:
     peers = _peers(problems, effort)
     targets, without_target = _targets([*ours, source], peers, counts)
     hopeless = {entry.name: entry.more["wedged"] for entry in peers if entry.more.get("wedged")}
-    notes: tuple[str, ...] = (f"a car wedged in, where no action keeps every condition: this filter {_hopeless()}",)
+    notes: tuple[str, ...] = (f"a car wedged in, where no action satisfies every condition: this filter {_hopeless()}",)
     notes += tuple(f"there {name} {phrase}" for name, phrase in hopeless.items())
     growing = [peer[:4] for peer in _PEERS if peer[0] in _GROWING and (not effort.quick or peer[0] in _QUICK)]
     curves = (over_obstacles(growing, effort), over_effects(problems[8], effort))
@@ -84,7 +90,7 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
 
 
 def _source(calls: int, seconds: float) -> Entry:
-    """The first line of eight obstacles once more, by the Python source in a process of its own."""
+    """The first line of eight obstacles again, by the Python source in a process of its own."""
     name, problem = "safedpa, Python source", "8, Python source"
     found = of_source(calls, seconds)
     if "missing" in found:
@@ -120,7 +126,7 @@ def _of(entries: Sequence[Entry], name: str, problem: str) -> Entry:
 
 
 def _half(figure: str, entry: Entry, known: Sequence[Entry], floor: Entry) -> Target:
-    """Half of what the best of ``known`` takes, beside what the parts of a decision take."""
+    """Half of what the best of ``known`` takes, next to what the parts of a decision take."""
     best = min(known, key=lambda peer: peer.figures[figure])
     what = f"{figure} of {entry.name.removeprefix('safedpa, ')}, {entry.problem}, half of {best.name}"
     wanted = round(_SHARE * best.figures[figure], 2)
@@ -133,7 +139,7 @@ def _named(count: int) -> str:
 
 
 def _hopeless() -> str:
-    """What the filter says where no action keeps every condition."""
+    """What the filter says where no action satisfies every condition."""
     model, problem = load_model("car"), wedged()
     one = SafetyFilter.for_model(model, problem.settings, problem.barriers())
     verdict = one.decide(*problem.requests(model)[0])

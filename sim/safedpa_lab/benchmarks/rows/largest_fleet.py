@@ -1,4 +1,4 @@
-"""The largest fleet that holds at 20 Hz, beside services of its own for every robot."""
+"""The largest fleet that holds at 20 Hz, next to services of its own for every robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps of the point robot, beside MuJoCo on the same model and the benchmark it comes from."""
+"""Steps of the point robot, next to MuJoCo on the same model and the benchmark it comes from."""
 
 from __future__ import annotations
 

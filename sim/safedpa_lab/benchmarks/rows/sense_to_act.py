@@ -1,4 +1,4 @@
-"""Sense to act over Zenoh with every service its own process, beside a bare chain of as many processes."""
+"""Sense to act over Zenoh with every service its own process, next to a bare chain of as many processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TIMES: Final = 1.2
 """As long as the bare chain at its p99, at most: what the services may add."""
 _WATCHED_RATE: Final = 20.0
 _WATCHED: Final = "20 Hz, watched"
-_WATCHERS: Final = "dashboard, diagnosis, recorder and workbench beside it"
+_WATCHERS: Final = "dashboard, diagnosis, recorder and workbench next to it"
 
 
 def measure(effort: Effort) -> Row:

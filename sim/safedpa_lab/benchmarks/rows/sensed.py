@@ -1,4 +1,4 @@
-"""One decision among what a laser sees, beside eight circles and the program alone; and the chain from scan to action.
+"""One decision among what a laser sees, next to eight circles and the program alone; and the chain from scan to action.
 
 All of them in turn within one run, so that what else the machine does is shared by all.
 """

@@ -31,7 +31,7 @@ def measure(effort: Effort) -> Row:
         f"safedpa, {_ALL:.0e} pairs drawn",
         {"minutes": _ALL / drawn["per_second"] / 60.0, "pairs_per_second": drawn["per_second"]},
         "",
-        note=f"{_AT_ONCE} at a time, environment, state and action of each drawn anew; scaled from a few seconds",
+        note=f"{_AT_ONCE} at a time, environment, state and action of each redrawn; scaled from a few seconds",
     )
     entry = _phase_1a(configuration, effort)
     work = "training data of 2 x 10^7 pairs, and phase 1a on them"

@@ -39,7 +39,7 @@ def command(**options: Any) -> None:
 
     Random programs in all units, small systems under hostile nominal actions, the car against a grid of actions, whole drives,
     bad inputs, and other projects' filters on the same problems. Peers that are not installed are named as missing.
-    Whatever is found is counted, beside what was asked; the exit code is 0 all the same.
+    Whatever is found is counted, next to what was asked; the exit code is 0 all the same.
     """
     from safedpa_lab.experiments.adversary.campaign import adversary, all_attacks, attacks_named
     from safedpa_lab.experiments.adversary.report import adversary_markdown, with_parts_before, write_adversary

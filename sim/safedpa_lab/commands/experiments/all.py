@@ -1,4 +1,4 @@
-"""``safedpa experiment all``: every figure that the pages quote, made anew; goes on where it was cut off."""
+"""``safedpa experiment all``: every figure that the pages quote, made again; goes on where it was cut off."""
 
 from __future__ import annotations
 

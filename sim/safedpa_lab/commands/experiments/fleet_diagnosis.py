@@ -22,7 +22,7 @@ __all__ = ["command"]
 @click.option("--robots", type=int, default=60, show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True, help="draws faults, drives and noise")
 @click.option("--plain", is_flag=True, help="logs without disturbance, glitches, lost rows and gains that are off")
-@click.option("--common", is_flag=True, help="hide a weak air drag in all robots beside")
+@click.option("--common", is_flag=True, help="hide a weak air drag in all robots next to")
 @click.option("--screen", is_flag=True, help="instead: what a search of those with large errors alone would miss")
 @click.option("--runs", type=int, default=4, show_default=True, help="of each robot")
 @click.option("--seconds", type=float, default=40.0, show_default=True, help="of each run")

@@ -1,4 +1,4 @@
-"""``safedpa experiment hostile``: input and company that nobody wants, against readers and whole drives."""
+"""``safedpa experiment hostile``: input and company that no one wants, against readers and whole drives."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def command(attack: str, seconds: float | None, seed: int, out: Path | None, pag
     Mutated input is taken or refused in one line; anything else, or more time than the table of limits gives, is a
     hole. Roads: small files that ask for much, to every command that reads a file, are refused in one line with exit
     code 2, in little memory, and nothing is written. Drives go on: no tick late because of offers, people join within a
-    second beside a thousand who are silent, and a flood brakes no robot for longer than it lasts. Exit code 1 where
+    second next to a thousand who are silent, and a flood brakes no robot for longer than it lasts. Exit code 1 where
     that did not hold.
     """
     from safedpa.errors import SafedpaError

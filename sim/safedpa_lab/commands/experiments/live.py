@@ -1,4 +1,4 @@
-"""``safedpa experiment live``: something changes while the car drives; is it found, named and mended?"""
+"""``safedpa experiment live``: something changes while the car drives; is it found, named and corrected?"""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("sim")
 def command(**options: Any) -> None:
-    """Diagnosis beside a driving car, in lockstep.
+    """Diagnosis next to a driving car, in lockstep.
 
     The car drives behind the safety filter with a model of the car alone. hitch: a chair is hitched. headwind: a steady
     wind begins. steering_offset: the linkage is bent. The diagnosis raises a finding, names the effect, and the first

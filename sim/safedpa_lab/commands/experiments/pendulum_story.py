@@ -37,7 +37,7 @@ def command(**options: Any) -> None:
     """A pendulum with half a kilogram more, or a hinge that rubs, which no model was told.
 
     Swings are recorded and diagnosed, what is found is added; then the filter keeps the pendulum within 45 degrees with
-    the shipped model, with the mended one and with the truth, each with the margin that its errors ask for.
+    the shipped model, with the corrected one and with the truth, each with the margin that its errors ask for.
     """
     from safedpa_lab.experiments.pendulum_payload import PayloadCases, payload_cases
     from safedpa_lab.experiments.pendulum_story import PendulumStory, pendulum_story

@@ -63,7 +63,7 @@ def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, *
 
 
 def _trained(models: Path, baselines: Path) -> tuple[str, ...]:
-    """All methods but those that nobody has trained, which are told."""
+    """All methods but those that no one has trained, which are told."""
     from safedpa_lab.point.drivers import with_weights
     from safedpa_lab.point.methods import METHODS
 

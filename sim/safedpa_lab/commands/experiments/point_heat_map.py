@@ -1,4 +1,4 @@
-"""``safedpa experiment point-heat-map``: what each model says that an action does to h, beside what it does."""
+"""``safedpa experiment point-heat-map``: what each model says that an action does to h, next to what it does."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["command"]
 def command(out: Path | None, as_json: bool, **options: Any) -> None:
     """The point robot near hazards in a wind: the change of h over turn and thrust, by each model.
 
-    SafeDPA, Mix and each Fix are held against the simulator: correlation, and how often they agree whether room is won.
+    SafeDPA, Mix and each Fix are compared with the simulator: correlation, and how often they agree whether room is won.
     """
     from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
     from safedpa_lab.point.heat_map import HeatMap, heat_map

@@ -27,7 +27,7 @@ _QUICK = {"directions": 2, "episodes": 1, "steps": 40, "drive_steps": 10}
 @click.option("--seed", type=int, default=2400, show_default=True, help="among those of evaluation and calibration")
 @click.option("--quick", is_flag=True, help="two episodes of 40 steps each: to see that it runs, no more")
 @click.option("--car", "car_pairs", type=int, help="train both forms of a car's networks on so many pairs as well")
-@click.option("--train", is_flag=True, help="train the networks anew first, into --models: ten minutes")
+@click.option("--train", is_flag=True, help="train the networks again first, into --models: ten minutes")
 @click.option("--models", type=click.Path(path_type=Path), default=Path(), help="folder; else those shipped")
 @click.option("--processes", type=int, default=1, show_default=True)
 @click.option("--record", type=click.Path(path_type=Path), help="file that keeps each row, so that a run goes on")

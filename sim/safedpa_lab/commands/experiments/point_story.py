@@ -29,7 +29,7 @@ def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options:
     """A point robot that a force pushes and whose slides drag, and no model was told.
 
     Logs are recorded and diagnosed, what is found is added; then the filter keeps robots out of hazards with the
-    shipped model, with the mended one and with the truth.
+    shipped model, with the corrected one and with the truth.
     """
     from safedpa_lab.experiments.point_story import PointStory, point_story, point_story_markdown
     from safedpa_lab.point.hidden import HIDDEN

@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option("--seeds", type=int, default=8, show_default=True, help="drives of each kind of scene")
 @click.option("--first-seed", type=int, default=1000, show_default=True)
 @click.option("--seconds", type=float, default=30.0, show_default=True, help="of driving in each")
-@click.option("--coming", type=float, default=1.5, show_default=True, help="m/s of whoever nobody sees")
+@click.option("--coming", type=float, default=1.5, show_default=True, help="m/s of anyone who no one sees")
 @click.option("--peers/--no-peers", default=True, help="the same drives behind others' brakes, and behind nothing")
 @click.option("--told/--not-told", default=True, help="the same drives with perfect knowledge, to compare with")
 @click.option("--hiding/--no-hiding", default=False, help="the same drives told everything but who hides")
@@ -36,7 +36,7 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("sim")
 def command(**options: Any) -> None:
-    """Drives with a laser alone: among pillars and people, through a door, past somebody who steps out."""
+    """Drives with a laser alone: among pillars and people, through a door, past someone who steps out."""
     from safedpa_lab.experiments.sensing import GUARDS, LOADS, SCENES, sensing_experiment
     from safedpa_lab.experiments.sensing_page import page_of
     from safedpa_services.progress import progress

@@ -28,7 +28,7 @@ __all__ = ["command"]
 def command(
     model: str, simulator: str, states: int, coverage: float, seed: int, out: Path | None, as_json: bool
 ) -> None:
-    """The constants of the theory's bound for a learned MODEL, beside what measuring the error itself gives.
+    """The constants of the theory's bound for a learned MODEL, next to what measuring the error itself gives.
 
     Both are counted on fresh states of the training simulator.
     """

@@ -1,4 +1,4 @@
-"""Attack: random problems that no linear program describes, each answer held against a fine grid of actions."""
+"""Attack: random problems that no linear program describes, each answer compared with a fine grid of actions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SMOOTH: Final = ("kinks", "discs", "saturated", "curved", "flat", "turning")
 @final
 @dataclass(frozen=True)
 class BentAnswer:
-    """One answer, held against the grid; None where a question does not arise."""
+    """One answer, compared with the grid; None where a question does not arise."""
 
     number: int
     shape: str
@@ -38,7 +38,7 @@ class BentAnswer:
     broken: float | None = None
     below: bool = False
     missed: bool = False
-    """Not passed or corrected, though a point of the grid keeps all conditions with room."""
+    """Not passed or corrected, though a point of the grid satisfies all conditions with room."""
     excess: float | None = None
     """Distance from the nominal action beyond the grid's nearest, in ranges."""
     shortfall: float | None = None
@@ -128,7 +128,7 @@ def _rows(shape: str, items: Sequence[BentAnswer]) -> list[Row]:
         Row(f"{shape}: not corrected, though the grid keeps all", sum(i.missed for i in rest), len(rest), most=asked),
         Row(f"{shape}: corrected 0.1 of a range beyond the grid", far, len(excess), most=few, unit="%"),
         Row(f"{shape}: h < 0 predicted, grid keeps h >= 0", sum(i.needless for i in rest), len(rest), most=asked),
-        Row(f"{shape}: 1 % of scale below the grid's least unsafe", short, len(rest)),
+        Row(f"{shape}: 1 % of scale below the grid's least-violation", short, len(rest)),
     ]
 
 

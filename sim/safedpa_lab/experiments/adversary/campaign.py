@@ -56,7 +56,7 @@ def adversary(
     """Runs the attacks and tells what they found, whatever it is.
 
     ``tell(done, all)`` after each piece of work; ``keep(found)`` after each attack, with all that was found so far, so
-    that nothing is lost where somebody ends a run of hours.
+    that nothing is lost where someone ends a run of hours.
     """
     pieces = [attack.pieces(seed, small) for attack in attacks]
     everything, done = sum(map(len, pieces)), 0

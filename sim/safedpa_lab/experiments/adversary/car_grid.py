@@ -1,4 +1,4 @@
-"""Attack: the car in random states among obstacles, each answer held against a grid of actions."""
+"""Attack: the car in random states among obstacles, each answer compared with a grid of actions."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class CarGrid(AbstractAttack):
 
 
 def odd_question(seed: int, number: int) -> CarQuestion:
-    """Scenes that nobody asked for: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
+    """Scenes that no one asked for: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
     question, random = car_question(seed, 8 * number), np.random.default_rng([seed, 11, number])
     state, obstacles = question.state, question.obstacles
     what = number % 5
@@ -166,7 +166,7 @@ def _worst(items: Sequence[_Answer]) -> list[dict[str, Any]]:
         "condition broken": [(i.broken or 0.0, i.number) for i in items if (i.broken or 0.0) > 1e-9],
         "missed": [(1.0, i.number) for i in items if i.missed],
         "too far": [(i.excess or 0.0, i.number) for i in items if (i.excess or 0.0) > _FAR],
-        "not the least unsafe": [(i.shortfall or 0.0, i.number) for i in items if (i.shortfall or 0.0) > _CLOSE],
+        "not the least-violation": [(i.shortfall or 0.0, i.number) for i in items if (i.shortfall or 0.0) > _CLOSE],
         "h < 0 now not told": [(1.0, i.number) for i in items if i.untold],
     }
     return [

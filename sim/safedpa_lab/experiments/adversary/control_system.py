@@ -1,4 +1,4 @@
-"""A small control system with its barrier, as somebody would bring it to the filter."""
+"""A small control system with its barrier, as someone would bring it to the filter."""
 
 from __future__ import annotations
 

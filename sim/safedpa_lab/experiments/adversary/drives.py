@@ -116,7 +116,7 @@ def _car(nominal_policy: NominalPolicy, killed: bool = False) -> Callable[[str, 
 
 
 def _legs(robot: CarRobot, nominal_policy: NominalPolicy, seed: int, ticks: int) -> Iterator[Tick]:
-    """All processes are killed again and again, and begin anew with nothing remembered; the watchdog brakes between."""
+    """All processes are killed again and again, and begin again with nothing remembered; the watchdog brakes between."""
     random, left = np.random.default_rng([seed, 6]), ticks
     while left > 0:
         leg = min(left, int(random.integers(5, 60)))

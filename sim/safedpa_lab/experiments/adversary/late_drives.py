@@ -1,4 +1,4 @@
-"""Attack: commands that arrive late, whether the model knows, the robot's clock tells, or nobody does."""
+"""Attack: commands that arrive late, whether the model knows, the robot's clock tells, or no one does."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["LateDrives"]
 _CASES: Final = (
     *(Lateness(seconds) for seconds in (0.1, 0.2, 0.3, 0.4)),
     Lateness(0.2, reported="clock"),
-    Lateness(0.1, reported="no_one"),
-    Lateness(0.15, reported="no_one"),
+    Lateness(0.1, reported="none"),
+    Lateness(0.15, reported="none"),
 )
-_SMALL_CASES: Final = (Lateness(0.2), Lateness(0.15, reported="no_one"))
+_SMALL_CASES: Final = (Lateness(0.2), Lateness(0.15, reported="none"))
 _FULL: Final = (40, 12.0)
 """Drives of each case, and seconds of each."""
 _SMALL: Final = (1, 3.0)
@@ -45,10 +45,10 @@ class LateDrives(AbstractAttack):
 def _rows(found: DelayedDrives) -> list[Row]:
     """What is known is asked to be corrected more often than relaxed: else the condition came too late to be kept."""
     late, statuses = found.lateness, found.statuses
-    who = {"model": "known to the model", "clock": "told by the clock", "no_one": "known to nobody"}[late.reported]
+    who = {"model": "known to the model", "clock": "told by the clock", "none": "known to no one"}[late.reported]
     name, ticks = f"{1000 * late.seconds:.0f} ms, {who}", sum(statuses.values())
     beyond = sum(statuses[status] for status in ("relaxed", "violated", "fallback"))
-    asked = None if late.reported == "no_one" else 0
+    asked = None if late.reported == "none" else 0
     notice = ", ".join(f"{status} {100 * count / max(1, ticks):.1f} %" for status, count in sorted(statuses.items()))
     return [
         Row(f"{name}: drives with a collision ({notice})", found.collided, found.drives, most=0),

@@ -1,7 +1,7 @@
 """What is right in a linear problem, found without the filter: a linear program and a least-distance program.
 
 In u = (a - low) / (high - low) of [0, 1] a row is h_i = offset_i + slope_i . u. Its scale is the largest of |h_i| now,
-its margin, and what the actions can change in it: sum_j |slope_ij|. What adding up P x + q rounds away is nobody's
+its margin, and what the actions can change in it: sum_j |slope_ij|. What adding up P x + q rounds away is no one's
 fault: it is taken from a fault before the fault is measured.
 """
 
@@ -38,7 +38,7 @@ _WAYS: tuple[tuple[str, dict[str, object]], ...] = (
 @final
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """The reference's nearest action that keeps all conditions, and its distance from the nominal action in weighted ranges."""
+    """The reference's nearest action that satisfies all conditions, and its distance from the nominal action in weighted ranges."""
 
     action: FloatArray
     distance: float
@@ -90,7 +90,7 @@ class LinearJudge:
         return max(0.0, -float((self.residuals(action) + self.rounding).min()))
 
     def residuals(self, action: FloatArray) -> FloatArray:
-        """(rows,) by how much each condition is kept, in scales; negative: broken."""
+        """(rows,) by how much each condition is satisfied, in scales; negative: broken."""
         return np.asarray((self.problem.heights(self.problem.after(action)) - self.required) / self.scale)
 
     def distance(self, action: FloatArray) -> float:
@@ -107,7 +107,7 @@ class LinearJudge:
         return self._most(self._slope, -self._limit, self.residuals)
 
     def nearest(self) -> Nearest | None:
-        """The action nearest to the nominal action that keeps all conditions; None where the reference finds none.
+        """The action nearest to the nominal action that satisfies all conditions; None where the reference finds none.
 
         Least-distance programming: min |y| subject to G y >= b is the residual of a non-negative least-squares problem.
         Source: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -131,7 +131,7 @@ class LinearJudge:
         return Nearest(action, self.distance(action))
 
     def _most(self, slope: FloatArray, offset: FloatArray, judged: object) -> tuple[float, FloatArray]:
-        """Max over u, t of t subject to slope u + offset >= t, 0 <= u <= 1; judged anew at the action found."""
+        """Max over u, t of t subject to slope u + offset >= t, 0 <= u <= 1; judged again at the action found."""
         from scipy.optimize import linprog
 
         assert callable(judged)
@@ -166,5 +166,5 @@ def _least_distance(G: FloatArray, b: FloatArray) -> FloatArray | None:
     residual = E @ y - goal
     if norm < 1e-9 or residual[-1] >= 0.0:
         return None
-    active = y > 0.0  # on these rows with equality, once more: the residual of least squares has lost digits
+    active = y > 0.0  # on these rows with equality, again: the residual of least squares has lost digits
     return np.asarray(np.linalg.lstsq(G[active], b[active], rcond=None)[0])

@@ -37,7 +37,7 @@ class LinearProblem:
     gradient: bool
     """Whether the filter is told the gradient of h."""
     witness: FloatArray | None = None
-    """(actions,) an action that keeps all conditions by construction."""
+    """(actions,) an action that satisfies all conditions by construction."""
 
     def heights(self, state: FloatArray) -> FloatArray:
         """h (rows,) at a state (states,)."""

@@ -92,7 +92,7 @@ def _boundary(random: Random) -> LinearProblem:
 
 
 def _with_actions(random: Random, actions: int) -> LinearProblem:
-    """A problem with so many actions of range -1 to 1; the rest is replaced by whoever asks."""
+    """A problem with so many actions of range -1 to 1; the rest is replaced by anyone who asks."""
     nothing = np.zeros(1)
     return LinearProblem(
         shape="",

@@ -1,4 +1,4 @@
-"""One answer of the filter to a linear problem, held against the reference."""
+"""One answer of the filter to a linear problem, compared with the reference."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Judged:
     excess: float | None
     """Corrected: distance from the nominal action beyond the least, in weighted ranges; None where the reference has none."""
     missed: bool
-    """Relaxed or fallback, though an action keeps every condition with room."""
+    """Relaxed or fallback, though an action satisfies every condition with room."""
     shortfall: float | None
     """Relaxed, violated or fallback: least scaled h left, against the best attainable, of the rows that the
     actions move; 0 where the conditions of all these are kept."""

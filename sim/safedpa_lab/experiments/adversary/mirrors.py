@@ -30,7 +30,7 @@ _PIECE: Final = 60
 _SHAPES: Final = ("plain", "tight", "degenerate", "feeble", "crowded", "costly", "wide")
 """Others stand on an edge, where the last digit decides between two answers."""
 _SAME: Final = 1e-6
-"""Ranges within which two actions are the same; of the least unsafe ones the least h is compared."""
+"""Ranges within which two actions are the same; of the least-violation ones the least h is compared."""
 _AS_HIGH: Final = 0.01
 """Scales."""
 
@@ -38,7 +38,7 @@ _AS_HIGH: Final = 0.01
 @final
 @dataclass(frozen=True)
 class Reflected:
-    """One answer beside that to the question as it was."""
+    """One answer next to that to the question as it was."""
 
     mirror: str
     number: int

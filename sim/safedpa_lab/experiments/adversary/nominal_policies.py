@@ -1,4 +1,4 @@
-"""What is requested of a system by somebody who wants it to crash."""
+"""What is requested of a system by someone who wants it to crash."""
 
 from __future__ import annotations
 

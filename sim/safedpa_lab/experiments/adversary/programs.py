@@ -1,4 +1,4 @@
-"""Attack: random linear problems of all shapes and units, each answer held against the reference."""
+"""Attack: random linear problems of all shapes and units, each answer compared with the reference."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _PIECE: Final = 500
 _KEPT_CASES: Final = 3
 """Of each fault, the worst so many are told."""
 _CLOSE: Final = 0.01
-"""Share of the scale within which the least unsafe action counts as such."""
+"""Share of the scale within which the least-violation action counts as such."""
 
 
 @final
 class Programs(AbstractAttack):
-    """Which conditions are broken unsaid, which actions are missed, and how unsafe the least unsafe one is."""
+    """Which conditions are broken unsaid, which actions are missed, and how unsafe the least-violation one is."""
 
     name = "programs"
     sentence = "random problems, linear in state and action, in all units and shapes, against linear programming"
@@ -75,14 +75,14 @@ def _rows(items: Sequence[Judged]) -> list[Row]:
         Row("largest excess, in ranges", max(excess, default=0.0), len(excess), most=FAR),
         Row("corrected, and the reference found nothing", corrected - len(excess), corrected),
         Row("not corrected, though an action keeps all", sum(item.missed for item in rest), len(rest), most=0),
-        Row("within 1 % of the least unsafe", close, len(short), least=99.9, unit="%"),
+        Row("within 1 % of the least-violation", close, len(short), least=99.9, unit="%"),
         Row("largest shortfall, in scales", float(short.max(initial=0.0)), len(short)),
         Row("h < 0 predicted, though h >= 0 attainable", sum(item.needless for item in rest), len(rest), most=0),
     ]
 
 
 def _worst(found: Sequence[tuple[int, int, Judged]]) -> list[dict[str, Any]]:
-    """Of each fault the numbers of the worst problems: ``random_problem(seed, number)`` draws them anew."""
+    """Of each fault the numbers of the worst problems: ``random_problem(seed, number)`` draws them again."""
     faults: dict[str, list[tuple[float, int, int]]] = {}
 
     def add(fault: str, size: float, seed: int, number: int) -> None:
@@ -96,7 +96,7 @@ def _worst(found: Sequence[tuple[int, int, Judged]]) -> list[dict[str, Any]]:
             "no decision": 1.0 if item.status == "fallback" or item.status.startswith("raised") else None,
             "too far": item.excess if (item.excess or 0.0) > FAR else None,
             "missed": 1.0 if item.missed else None,
-            "not the least unsafe": item.shortfall if (item.shortfall or 0.0) > _CLOSE else None,
+            "not the least-violation": item.shortfall if (item.shortfall or 0.0) > _CLOSE else None,
             "h < 0 though h >= 0 attainable": 1.0 if item.needless else None,
         }
         for fault, size in marks.items():

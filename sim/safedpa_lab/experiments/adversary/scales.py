@@ -149,7 +149,7 @@ def _filter(units: Units) -> SafetyFilter:
 
 
 def _allowed(x: float, v: float) -> float:
-    """The largest action of a grid that keeps the condition; the lowest where none does."""
+    """The largest action of a grid that satisfies the condition; the lowest where none does."""
 
     def h(p: Any, s: Any) -> Any:
         return _WALL - p - np.maximum(s, 0.0) ** 2 / 1.6 - 0.1 * np.maximum(s, 0.0)

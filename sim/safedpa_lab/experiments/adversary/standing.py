@@ -1,6 +1,6 @@
 """Attack: two minutes with the shipped policy and every load: does the car stand, is it told, does it get on?
 
-The point robot drives beside it, in winds: it has no way out of a stand, and here is what that costs it.
+The point robot drives next to it, in winds: it has no way out of a stand, and here is what that costs it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Attack: small control systems under hostile nominal actions, each answer held against a grid of actions."""
+"""Attack: small control systems under hostile nominal actions, each answer compared with a grid of actions."""
 
 from __future__ import annotations
 

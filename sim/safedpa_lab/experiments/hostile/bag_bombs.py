@@ -134,7 +134,7 @@ def _one_file_often() -> bytes:
 BAG_BOMBS: tuple[tuple[str, str, Callable[[], bytes]], ...] = (
     ("60 000 subscriptions of 3900 numbers", ".ulg", _subscriptions),
     ("a message made of itself", ".ulg", _described_by_itself),
-    ("3 million messages that nobody knows", ".ulg", _nothing_known),
+    ("3 million messages that no one knows", ".ulg", _nothing_known),
     ("200 chunks of 60 MB", ".bag", _chunks),
     ("300 definitions of 27 KB", ".bag", _definitions),
     ("a definition of blank lines", ".bag", _blank_lines),

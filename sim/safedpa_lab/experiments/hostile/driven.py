@@ -1,4 +1,4 @@
-"""A car and its three services over a bus in memory, to which somebody with every key sends mutated messages."""
+"""A car and its three services over a bus in memory, to which someone with every key sends mutated messages."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ def sample() -> list[tuple[Road, Bomb]]:
 
 
 def good_recording(folder: Path) -> Path:
-    """A car that drives straight on, for the roads that want a recording beside what is hostile."""
+    """A car that drives straight on, for the roads that want a recording next to what is hostile."""
     path = folder / "good.csv"
     rows = "".join(f"{0.05 * k:.2f},{0.05 * k:.3f},0,0,1,1,0\n" for k in range(200))
     path.write_text(f"t,x,y,yaw,speed,target_speed,steer\n{rows}", encoding="utf-8")
@@ -337,7 +337,7 @@ def _child(work: Callable[[], int], folder: Path, notice: Path, reported: int) -
 
 
 def _forget_peak() -> None:
-    """What this process took at most begins anew, where the kernel can do that."""
+    """What this process took at most begins again, where the kernel can do that."""
     try:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     except OSError:

@@ -86,7 +86,7 @@ def _refuse_others(path: Path, start: bytes) -> None:
     ending = path.suffix.lower()
     if ending in (".bag", ".db3", ".ulg"):
         what = {".bag": "ROS 1 bag", ".db3": "rosbag2 in SQLite", ".ulg": "PX4 flight log"}[ending]
-        raise RunError(f"{path}: is called {ending}, but is no {what}; copy it once more, or name {_WANTED}")
+        raise RunError(f"{path}: is called {ending}, but is no {what}; copy it again, or name {_WANTED}")
 
 
 def topic_log(path: Path) -> AbstractLog:

@@ -143,7 +143,7 @@ class AbstractBag(AbstractLog):
         if not into.receipt:
             raise RunError(
                 f"{self.path}: topic '{topic}': none of its {into.refused} messages is a {self.declared[topic].type} "
-                "as its definition says; record it anew with the definition that its publisher has"
+                "as its definition says; record it again with the definition that its publisher has"
             )
         if into.refused:
             sentence = f"{topic}: {into.refused} messages could not be decoded; left out"

@@ -216,7 +216,7 @@ class FolderBag(AbstractBag):
             )
         self._files = there or _files_in(path)
         if not self._files:
-            raise RunError(f"{path}: metadata.yaml names no file that is there; wanted .mcap or .db3 files beside it")
+            raise RunError(f"{path}: metadata.yaml names no file that is there; wanted .mcap or .db3 files next to it")
         self._each = about.mode.upper() == "MESSAGE"
         if self._each and about.format != "zstd":
             raise RunError(
@@ -240,7 +240,7 @@ class PackedBag(AbstractBag):
         super().__init__(path, "packed rosbag2")
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receipt in ns, encoded message) of what is unpacked beside, for as long as it is read."""
+        """(topic, receipt in ns, encoded message) of what is unpacked next to, for as long as it is read."""
         with tempfile.TemporaryDirectory(prefix="safedpa-bag-") as folder:
             file = Path(folder) / self.path.name.removesuffix(".zstd")
             self._unpack(file)

@@ -1,6 +1,6 @@
 """What a log of topics holds, whatever its format: topics, and series of chosen fields.
 
-Topics of different rates become one table: the rows of one topic, and beside each what the others said last.
+Topics of different rates become one table: the rows of one topic, and next to each what the others said last.
 """
 
 from __future__ import annotations

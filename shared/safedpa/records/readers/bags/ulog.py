@@ -33,7 +33,7 @@ _MOST_TOGETHER = 100_000
 """Numbers of all topics that are subscribed; a vehicle of PX4 has 10,000."""
 _MOST_UNKNOWN = 10_000
 """Messages of no known kind; the library looks at each for 2 us, and a damaged log has some dozens."""
-_CURE = "is a damaged PX4 flight log; fetch it from the vehicle's card once more"
+_CURE = "is a damaged PX4 flight log; fetch it from the vehicle's card again"
 _DESCRIBED, _LOGGED = b"BIMFPQ", b"ALC"
 """Kinds of messages in a log's first part, and those with which the second one begins."""
 _KNOWN = b"BIMFPQALCDRSO"

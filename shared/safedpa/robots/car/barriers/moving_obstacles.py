@@ -42,11 +42,11 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
     """h_i = distance(c_i, S(x)) - (R_i + r + clearance + w_i a) - w_i T(v), for discs (c_i, R_i) with speeds w_i.
 
     S(x) is the segment of ``ObstacleBarrier``, stretched by the way D(v) in which the car stands that drives against
-    its own motion, T(v) the time that it takes (``ReversalBraking``), a one period: so long nobody looks again. While
+    its own motion, T(v) the time that it takes (``ReversalBraking``), a one period: so long no one looks again. While
     h_i >= 0 the car can brake and stands before anything that is no faster than w_i can have reached it: passive
     safety. Under that braking S shrinks into itself and T does not grow, so h_i does not fall.
 
-    Of a disc that nobody sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
+    Of a disc that no one sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
     who comes from behind has to see the car.
 
     With something ``towed`` r is ``own_radius``, that of the car's own body, where it is known: the load has to get
@@ -56,12 +56,12 @@ class MovingObstacleBarrier(AbstractEquationBarrier):
 
         { c : |c - hitch| <= reach } and { c : ahead of the hitch by 0.05 m + reach growth / most at most },
 
-    growth as in ``hitch_of``. As the load hides what is behind it, a place behind it that nobody sees counts ``_AWAY``
+    growth as in ``hitch_of``. As the load hides what is behind it, a place behind it that no one sees counts ``_AWAY``
     at least: it is driven away from.
 
     A car slower than ``IS_STATIONARY`` counts as standing, and who walks into it then has met a standing car. So with
-    ``creeps`` > 0 [s] h_i of a disc that nobody sees is no less than creeps (STANDS - |v|): towards a corner, or
-    backwards with a load that hides what is behind it, the car creeps on, and looks. As soon as somebody is seen
+    ``creeps`` > 0 [s] h_i of a disc that no one sees is no less than creeps (STANDS - |v|): towards a corner, or
+    backwards with a load that hides what is behind it, the car creeps on, and looks. As soon as someone is seen
     there, he is no hidden disc any more, and the whole of h_i counts. Under braking neither of the two falls.
     Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe vehicle navigation in dynamic urban scenarios, 2009.
 
@@ -189,7 +189,7 @@ def _to_load(
 
 
 def _creeping(kept: Scalar, unseen: Scalar, speed: Scalar, creeps: Scalar, operations: Operations) -> Scalar:
-    """``retained`` [m], or of what nobody sees (``unseen`` > 0) the room that there is to ``IS_STATIONARY``."""
+    """``retained`` [m], or of what no one sees (``unseen`` > 0) the room that there is to ``IS_STATIONARY``."""
     slow = creeps * (IS_STATIONARY - operations.absolute(speed))
     return operations.where(creeps * unseen > 0.0, operations.maximum(kept, slow), kept)
 

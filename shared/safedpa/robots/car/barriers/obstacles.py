@@ -1,6 +1,6 @@
 """The car's barriers: obstacles and walls around a body that its stopping distance stretches, and limits of its speed.
 
-Each is one equation; ``written_barriers.py`` holds what recording them gives, and is made anew with
+Each is one equation; ``written_barriers.py`` holds what recording them gives, and is made again with
 ``python -m safedpa.robots.car.generate_barriers``.
 """
 

@@ -10,7 +10,7 @@ and the condition h(x+) >= (1 - eta) h(x) + epsilon is kept by every action wher
 
     h >= F(late) + (F(p) + epsilon) / eta,     or F(late) + F(p) + epsilon where all of h may be used up at once.
 
-That holds for an h with such slopes all over: of a place that nobody sees the h that counts who hides behind as well.
+That holds for an h with such slopes all over: of a place that no one sees the h that counts who hides behind as well.
 Twice the margin is taken for epsilon: it is watched, and may widen before the decision is made.
 
 Most of what is told is left out before its h is asked for: no part of the body is farther from the car's place p than

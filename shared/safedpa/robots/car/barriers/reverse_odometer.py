@@ -13,7 +13,7 @@ from safedpa.robots.car.barriers.trailer import TrailerEnvelope
 __all__ = ["ReverseOdometer"]
 
 _LONGEST_GAP = 0.5
-"""s without a state, after which nobody knows how the robot moved meanwhile."""
+"""s without a state, after which no one knows how the robot moved meanwhile."""
 _MOST = 1.0
 """m; no load needs a longer way backwards to stand at any angle."""
 

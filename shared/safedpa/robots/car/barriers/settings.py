@@ -16,7 +16,7 @@ BARRIER_SETTINGS: Final = (
         "own_radius", "m", 0.0, "of the car's own body, of its footprint while it tows; 0: as the footprint's"
     ),
     BarrierSetting(
-        "creeping", "s", 0.0, "m of h for each m/s below 0.1 m/s towards what nobody sees: it creeps on; 0: it stands"
+        "creeping", "s", 0.0, "m of h for each m/s below 0.1 m/s towards what no one sees: it creeps on; 0: it stands"
     ),
     BarrierSetting(
         "speed_low", "m/s", -0.8, "a little beyond the actuator's: driving at full speed is no conflict", signed=True

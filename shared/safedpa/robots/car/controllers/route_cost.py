@@ -49,7 +49,7 @@ class ClearanceSettings:
     slowest: float = 0.08
     """m/s that is reckoned with near what may move: it gives way, or shows itself, in the end."""
     own_radius: float = 0.12
-    """m, of the car itself; what it tows is behind it, where nobody who moves is driven into."""
+    """m, of the car itself; what it tows is behind it, where no one who moves is driven into."""
     margin: float = 0.1
     """m to what may move: the filter's clearance and margin."""
     late: float = 0.1

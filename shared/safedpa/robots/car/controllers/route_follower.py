@@ -2,13 +2,13 @@
 
 It hears the same surroundings as the filter. T(pose), the time that is left to the goal, turning circle and reversing
 included, is kept on a map (``TimeToGoMap``), where a metre costs more next to what is at rest, and as much more as the
-filter will slow the car down beside what may move or hide. In each period arcs of several curvatures are tried, each to
+filter will slow the car down next to what may move or hide. In each period arcs of several curvatures are tried, each to
 several lengths, and the one with the least
 
     sum of the seconds on the arc, priced + T(its end) + what turning over costs
 
-is requested. So the car keeps away from corners that hide somebody and from ways out of which it would have to
-reverse: with a load that hides what is behind it the filter lets nobody reverse, and the map knows it. Where it makes
+is requested. So the car keeps away from corners that hide someone and from ways out of which it would have to
+reverse: with a load that hides what is behind it the filter lets no one reverse, and the map knows it. Where it makes
 no headway all the same, the way that it tried counts as closed for a while. Nothing that it requests is trusted.
 """
 
@@ -56,9 +56,9 @@ class RouteFollowerSettings:
     reckoned_reverse_speed: float = 0.15
     """m/s that is reckoned with instead: every change of direction takes its time."""
     blind_reverse_speed: float = 0.08
-    """m/s that is reckoned with where nobody sees what is behind."""
+    """m/s that is reckoned with where no one sees what is behind."""
     over: float = 1.6
-    """Of the speed that it reckons with beside what may move, asked for: the filter knows better what is safe."""
+    """Of the speed that it reckons with next to what may move, asked for: the filter knows better what is safe."""
     turning_over: float = 1.5
     """s that it costs to drive the other way than before."""
     commits: float = 2.0
@@ -93,7 +93,7 @@ class RouteFollower:
         self._steers = steers
 
     def look(self, seen: SurroundingsMessage | None) -> None:
-        """What is around the car at the moment of the state that follows; None: nobody knows."""
+        """What is around the car at the moment of the state that follows; None: no one knows."""
         self._seen = seen if seen is not None else self._seen
 
     def nominal_action(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:

@@ -60,7 +60,7 @@ class CarScene(AbstractScene):
         self._stack: AbstractBarrierSet = self._barriers
 
     def _brake(self, state: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """The resting action, and among what sensors see, where somebody may come, the harder one.
+        """The resting action, and among what sensors see, where someone may come, the harder one.
 
         Not for longer than braking takes: a car whose speed is told wrongly would be driven backwards.
         """
@@ -69,7 +69,7 @@ class CarScene(AbstractScene):
         return self._counter.action(state, self._sensed)
 
     def _watch(self, state: StateMessage) -> None:
-        """For how long it has been commanded against the motion that is told, or nobody knows how it was.
+        """For how long it has been commanded against the motion that is told, or no one knows how it was.
 
         Only a car that is told to move as it was commanded is known to be told truly, so nothing else ends the count. A
         slow one is driven the other way half as fast at most, and comes to rest late: its seconds count half.
@@ -123,7 +123,7 @@ class CarScene(AbstractScene):
     ) -> AbstractBarrierSet | str:
         self.follow(state)
         if state.obstacles or state.corridor:
-            return "surroundings (obstacles or a corridor are told beside sources; wanted one or the other)"
+            return "surroundings (obstacles or a corridor are told next to sources; wanted one or the other)"
         try:
             towed = self.way.reach(state)
             found = sensed_barriers(self._settings, self._counter, state, seen, towed, epsilon, late, self._quick)

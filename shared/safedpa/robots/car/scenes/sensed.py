@@ -53,7 +53,7 @@ class SensedBarriers:
 
     barriers: AbstractBarrierSet
     yields_to: str
-    """Who may be at the car before it stands, in words; empty where there is nobody."""
+    """Who may be at the car before it stands, in words; empty where there is no one."""
     left_out: str
     """What was not looked at though it is near, in words; empty where everything was."""
 
@@ -205,4 +205,4 @@ def _who_may_touch(h: Sequence[float], named: Callable[[int], str]) -> str:
     if least >= 0.0:
         return ""
     who = named(h.index(least))
-    return f"{who if who.startswith('mover') else 'somebody whom nobody sees'} may be at the robot before it stands"
+    return f"{who if who.startswith('mover') else 'someone whom no one sees'} may be at the robot before it stands"

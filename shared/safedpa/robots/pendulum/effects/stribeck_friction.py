@@ -15,7 +15,7 @@ __all__ = ["StribeckFriction"]
 class StribeckFriction(RateEffect):
     """mass length^2 d(rate)/dt is lowered by torque exp(-(rate / fading_rate)^2) sign(rate).
 
-    The sign is rounded off near rest. Beside coulomb_friction it is the difference between breakaway and sliding
+    The sign is rounded off near rest. Next to coulomb_friction it is the difference between breakaway and sliding
     friction.
     """
 
